@@ -1,0 +1,169 @@
+//! What is told to a person whose input cannot be used.
+//!
+//! Comes in: what is wrong, where, and what would help. Goes out: one value that the command line prints as text with
+//! the lines of the file around the place, or as JSON. Stages return these inside their own error types.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A range of bytes in a text file.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Span {
+    /// First byte.
+    pub start: usize,
+    /// One past the last byte.
+    pub end: usize,
+}
+
+/// A text file that was read, kept so that messages can point into it.
+#[derive(Clone)]
+pub struct SourceText {
+    path: Arc<Path>,
+    text: Arc<str>,
+}
+
+impl SourceText {
+    /// A file's path (or the name of a shipped file) and its content.
+    #[must_use]
+    pub fn new(path: impl Into<PathBuf>, text: impl Into<Arc<str>>) -> Self {
+        SourceText { path: path.into().into(), text: text.into() }
+    }
+
+    /// The path, as the user gave it.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The whole text.
+    #[must_use]
+    pub fn text(&self) -> &Arc<str> {
+        &self.text
+    }
+
+    /// Line and column, both from 1, of a byte; columns count characters.
+    #[must_use]
+    pub fn position(&self, offset: usize) -> Position {
+        let mut offset = offset.min(self.text.len());
+        while !self.text.is_char_boundary(offset) {
+            offset -= 1;
+        }
+        let before = &self.text[..offset];
+        let line_start = before.rfind('\n').map_or(0, |i| i + 1);
+        Position { line: before.matches('\n').count() + 1, column: before[line_start..].chars().count() + 1 }
+    }
+}
+
+impl fmt::Debug for SourceText {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SourceText({}, {} bytes)", self.path.display(), self.text.len())
+    }
+}
+
+/// Line and column, both from 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Position {
+    /// Line, from 1.
+    pub line: usize,
+    /// Column in characters, from 1.
+    pub column: usize,
+}
+
+/// Where in which file.
+#[derive(Debug, Clone)]
+pub enum Place {
+    /// A file as a whole (it cannot be opened, it is binary).
+    File(PathBuf),
+    /// A range of a text file.
+    Text(SourceText, Span),
+}
+
+/// One problem with an input.
+#[derive(Debug, Clone)]
+pub struct Diagnostic {
+    /// A stable name for scripts: `stage.problem`, for example `model.weight-range`.
+    pub code: &'static str,
+    /// What is wrong, with the entity, the value and the limit.
+    pub message: String,
+    /// What to change.
+    pub help: Option<String>,
+    /// Where, when a file is to blame.
+    pub place: Option<Place>,
+}
+
+impl Diagnostic {
+    /// A problem with this code and message.
+    #[must_use]
+    pub fn new(code: &'static str, message: impl Into<String>) -> Self {
+        Diagnostic { code, message: message.into(), help: None, place: None }
+    }
+
+    /// With advice.
+    #[must_use]
+    pub fn help(mut self, help: impl Into<String>) -> Self {
+        self.help = Some(help.into());
+        self
+    }
+
+    /// At a place in a text.
+    #[must_use]
+    pub fn at(mut self, source: &SourceText, span: Span) -> Self {
+        self.place = Some(Place::Text(source.clone(), span));
+        self
+    }
+
+    /// In a file.
+    #[must_use]
+    pub fn in_file(mut self, path: impl Into<PathBuf>) -> Self {
+        self.place = Some(Place::File(path.into()));
+        self
+    }
+
+    /// The file, if one is to blame.
+    #[must_use]
+    pub fn file(&self) -> Option<&Path> {
+        match self.place.as_ref()? {
+            Place::File(path) => Some(path),
+            Place::Text(source, _) => Some(source.path()),
+        }
+    }
+
+    /// Line and column, if known.
+    #[must_use]
+    pub fn position(&self) -> Option<Position> {
+        match self.place.as_ref()? {
+            Place::File(_) => None,
+            Place::Text(source, span) => Some(source.position(span.start)),
+        }
+    }
+}
+
+impl fmt::Display for Diagnostic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(file) = self.file() {
+            write!(f, "{}:", file.display())?;
+            if let Some(Position { line, column }) = self.position() {
+                write!(f, "{line}:{column}:")?;
+            }
+            write!(f, " ")?;
+        }
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for Diagnostic {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_line_and_column_in_characters() {
+        let source = SourceText::new("m.ron", "a\nµb: 5\n");
+        let offset = source.text().find('5').unwrap();
+        let problem = Diagnostic::new("x.y", "5 is too much").at(&source, Span { start: offset, end: offset + 1 });
+        assert_eq!(problem.to_string(), "m.ron:2:5: 5 is too much");
+        assert_eq!(source.position(10_000), Position { line: 3, column: 1 });
+    }
+}

@@ -1,0 +1,248 @@
+//! Integers with the widths of the hardware's fields, and the operations by which the hardware narrows them.
+//!
+//! Goes in: any integer. Comes out: a value that is known to fit its field, or [`OutOfRange`] with the value and the
+//! limits. The operations have names for what they do at the edge: [`wrap`] (two's complement), [`clip`] (saturate),
+//! [`decay`] (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
+
+use std::fmt;
+
+/// A value that does not fit its field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{what} {value} is outside {low}..={high}")]
+pub struct OutOfRange {
+    /// What the field holds, in the field's words ("decay", "threshold mantissa").
+    pub what: &'static str,
+    /// The value that was given.
+    pub value: i64,
+    /// The least value that fits.
+    pub low: i64,
+    /// The greatest value that fits.
+    pub high: i64,
+}
+
+/// Defines a newtype over an integer with a closed range.
+macro_rules! ranged {
+    ($(#[$doc:meta])* $name:ident($repr:ty) in $low:literal ..= $high:literal, $what:literal) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub struct $name($repr);
+        impl $name {
+            /// The least value.
+            pub const MIN: $name = $name($low);
+            /// The greatest value.
+            pub const MAX: $name = $name($high);
+            /// What the field holds, for messages.
+            pub const WHAT: &'static str = $what;
+
+            /// The value, if it fits.
+            ///
+            /// # Errors
+            /// [`OutOfRange`] outside the field's range.
+            pub const fn new(value: i64) -> Result<Self, OutOfRange> {
+                if value < $low || value > $high {
+                    return Err(OutOfRange { what: $what, value, low: $low, high: $high });
+                }
+                Ok($name(value as $repr))
+            }
+
+            /// The plain integer.
+            #[inline]
+            #[must_use]
+            pub const fn get(self) -> $repr {
+                self.0
+            }
+        }
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                self.0.fmt(f)
+            }
+        }
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                self.0.fmt(f)
+            }
+        }
+    };
+}
+
+ranged!(
+    /// Effective decay: what is taken away in a step, in 4096ths; 4096 forgets everything. The chip's register for `u`
+    /// holds one less, the one for `v` the value itself (slayerPytorch and lava agree once that is taken into account).
+    Decay(u16) in 0..=4096, "decay"
+);
+ranged!(
+    /// Threshold mantissa; the threshold is 64 times as much (nengo-loihi `block.py`: 17 bits).
+    ThresholdMantissa(u32) in 0..=131_071, "threshold mantissa"
+);
+ranged!(
+    /// Bias mantissa, 13 bits signed (lava `proc/lif/models.py`).
+    BiasMantissa(i16) in -4096..=4095, "bias mantissa"
+);
+ranged!(
+    /// Bias exponent: the bias is `mantissa * 2^exponent`.
+    BiasExponent(u8) in 0..=7, "bias exponent"
+);
+ranged!(
+    /// Weight exponent of a synapse format: a weight counts `w * 2^(6 + exponent)`.
+    WeightExponent(i8) in -8..=7, "weight exponent"
+);
+ranged!(
+    /// Synaptic delay field: a spike of step t enters the update of step t + 1 + delay.
+    Delay(u8) in 0..=62, "delay"
+);
+ranged!(
+    /// Refractory period: a spike at t allows the next at t + period. 0 behaves as 1 in hardware semantics.
+    Refractory(u8) in 0..=63, "refractory period"
+);
+ranged!(
+    /// Exponent e of the lower clip of `v`, which is -(2^e - 1); 23 uses the whole field.
+    VminExponent(u8) in 0..=23, "vmin exponent"
+);
+ranged!(
+    /// Exponent k of the upper clip of `v`, which is 2^(9 + 2k) - 1; 7 uses the whole field.
+    VmaxExponent(u8) in 0..=7, "vmax exponent"
+);
+ranged!(
+    /// Bits of a stored weight. 7 cannot be stored (nengo-loihi: register values mean 0..6 and 8 bits).
+    WeightBits(u8) in 1..=8, "weight bits"
+);
+
+/// Width of the dendritic accumulator without its sign (nengo-loihi: `Q_BITS`).
+pub const Q_BITS: u32 = 21;
+/// Width of the current and voltage registers without their sign.
+pub const UV_BITS: u32 = 23;
+/// The low bits that a scaled weight is shifted up by when its exponent is 0.
+pub const WEIGHT_SHIFT: u32 = 6;
+/// The low bits of the threshold.
+pub const THRESHOLD_SHIFT: u32 = 6;
+/// One in the fixed-point format of a decay.
+pub const DECAY_ONE: i64 = 4096;
+
+/// Two's complement wrap of `x` to `bits` bits and a sign: the result is in `-2^bits..2^bits`.
+#[inline]
+#[must_use]
+pub const fn wrap(x: i64, bits: u32) -> i64 {
+    let shift = 63 - bits;
+    (x << shift) >> shift
+}
+
+/// `x` held within `low..=high`.
+#[inline]
+#[must_use]
+pub const fn clip(x: i64, low: i64, high: i64) -> i64 {
+    if x < low {
+        low
+    } else if x > high {
+        high
+    } else {
+        x
+    }
+}
+
+/// Equation (3): `sign(x) * ((|x| * (4096 - d)) >> 12)`, which rounds toward zero. Exact for any 32-bit `x`.
+/// Source: recorded chip voltages (slayerPytorch `test/test_files/Loihi`), 0 differences over four traces.
+#[inline]
+#[must_use]
+pub const fn decay(x: i64, d: Decay) -> i64 {
+    let kept = (x.abs() * (DECAY_ONE - d.0 as i64)) >> 12;
+    if x < 0 { -kept } else { kept }
+}
+
+/// Equation (1): what one spike over a synapse of weight `w` adds to the accumulator: `w * 2^(6 + exponent)`; for a
+/// negative exponent the low six bits are dropped toward zero, weight by weight (nengo-loihi `discretize.py`).
+#[inline]
+#[must_use]
+pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
+    let e = exponent.0;
+    let w = w as i32;
+    if e >= 0 {
+        w << (WEIGHT_SHIFT + e as u32)
+    } else {
+        // |w| <= 256, so |w| * 64 fits; the shift and the mask act on the magnitude, hence toward zero.
+        let magnitude = ((w.abs() << WEIGHT_SHIFT) >> (-e) as u32) & !63;
+        if w < 0 { -magnitude } else { magnitude }
+    }
+}
+
+/// Sign mode of a synapse format.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Deserialize, serde::Serialize)]
+pub enum SignMode {
+    /// Weights of both signs; one bit is spent on the sign, so the least step of an 8-bit weight is 2.
+    Mixed,
+    /// Weights of 0 and above.
+    Excitatory,
+    /// Weights of 0 and below.
+    Inhibitory,
+}
+
+impl SignMode {
+    /// The least step between two weights: `2^(8 - (bits - mixed))` (`docs/semantics.md`, weights).
+    #[must_use]
+    pub const fn step(self, bits: WeightBits) -> i16 {
+        let mixed = if matches!(self, SignMode::Mixed) { 1 } else { 0 };
+        1 << (8 - (bits.0 - mixed))
+    }
+
+    /// The least and the greatest weight.
+    #[must_use]
+    pub const fn range(self, bits: WeightBits) -> (i16, i16) {
+        let step = self.step(bits);
+        match self {
+            SignMode::Mixed => (-256, 256 - step),
+            SignMode::Excitatory => (0, 256 - step),
+            SignMode::Inhibitory => (step - 256, 0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrap_is_two_s_complement() {
+        assert_eq!(wrap(1 << 21, 21), -(1 << 21));
+        assert_eq!(wrap((1 << 21) - 1, 21), (1 << 21) - 1);
+        assert_eq!(wrap(-(1 << 21) - 1, 21), (1 << 21) - 1);
+        for x in -70_000i64..70_000 {
+            assert_eq!(wrap(x, 15), (x + 32_768).rem_euclid(65_536) - 32_768);
+        }
+    }
+
+    #[test]
+    fn decay_rounds_toward_zero_for_every_decay() {
+        for d in 0..=4096 {
+            let field = Decay::new(d).unwrap();
+            for x in [0i64, 1, 2, 63, 64, 4095, 4096, 4097, 8_388_607, 8_388_608] {
+                let exact = (i128::from(x) * i128::from(4096 - d)) / 4096;
+                assert_eq!(i128::from(decay(x, field)), exact);
+                assert_eq!(i128::from(decay(-x, field)), -exact);
+            }
+        }
+    }
+
+    #[test]
+    fn scaled_weights_of_negative_exponents_lose_their_low_bits_toward_zero() {
+        for w in -256i16..=255 {
+            for e in -8..=7 {
+                let real = f64::from(w) * 2f64.powi(6 + e);
+                let expected = if e < 0 { (real / 64.0).trunc() * 64.0 } else { real };
+                assert_eq!(f64::from(scaled_weight(w, WeightExponent::new(e.into()).unwrap())), expected, "{w} {e}");
+            }
+        }
+    }
+
+    #[test]
+    fn ranges_of_weights() {
+        let bits = |b| WeightBits::new(b).unwrap();
+        assert_eq!((SignMode::Mixed.step(bits(8)), SignMode::Mixed.range(bits(8))), (2, (-256, 254)));
+        assert_eq!((SignMode::Excitatory.step(bits(8)), SignMode::Excitatory.range(bits(8))), (1, (0, 255)));
+        assert_eq!((SignMode::Inhibitory.step(bits(4)), SignMode::Inhibitory.range(bits(4))), (16, (-240, 0)));
+    }
+
+    #[test]
+    fn a_value_outside_its_field_is_refused_with_the_limits() {
+        let error = Decay::new(5000).unwrap_err();
+        assert_eq!(error.to_string(), "decay 5000 is outside 0..=4096");
+    }
+}

@@ -1,0 +1,52 @@
+//! The mirror of a saved mapping (`nsim map -o`): which compartments sit on which core of which chip.
+//!
+//! It is small and for people to read: runs of compartments by population, no synapses. Loading one compiles the model
+//! again with this partition and placement, so nothing in it needs to be believed.
+
+use serde::{Deserialize, Serialize};
+
+/// A run of compartments of one population, in slot order.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Run {
+    /// The population.
+    pub population: String,
+    /// Its first compartment here.
+    pub first: u32,
+    /// How many follow each other.
+    pub count: u32,
+}
+
+/// One core in use.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MappedCore {
+    /// Chip number on the board.
+    pub chip: u32,
+    /// Column of the tile on the chip.
+    pub x: u32,
+    /// Row of the tile on the chip.
+    pub y: u32,
+    /// Core within the tile.
+    pub core: u32,
+    /// What sits on it, in slot order.
+    pub holds: Vec<Run>,
+}
+
+/// A saved mapping.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Mapping")]
+pub struct MappingFile {
+    /// The model it was made for.
+    pub model: String,
+    /// The target it was made for.
+    pub target: String,
+    /// How many copies of the model.
+    pub copies: u32,
+    /// The strategy that made it.
+    pub strategy: String,
+    /// The seed of the strategy.
+    pub seed: u64,
+    /// The cores in use.
+    pub cores: Vec<MappedCore>,
+}

@@ -1,0 +1,11 @@
+//! What files say, as they say it: mirrors of networks, targets, mappings and stimuli.
+//!
+//! Values here are parsed and know where they stood in their file, so that any later stage can point at them. Whether
+//! they make sense together is for `compile::lower` to find out.
+
+pub mod mapping;
+pub mod network;
+pub mod spanned;
+pub mod stimulus;
+pub mod target;
+pub mod tensor;

@@ -1,0 +1,573 @@
+//! The mirror of a model file (`models/*.ron`; `docs/formats.md` describes each field).
+//!
+//! [`NetworkFile`] is what the RON says. [`Network`] is the same with every array that it refers to read; `io::model`
+//! makes it. Ranges that a single field has are left to `compile::lower`, which knows the population and can point at
+//! the value.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Deserializer};
+
+use super::spanned::{Shape, Spanned, parse_shape, shape_of};
+use super::tensor::{Numbers, Tensor};
+use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::fixed::SignMode;
+
+/// A reference to an array outside the model file, relative to it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum ArrayRef {
+    /// A NumPy file.
+    Npy(String),
+    /// A tensor of a safetensors file: file, key.
+    Safetensors(String, String),
+}
+
+/// Where an array of weights or parameters comes from.
+#[derive(Debug, Clone)]
+pub enum Source {
+    /// Numbers in the model file, with the place of each row for messages.
+    InPlace(Tensor, Vec<Span>),
+    /// An array in another file.
+    File(ArrayRef),
+    /// Seeded uniform numbers in `low..=high`: integers when both bounds are, for untrained networks and benches.
+    Uniform {
+        /// The least value.
+        low: f64,
+        /// The greatest value.
+        high: f64,
+        /// The seed.
+        seed: u64,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+enum NamedSource {
+    Npy(String),
+    Safetensors(String, String),
+    Uniform { low: f64, high: f64, seed: u64 },
+}
+
+impl From<NamedSource> for Source {
+    fn from(named: NamedSource) -> Self {
+        match named {
+            NamedSource::Npy(file) => Source::File(ArrayRef::Npy(file)),
+            NamedSource::Safetensors(file, key) => Source::File(ArrayRef::Safetensors(file, key)),
+            NamedSource::Uniform { low, high, seed } => Source::Uniform { low, high, seed },
+        }
+    }
+}
+
+/// Weights: `[[..], ..]` in place (`[target][source]`), `Npy(..)`, `Safetensors(..)` or `Uniform(..)`.
+#[derive(Debug, Clone)]
+pub struct Weights {
+    /// Where they come from.
+    pub source: Source,
+    /// Where that is said.
+    pub span: Span,
+}
+
+/// Nested lists of numbers of any depth up to four, which is what a convolution kernel has.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Nested {
+    Number(f64),
+    List(Vec<Nested>),
+}
+
+fn flatten(nested: &Nested, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<f64>) -> Result<(), &'static str> {
+    match nested {
+        Nested::Number(x) if shape.len() == depth => {
+            numbers.push(*x);
+            Ok(())
+        }
+        Nested::Number(_) => Err("a number stands where the other rows have a list"),
+        Nested::List(items) => {
+            if shape.len() == depth {
+                if !numbers.is_empty() {
+                    return Err("a list stands where the other rows have a number");
+                }
+                shape.push(items.len());
+            } else if shape[depth] != items.len() {
+                return Err("the rows have different lengths");
+            }
+            items.iter().try_for_each(|item| flatten(item, depth + 1, shape, numbers))
+        }
+    }
+}
+
+/// Numbers in place, from the text of a list.
+fn in_place<E: serde::de::Error>(text: &str, span: Span) -> Result<Source, E> {
+    let rows: Vec<Spanned<Nested>> = parse_shape(text, span)?;
+    let mut shape = vec![rows.len()];
+    let mut numbers = Vec::new();
+    let mut spans = Vec::with_capacity(rows.len());
+    for row in &rows {
+        if let Err(problem) = flatten(&row.value, 1, &mut shape, &mut numbers) {
+            return super::spanned::refuse(row.span, problem);
+        }
+        spans.push(row.span);
+    }
+    match Tensor::new(shape, Numbers::Reals(numbers)) {
+        Some(tensor) => Ok(Source::InPlace(tensor, spans)),
+        None => super::spanned::refuse(span, "the rows have different lengths"),
+    }
+}
+
+impl<'de> Deserialize<'de> for Weights {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (shape, span) = shape_of(deserializer)?;
+        let source = match shape {
+            Shape::List(text) => in_place(text, span)?,
+            Shape::Named(text) => parse_shape::<NamedSource, _>(text, span)?.into(),
+            Shape::Number(_) => {
+                return super::spanned::refuse(
+                    span,
+                    "weights are a list of rows or a source such as Npy(\"file.npy\")",
+                );
+            }
+        };
+        Ok(Weights { source, span })
+    }
+}
+
+/// A parameter of a population: one number for all, a list with one entry a compartment, or a source of such a list.
+#[derive(Debug, Clone)]
+pub struct Parameter {
+    /// Its value.
+    pub value: ParameterValue,
+    /// Where that is said.
+    pub span: Span,
+}
+
+/// See [`Parameter`].
+#[derive(Debug, Clone)]
+pub enum ParameterValue {
+    /// The same for every compartment.
+    Same(f64),
+    /// One entry a compartment.
+    Each(Source),
+}
+
+impl<'de> Deserialize<'de> for Parameter {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (shape, span) = shape_of(deserializer)?;
+        let value = match shape {
+            Shape::Number(x) => ParameterValue::Same(x),
+            Shape::List(text) => ParameterValue::Each(in_place(text, span)?),
+            Shape::Named(text) => ParameterValue::Each(parse_shape::<NamedSource, _>(text, span)?.into()),
+        };
+        Ok(Parameter { value, span })
+    }
+}
+
+/// A population of the file.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum PopulationDesc {
+    /// Channels that spike as a stimulus says.
+    Input {
+        /// Its name.
+        name: Spanned<String>,
+        /// `[n]` or `[channels, height, width]`.
+        shape: Spanned<Vec<u64>>,
+    },
+    /// Compartments of a Loihi core.
+    Loihi(Box<LoihiDesc>),
+}
+
+/// Compartments of a Loihi core: integer fields as the hardware has them, or real ones to be quantised.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LoihiDesc {
+    /// Its name.
+    pub name: Spanned<String>,
+    /// `[n]` or `[channels, height, width]`.
+    pub shape: Spanned<Vec<u64>>,
+    /// Effective current decay, 0..4096.
+    pub du: Option<Parameter>,
+    /// Effective voltage decay, 0..4096.
+    pub dv: Option<Parameter>,
+    /// Instead of `du`: time constant of the current in ms.
+    pub tau_u_ms: Option<Parameter>,
+    /// Instead of `dv`: time constant of the voltage in ms.
+    pub tau_v_ms: Option<Parameter>,
+    /// Threshold mantissa; the threshold is 64 times as much.
+    pub vth_mant: Option<Parameter>,
+    /// Instead of `vth_mant`: a real threshold in the units of real incoming weights.
+    pub vth: Option<Parameter>,
+    /// Mantissa of the bias.
+    pub bias_mant: Option<Parameter>,
+    /// Exponent of the bias.
+    pub bias_exp: Option<Parameter>,
+    /// Instead of `bias_mant` and `bias_exp`, with `vth`: a real bias in the units of `vth`.
+    pub bias: Option<Parameter>,
+    /// Refractory period in timesteps; default 1.
+    pub refractory: Option<Parameter>,
+    /// The timestep before which the population is held at zero; default 0.
+    pub start_step: Option<Spanned<i64>>,
+    /// Exponent of the lower clip of v; default 23.
+    pub vmin_exp: Option<Parameter>,
+    /// Exponent of the upper clip of v; default 7.
+    pub vmax_exp: Option<Parameter>,
+}
+
+/// A projection's mirror: the fields that every kind has, and its own. (`serde(flatten)` would buffer the values and lose
+/// their places.)
+macro_rules! projection_desc {
+    ($(#[$doc:meta])* $name:ident { $($own:tt)* }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $name {
+            /// Source populations; several are concatenated.
+            pub from: Vec<Spanned<String>>,
+            /// Target population.
+            pub to: Spanned<String>,
+            /// Weight exponent, default 0.
+            #[serde(default)]
+            pub weight_exp: Option<Spanned<i64>>,
+            /// Sign mode, default mixed.
+            #[serde(default)]
+            pub sign: Option<Spanned<SignMode>>,
+            /// Bits of a weight, default 8.
+            #[serde(default)]
+            pub weight_bits: Option<Spanned<i64>>,
+            /// Delay field, default 0.
+            #[serde(default)]
+            pub delay: Option<Spanned<i64>>,
+            /// What a real weight of 1 counts in units of the weight mantissa.
+            #[serde(default)]
+            pub weight_scale: Option<Spanned<f64>>,
+            $($own)*
+        }
+        impl $name {
+            /// The fields that every kind of projection has.
+            #[must_use]
+            pub fn synapse(&self) -> SynapseDesc<'_> {
+                SynapseDesc {
+                    from: &self.from,
+                    to: &self.to,
+                    weight_exp: self.weight_exp.as_ref(),
+                    sign: self.sign.as_ref(),
+                    weight_bits: self.weight_bits.as_ref(),
+                    delay: self.delay.as_ref(),
+                    weight_scale: self.weight_scale.as_ref(),
+                }
+            }
+        }
+    };
+}
+
+projection_desc!(
+    /// Every source reaches every target.
+    DenseDesc {
+        /// `[target][source]`.
+        pub weights: Weights,
+    }
+);
+projection_desc!(
+    /// Listed synapses.
+    SparseDesc {
+        /// (source, target, weight) each.
+        pub synapses: Vec<Spanned<(u64, u64, f64)>>,
+    }
+);
+projection_desc!(
+    /// A two-dimensional convolution (cross-correlation with the kernel as stored) from one population `[C, H, W]` to one
+    /// `[C', H', W']`.
+    Conv2dDesc {
+        /// `[C'][C / groups][kh][kw]`.
+        pub weights: Weights,
+        /// (y, x), default (1, 1).
+        #[serde(default)]
+        pub stride: Option<Spanned<(u64, u64)>>,
+        /// (y, x), default (0, 0).
+        #[serde(default)]
+        pub padding: Option<Spanned<(u64, u64)>>,
+        /// (y, x), default (1, 1).
+        #[serde(default)]
+        pub dilation: Option<Spanned<(u64, u64)>>,
+        /// Channel groups, default 1.
+        #[serde(default)]
+        pub groups: Option<Spanned<u64>>,
+    }
+);
+projection_desc!(
+    /// Sum pooling from one population `[C, H, W]` to one `[C, H', W']`: each position of a window reaches its channel's
+    /// compartment with the same weight.
+    SumPool2dDesc {
+        /// Window (y, x).
+        pub kernel: Spanned<(u64, u64)>,
+        /// (y, x), default: the window.
+        #[serde(default)]
+        pub stride: Option<Spanned<(u64, u64)>>,
+        /// (y, x), default (0, 0).
+        #[serde(default)]
+        pub padding: Option<Spanned<(u64, u64)>>,
+        /// The weight of each synapse.
+        pub weight: Spanned<f64>,
+    }
+);
+projection_desc!(
+    /// Random synapses: each source reaches `fan_out` targets, drawn independently (a target may be drawn twice), with
+    /// weights drawn from the multiples of the least step in `low..=high`.
+    RandomDesc {
+        /// Synapses of each source.
+        pub fan_out: Spanned<u64>,
+        /// The least weight.
+        pub low: Spanned<i64>,
+        /// The greatest weight.
+        pub high: Spanned<i64>,
+        /// The seed.
+        pub seed: Spanned<u64>,
+    }
+);
+
+/// A projection of the file.
+#[derive(Debug, Clone, Deserialize)]
+pub enum ProjectionDesc {
+    /// Every source reaches every target.
+    Dense(Box<DenseDesc>),
+    /// Listed synapses.
+    Sparse(Box<SparseDesc>),
+    /// A convolution.
+    Conv2d(Box<Conv2dDesc>),
+    /// Sum pooling.
+    SumPool2d(Box<SumPool2dDesc>),
+    /// Seeded random synapses.
+    Random(Box<RandomDesc>),
+}
+
+/// The fields that every kind of projection has, borrowed from one.
+#[derive(Debug, Clone, Copy)]
+pub struct SynapseDesc<'a> {
+    /// Source populations.
+    pub from: &'a [Spanned<String>],
+    /// Target population.
+    pub to: &'a Spanned<String>,
+    /// Weight exponent, default 0.
+    pub weight_exp: Option<&'a Spanned<i64>>,
+    /// Sign mode, default mixed.
+    pub sign: Option<&'a Spanned<SignMode>>,
+    /// Bits of a weight, default 8.
+    pub weight_bits: Option<&'a Spanned<i64>>,
+    /// Delay field, default 0.
+    pub delay: Option<&'a Spanned<i64>>,
+    /// What a real weight of 1 counts in weight units.
+    pub weight_scale: Option<&'a Spanned<f64>>,
+}
+
+impl ProjectionDesc {
+    /// The fields that every kind has.
+    #[must_use]
+    pub fn synapse(&self) -> SynapseDesc<'_> {
+        match self {
+            ProjectionDesc::Dense(d) => d.synapse(),
+            ProjectionDesc::Sparse(d) => d.synapse(),
+            ProjectionDesc::Conv2d(d) => d.synapse(),
+            ProjectionDesc::SumPool2d(d) => d.synapse(),
+            ProjectionDesc::Random(d) => d.synapse(),
+        }
+    }
+
+    /// The weights, for the kinds that have an array of them.
+    #[must_use]
+    pub fn weights(&self) -> Option<&Weights> {
+        match self {
+            ProjectionDesc::Dense(d) => Some(&d.weights),
+            ProjectionDesc::Conv2d(d) => Some(&d.weights),
+            ProjectionDesc::Sparse(_) | ProjectionDesc::SumPool2d(_) | ProjectionDesc::Random(_) => None,
+        }
+    }
+}
+
+/// Which arithmetic a network means (`docs/semantics.md`).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum Semantics {
+    /// The chip's, as recorded traces show it.
+    #[default]
+    Hardware,
+    /// lava's fixed-point LIF process: no refractory period, wider accumulator.
+    Lava,
+    /// SLAYER's Loihi kernel: step 0 skipped, 32-bit products.
+    Slayer,
+}
+
+/// When a compartment spikes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum ThresholdTest {
+    /// v > threshold, as the chip does.
+    #[default]
+    Strict,
+    /// v >= threshold, as SLAYER 2 does.
+    Inclusive,
+}
+
+/// How real or odd weights become multiples of the least step.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum WeightRounding {
+    /// To the nearest, ties to even (SLAYER's export).
+    #[default]
+    Even,
+    /// Toward zero (brian2-loihi).
+    Truncate,
+    /// Downward (lava).
+    Floor,
+}
+
+/// u and v of each population return to zero before the updates of steps `start_step + offset + k * interval`.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResetDesc {
+    /// Timesteps between two resets.
+    pub interval: u64,
+    /// The first reset, counted from the population's own start.
+    #[serde(default)]
+    pub offset: u64,
+}
+
+/// A model file as it is written.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Network")]
+pub struct NetworkFile {
+    /// The network's name.
+    pub name: String,
+    /// Milliseconds that a timestep stands for.
+    pub timestep_ms: Spanned<f64>,
+    /// Populations in order.
+    pub populations: Vec<Spanned<PopulationDesc>>,
+    /// Projections in order.
+    pub projections: Vec<Spanned<ProjectionDesc>>,
+    /// The population whose spikes decide.
+    pub output: Spanned<String>,
+    /// Names of the classes, one for each output compartment.
+    #[serde(default)]
+    pub classes: Option<Spanned<Vec<String>>>,
+    /// Periodic reset.
+    #[serde(default)]
+    pub reset: Option<Spanned<ResetDesc>>,
+    /// When a compartment spikes.
+    #[serde(default)]
+    pub threshold: ThresholdTest,
+    /// Which arithmetic.
+    #[serde(default)]
+    pub semantics: Semantics,
+    /// How weights are rounded.
+    #[serde(default)]
+    pub weight_rounding: WeightRounding,
+    /// The stimulus to use when none is given.
+    #[serde(default)]
+    pub scene: Option<String>,
+    /// Where the network comes from: data, command, accuracy.
+    #[serde(default)]
+    pub provenance: Option<String>,
+}
+
+/// A model file with every array that it refers to.
+#[derive(Debug, Clone)]
+pub struct Network {
+    file: NetworkFile,
+    source: SourceText,
+    arrays: BTreeMap<ArrayRef, Tensor>,
+}
+
+impl Network {
+    /// Pairs a file with its arrays.
+    ///
+    /// # Errors
+    /// A diagnostic when an array that the file refers to is not among them.
+    pub fn new(file: NetworkFile, source: SourceText, arrays: BTreeMap<ArrayRef, Tensor>) -> Result<Self, Diagnostic> {
+        for (reference, span) in array_refs(&file) {
+            if !arrays.contains_key(reference) {
+                return Err(
+                    Diagnostic::new("model.array-missing", format!("{reference:?} was not read")).at(&source, span)
+                );
+            }
+        }
+        Ok(Network { file, source, arrays })
+    }
+
+    /// What the RON says.
+    #[must_use]
+    pub fn file(&self) -> &NetworkFile {
+        &self.file
+    }
+
+    /// The text, for messages.
+    #[must_use]
+    pub fn source(&self) -> &SourceText {
+        &self.source
+    }
+
+    /// The array of a reference.
+    #[must_use]
+    pub fn array(&self, reference: &ArrayRef) -> &Tensor {
+        &self.arrays[reference]
+    }
+}
+
+/// Every array that a file refers to, and where.
+#[must_use]
+pub fn array_refs(file: &NetworkFile) -> Vec<(&ArrayRef, Span)> {
+    let mut refs = Vec::new();
+    for population in &file.populations {
+        if let PopulationDesc::Loihi(desc) = &population.value {
+            for parameter in desc.parameters().into_iter().flatten() {
+                if let ParameterValue::Each(Source::File(reference)) = &parameter.value {
+                    refs.push((reference, parameter.span));
+                }
+            }
+        }
+    }
+    for projection in &file.projections {
+        if let Some(weights) = projection.weights()
+            && let Source::File(reference) = &weights.source
+        {
+            refs.push((reference, weights.span));
+        }
+    }
+    refs
+}
+
+impl LoihiDesc {
+    /// Every parameter that can hold an array.
+    #[must_use]
+    pub fn parameters(&self) -> [Option<&Parameter>; 12] {
+        [
+            self.du.as_ref(),
+            self.dv.as_ref(),
+            self.tau_u_ms.as_ref(),
+            self.tau_v_ms.as_ref(),
+            self.vth_mant.as_ref(),
+            self.vth.as_ref(),
+            self.bias_mant.as_ref(),
+            self.bias_exp.as_ref(),
+            self.bias.as_ref(),
+            self.refractory.as_ref(),
+            self.vmin_exp.as_ref(),
+            self.vmax_exp.as_ref(),
+        ]
+    }
+}
+
+impl PopulationDesc {
+    /// The population's name.
+    #[must_use]
+    pub fn name(&self) -> &Spanned<String> {
+        match self {
+            PopulationDesc::Input { name, .. } => name,
+            PopulationDesc::Loihi(desc) => &desc.name,
+        }
+    }
+
+    /// The population's shape.
+    #[must_use]
+    pub fn shape(&self) -> &Spanned<Vec<u64>> {
+        match self {
+            PopulationDesc::Input { shape, .. } => shape,
+            PopulationDesc::Loihi(desc) => &desc.shape,
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! RON with positions: [`parse`] a text into mirrors whose values remember where they stood.
+//!
+//! RON hands out borrowed slices of raw values. The offset of such a slice in the text is where the value stands; while
+//! a text is being parsed its address is kept beside the parser (in a thread-local, since serde has no way to pass it
+//! along). A value that fails inside a raw slice reports its own position, not that of the slice's end.
+
+use std::cell::Cell;
+
+use ron::extensions::Extensions;
+use ron::value::RawValue;
+use serde::de::{Deserialize, DeserializeOwned, Deserializer};
+
+use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+
+thread_local! {
+    /// Address and length of the text that this thread is parsing.
+    static TEXT: Cell<Option<(usize, usize)>> = const { Cell::new(None) };
+    /// The innermost error seen so far: its place in the text.
+    static INNERMOST: Cell<Option<Span>> = const { Cell::new(None) };
+}
+
+/// A value and where it stood.
+#[derive(Debug, Clone, Default)]
+pub struct Spanned<T> {
+    /// The value.
+    pub value: T,
+    /// Its place in the text; empty when it was not read from one.
+    pub span: Span,
+}
+
+impl<T> Spanned<T> {
+    /// A value with the same place.
+    pub fn map<U>(self, f: impl FnOnce(T) -> U) -> Spanned<U> {
+        Spanned { value: f(self.value), span: self.span }
+    }
+}
+
+impl<T> From<T> for Spanned<T> {
+    fn from(value: T) -> Self {
+        Spanned { value, span: Span::default() }
+    }
+}
+
+impl<T> std::ops::Deref for Spanned<T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        &self.value
+    }
+}
+
+fn options() -> ron::Options {
+    ron::Options::default().with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
+}
+
+/// A raw value's text and its place.
+fn place_of(raw: &RawValue) -> (&str, Span) {
+    let text = raw.get_ron();
+    let trimmed = text.trim_start();
+    let lead = text.len() - trimmed.len();
+    let trimmed = trimmed.trim_end();
+    let start = match TEXT.get() {
+        Some((address, length)) => {
+            (trimmed.as_ptr() as usize).checked_sub(address).filter(|&offset| offset <= length).unwrap_or(0)
+        }
+        None => lead,
+    };
+    (trimmed, Span { start, end: start + trimmed.len() })
+}
+
+/// The byte offset of a RON position (line and column from 1, columns in characters).
+fn offset_of(text: &str, position: ron::error::Position) -> usize {
+    let mut start = 0;
+    for (number, line) in text.split_inclusive('\n').enumerate() {
+        if number + 1 == position.line {
+            let within = line.char_indices().nth(position.col.saturating_sub(1)).map_or(line.len(), |(i, _)| i);
+            return start + within;
+        }
+        start += line.len();
+    }
+    text.len()
+}
+
+fn nested<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
+    options().from_str(text).map_err(|error| {
+        if INNERMOST.get().is_none() {
+            let start = span.start + offset_of(text, error.span.start);
+            let end = span.start + offset_of(text, error.span.end);
+            INNERMOST.set(Some(Span { start: start.min(end), end }));
+        }
+        E::custom(error.code)
+    })
+}
+
+/// Fails at this place.
+fn fail<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> Result<T, E> {
+    if INNERMOST.get().is_none() {
+        INNERMOST.set(Some(span));
+    }
+    Err(E::custom(message))
+}
+
+impl<'de, T: DeserializeOwned> Deserialize<'de> for Spanned<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (text, span) = place_of(<&RawValue>::deserialize(deserializer)?);
+        Ok(Spanned { value: nested(text, span)?, span })
+    }
+}
+
+/// A value that is a plain number, a list, or a named source of numbers: what stands at the start decides.
+pub(crate) enum Shape<'de> {
+    /// `3`, `-0.5`
+    Number(f64),
+    /// `[...]`
+    List(&'de str),
+    /// `Npy("...")` and its like.
+    Named(&'de str),
+}
+
+/// Reads a value whose kind its first character tells, and its place.
+pub(crate) fn shape_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Shape<'de>, Span), D::Error> {
+    let (text, span) = place_of(<&RawValue>::deserialize(deserializer)?);
+    let shape = match text.chars().next() {
+        Some('[') => Shape::List(text),
+        Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => Shape::Number(nested(text, span)?),
+        Some(c) if c.is_ascii_alphabetic() && !text.starts_with("inf") && !text.starts_with("NaN") => {
+            Shape::Named(text)
+        }
+        _ => return fail(span, "expected a number, a list, or a source such as Npy(\"file.npy\")"),
+    };
+    Ok((shape, span))
+}
+
+/// Parses the text of a [`Shape`].
+pub(crate) fn parse_shape<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
+    nested(text, span)
+}
+
+/// Parses a whole RON text.
+///
+/// # Errors
+/// A [`Diagnostic`] with the position of whatever is malformed; `code` names it.
+pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T, Diagnostic> {
+    let text: &str = source.text();
+    let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
+    INNERMOST.set(None);
+    let result = options().from_str::<T>(text);
+    TEXT.set(before);
+    result.map_err(|error| {
+        let span = INNERMOST.take().unwrap_or_else(|| {
+            let end = offset_of(text, error.span.end);
+            Span { start: offset_of(text, error.span.start).min(end), end }
+        });
+        Diagnostic::new(code, plain(&error.code)).at(source, span)
+    })
+}
+
+/// RON's message in one line.
+fn plain(error: &ron::Error) -> String {
+    let mut message = error.to_string().replace('\n', " ");
+    if message.len() > 300 {
+        let cut = (0..=300).rev().find(|&i| message.is_char_boundary(i)).unwrap_or(0);
+        message.truncate(cut);
+        message.push_str(" ...");
+    }
+    message
+}
+
+/// An error for a value that is out of its range, raised while parsing.
+pub(crate) fn refuse<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> Result<T, E> {
+    fail(span, message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Outer {
+        name: Spanned<String>,
+        inner: Spanned<Vec<Spanned<u8>>>,
+    }
+
+    #[test]
+    fn values_know_where_they_stand() {
+        let source = SourceText::new("t.ron", "(name: \"x\",\n inner: [1, 22,\n  3])");
+        let outer: Outer = parse(&source, "t").unwrap();
+        assert_eq!(outer.name.value, "x");
+        let third = &outer.inner.value[2];
+        assert_eq!(
+            (third.value, source.position(third.span.start).line, source.position(third.span.start).column),
+            (3, 3, 3)
+        );
+        assert_eq!(&source.text()[outer.inner.span.start..outer.inner.span.end], "[1, 22,\n  3]");
+    }
+
+    #[test]
+    fn an_error_deep_inside_is_reported_where_it_is() {
+        let source = SourceText::new("t.ron", "(name: \"x\",\n inner: [1, 22,\n  300])");
+        let error = parse::<Outer>(&source, "t").unwrap_err();
+        assert_eq!(error.position().unwrap().line, 3, "{error}");
+        let source = SourceText::new("t.ron", "(name: \"x\",\n iner: [1])");
+        let error = parse::<Outer>(&source, "t").unwrap_err();
+        assert_eq!(error.position().unwrap().line, 2, "{error}");
+    }
+}

@@ -1,0 +1,103 @@
+//! What a stimulus argument says: `POPULATION=SOURCE`, or a bare SOURCE.
+//!
+//! This is only the syntax; `io::stimulus` reads files and `scene` makes synthetic spikes.
+
+use std::path::PathBuf;
+
+use crate::base::diagnostic::Diagnostic;
+
+/// One `--input`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InputArg {
+    /// The population it is for, when named.
+    pub population: Option<String>,
+    /// Where its spikes come from.
+    pub source: InputSource,
+}
+
+/// Where spikes come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum InputSource {
+    /// A file or folder; its kind is found out by reading it. `-` is stdin.
+    Path(PathBuf),
+    /// `scene:NAME?key=value&..`
+    Scene(SceneArg),
+}
+
+/// A synthetic scene and its parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneArg {
+    /// The scene's name.
+    pub name: String,
+    /// Parameters in the order given.
+    pub parameters: Vec<(String, String)>,
+}
+
+impl SceneArg {
+    /// Parses `NAME?key=value&key=value`.
+    ///
+    /// # Errors
+    /// A diagnostic for a parameter without `=`.
+    pub fn parse(text: &str) -> Result<Self, Diagnostic> {
+        let (name, query) = text.split_once('?').unwrap_or((text, ""));
+        let parameters = query
+            .split('&')
+            .filter(|pair| !pair.is_empty())
+            .map(|pair| match pair.split_once('=') {
+                Some((key, value)) => Ok((key.to_string(), value.to_string())),
+                None => Err(Diagnostic::new("input.scene-syntax", format!("scene parameter '{pair}' has no value"))
+                    .help("write scene:NAME?samples=20&seed=1")),
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(SceneArg { name: name.to_string(), parameters })
+    }
+
+    /// The scene as it would be typed.
+    #[must_use]
+    pub fn spelled(&self) -> String {
+        let mut text = format!("scene:{}", self.name);
+        for (i, (key, value)) in self.parameters.iter().enumerate() {
+            text.push(if i == 0 { '?' } else { '&' });
+            text.push_str(&format!("{key}={value}"));
+        }
+        text
+    }
+}
+
+impl InputArg {
+    /// Parses an `--input` argument. A `=` names a population only before any `/`, `?` or `:`.
+    ///
+    /// # Errors
+    /// A diagnostic for a malformed scene.
+    pub fn parse(text: &str) -> Result<Self, Diagnostic> {
+        let (population, source) = match text.split_once('=') {
+            Some((name, rest)) if !name.is_empty() && !name.contains(['/', '?', ':', '.']) => {
+                (Some(name.to_string()), rest)
+            }
+            _ => (None, text),
+        };
+        let source = match source.strip_prefix("scene:") {
+            Some(scene) => InputSource::Scene(SceneArg::parse(scene)?),
+            None => InputSource::Path(source.into()),
+        };
+        Ok(InputArg { population, source })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_parse() {
+        let arg = InputArg::parse("touch=a/b=c.npy").unwrap();
+        assert_eq!((arg.population.as_deref(), arg.source), (Some("touch"), InputSource::Path("a/b=c.npy".into())));
+        let arg = InputArg::parse("./x=y.npy").unwrap();
+        assert_eq!((arg.population, arg.source), (None, InputSource::Path("./x=y.npy".into())));
+        let InputSource::Scene(scene) = InputArg::parse("scene:slip?samples=3&seed=9").unwrap().source else {
+            panic!()
+        };
+        assert_eq!(scene.spelled(), "scene:slip?samples=3&seed=9");
+        assert!(InputArg::parse("scene:slip?samples").is_err());
+    }
+}

@@ -1,0 +1,379 @@
+//! The mirror of target files: boards (`mapping/targets`), the chip they are made of (`mapping/chips`), and presets of
+//! energy and time constants (`mapping/constants`).
+//!
+//! A [`Target`] is a board with its chip and presets resolved and every number checked; `io::target` makes it. Constants
+//! keep their unit, source and status, so that a report can say where a figure comes from.
+
+use serde::{Deserialize, Serialize};
+
+use super::spanned::Spanned;
+use crate::base::diagnostic::{Diagnostic, SourceText};
+
+/// How far a constant can be trusted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    /// Printed by its source.
+    #[serde(alias = "Published")]
+    Published,
+    /// Fitted to measurements, as the source says.
+    #[serde(alias = "Calibrated")]
+    Calibrated,
+    /// Not known; chosen, with the reason in the source.
+    #[serde(alias = "Assumed")]
+    Assumed,
+}
+
+/// The unit of a constant as it is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[allow(non_camel_case_types, missing_docs)]
+pub enum Unit {
+    pJ,
+    ns,
+    us,
+    mW,
+}
+
+/// A number with its origin.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Constant {
+    /// The number, in `unit`.
+    pub value: Spanned<f64>,
+    /// Its unit.
+    pub unit: Unit,
+    /// Paper and table, or repository and file.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+}
+
+/// Which cores draw static power: those that a unit in use belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+pub enum PowerUnit {
+    /// Only cores in use.
+    Core,
+    /// Every core of a tile in use.
+    Tile,
+    /// Every core of a chip in use.
+    Chip,
+}
+
+/// Time of a barrier for up to so many tiles in use; between entries it is interpolated linearly.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BarrierTime {
+    /// Tiles in use.
+    pub tiles: u64,
+    /// The time.
+    pub time: Constant,
+}
+
+macro_rules! constants {
+    ($(#[$doc:meta])* $name:ident, $file:literal { $($(#[$fdoc:meta])* $field:ident: $unit:ident,)* }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Deserialize)]
+        #[serde(deny_unknown_fields, rename = $file)]
+        pub struct $name {
+            /// The preset's name.
+            pub name: String,
+            /// Where sources disagree, and what this preset follows.
+            pub notes: String,
+            /// Barrier times by tiles in use, ascending.
+            pub barrier: Vec<BarrierTime>,
+            $($(#[$fdoc])* pub $field: Constant,)*
+        }
+        impl $name {
+            /// Name and constant of every single-valued field, in a fixed order.
+            #[must_use]
+            pub fn list(&self) -> Vec<(&'static str, &Constant)> {
+                vec![$((stringify!($field), &self.$field),)*]
+            }
+
+            /// Checks units and signs.
+            ///
+            /// # Errors
+            /// A diagnostic at the first constant that is negative, not finite, above 10^9, or in another unit.
+            pub fn check(&self, source: &SourceText) -> Result<(), Diagnostic> {
+                $(check_constant(source, stringify!($field), &self.$field, Unit::$unit)?;)*
+                if self.barrier.is_empty() {
+                    return Err(Diagnostic::new("target.barrier", "no barrier time is given"));
+                }
+                for pair in self.barrier.windows(2) {
+                    if pair[0].tiles >= pair[1].tiles {
+                        return Err(Diagnostic::new("target.barrier", "barrier times are not in ascending order of tiles")
+                            .at(source, pair[1].time.value.span));
+                    }
+                }
+                for entry in &self.barrier {
+                    check_constant(source, "barrier", &entry.time, Unit::us)?;
+                }
+                Ok(())
+            }
+        }
+    };
+}
+
+fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Unit) -> Result<(), Diagnostic> {
+    let value = constant.value.value;
+    if constant.unit != unit {
+        return Err(Diagnostic::new("target.unit", format!("{name} is in {:?}, not {unit:?}", constant.unit))
+            .at(source, constant.value.span));
+    }
+    if !(0.0..=1e9).contains(&value) {
+        return Err(Diagnostic::new("target.constant", format!("{name} {value} is outside 0..=1e9"))
+            .at(source, constant.value.span));
+    }
+    Ok(())
+}
+
+constants!(
+    /// A preset of energies, times and powers. Energies add up: a compartment that is visited, updated and spikes costs
+    /// all three.
+    Constants, "Constants" {
+        /// A synaptic event of a dense list.
+        synapse_dense_energy: pJ,
+        /// A synaptic event of a sparse list.
+        synapse_sparse_energy: pJ,
+        /// A dendritic accumulator read in a step.
+        dendrite_energy: pJ,
+        /// A compartment visited in a step.
+        compartment_energy: pJ,
+        /// On top, when it is not at rest.
+        compartment_active_energy: pJ,
+        /// On top, when it spikes.
+        spike_energy: pJ,
+        /// A message sent.
+        axon_out_energy: pJ,
+        /// A message received.
+        axon_in_energy: pJ,
+        /// A message that stays within its tile.
+        local_hop_energy: pJ,
+        /// A link crossed east or west.
+        hop_ew_energy: pJ,
+        /// A link crossed north or south.
+        hop_ns_energy: pJ,
+        /// On top, for a link between chips.
+        hop_chip_energy: pJ,
+        /// A powered core in a step.
+        core_step_energy: pJ,
+        /// A synaptic event of a dense list.
+        synapse_dense_time: ns,
+        /// A synaptic event of a sparse list.
+        synapse_sparse_time: ns,
+        /// A compartment visited in a step.
+        compartment_time: ns,
+        /// On top, when it is not at rest.
+        compartment_active_time: ns,
+        /// On top, when it spikes.
+        spike_time: ns,
+        /// A message sent.
+        axon_out_time: ns,
+        /// A message received.
+        axon_in_time: ns,
+        /// A message that stays within its tile.
+        local_hop_time: ns,
+        /// A link crossed east or west.
+        hop_ew_time: ns,
+        /// A link crossed north or south.
+        hop_ns_time: ns,
+        /// On top, for a link between chips.
+        hop_chip_time: ns,
+        /// A spike injected from outside.
+        injection_time: ns,
+        /// Static power of a powered core.
+        core_static_power: mW,
+        /// Static power of an x86 core in use.
+        x86_static_power: mW,
+        /// Power of an x86 core in use on top, whether it has work or not.
+        x86_busy_power: mW,
+    }
+);
+
+/// How synapse words are counted (`docs/formats.md`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+pub enum Packing {
+    /// nengo-loihi `builder/validate.py`.
+    Nengo,
+    /// Intel NxTF.
+    Nxtf,
+}
+
+/// What a core and its chip can hold.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Chip")]
+pub struct Chip {
+    /// The chip's name.
+    pub name: String,
+    /// Sources of the limits, and where they disagree.
+    pub notes: String,
+    /// Tiles from west to east.
+    pub width: u32,
+    /// Tiles from north to south.
+    pub height: u32,
+    /// Cores of a tile.
+    pub cores_per_tile: u32,
+    /// Cores of the chip that may be used, at most `width * height * cores_per_tile`.
+    pub cores: u32,
+    /// Embedded x86 cores.
+    pub x86_cores: u32,
+    /// x86 cores that a chip in use keeps busy.
+    pub x86_cores_in_use: u32,
+    /// Which cores draw static power.
+    pub power_unit: PowerUnit,
+    /// The limits of a core.
+    pub limits: Limits,
+}
+
+/// The limits of a core (`docs/formats.md` has the source of each).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limits {
+    /// Compartments.
+    pub compartments: u32,
+    /// Input axons.
+    pub axons_in: u32,
+    /// Output axon slots.
+    pub axons_out: u32,
+    /// Slots that an output axon takes when its target is on the same chip.
+    pub axon_out_slots: u32,
+    /// Slots that it takes when its target is on another chip.
+    pub axon_out_slots_off_chip: u32,
+    /// Output axons of one compartment.
+    pub axons_out_per_compartment: u32,
+    /// 64-bit words of synapse memory.
+    pub synapse_words: u32,
+    /// Words of one input axon's list.
+    pub synapse_words_per_axon: u32,
+    /// Synapses of one entry of a list.
+    pub synapses_per_entry: u32,
+    /// Distinct synapse formats.
+    pub synapse_formats: u32,
+    /// Distinct compartment profiles (du, dv, refractory period).
+    pub compartment_profiles: u32,
+    /// Distinct threshold mantissas.
+    pub threshold_profiles: u32,
+    /// Dendritic accumulators: compartments times delay slots, a power of two above the longest delay.
+    pub accumulators: u32,
+    /// How words are counted.
+    pub packing: Packing,
+}
+
+/// A target file: chips on a board.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Target")]
+pub struct TargetFile {
+    /// The target's name.
+    pub name: String,
+    /// What it is, with the source.
+    pub notes: String,
+    /// Name of the chip.
+    pub chip: Spanned<String>,
+    /// Chips from west to east.
+    pub chips_x: Spanned<u32>,
+    /// Chips from north to south.
+    pub chips_y: Spanned<u32>,
+    /// Presets of constants; the first is the default.
+    pub constants: Vec<Spanned<String>>,
+}
+
+/// A board with everything it refers to.
+#[derive(Debug, Clone)]
+pub struct Target {
+    name: String,
+    chips_x: u32,
+    chips_y: u32,
+    chip: Chip,
+    constants: Vec<Constants>,
+}
+
+impl Target {
+    /// A board from its parts.
+    ///
+    /// # Errors
+    /// A diagnostic when a size is 0 or too large, or no preset is given.
+    pub fn new(
+        file: &TargetFile,
+        source: &SourceText,
+        chip: Chip,
+        constants: Vec<Constants>,
+    ) -> Result<Self, Diagnostic> {
+        for (what, side) in [("chips_x", &file.chips_x), ("chips_y", &file.chips_y)] {
+            if !(1..=128).contains(&side.value) {
+                return Err(Diagnostic::new("target.size", format!("{what} {} is outside 1..=128", side.value))
+                    .at(source, side.span));
+            }
+        }
+        let sizes = [
+            ("width", chip.width, 64),
+            ("height", chip.height, 64),
+            ("cores_per_tile", chip.cores_per_tile, 64),
+            ("cores", chip.cores, chip.width.saturating_mul(chip.height).saturating_mul(chip.cores_per_tile)),
+            ("limits.compartments", chip.limits.compartments, 65_536),
+            ("limits.axons_in", chip.limits.axons_in, 65_536),
+            ("limits.synapses_per_entry", chip.limits.synapses_per_entry, 64),
+        ];
+        for (what, value, most) in sizes {
+            if value == 0 || value > most {
+                return Err(Diagnostic::new(
+                    "target.size",
+                    format!("chip {}: {what} {value} is outside 1..={most}", chip.name),
+                ));
+            }
+        }
+        if constants.is_empty() {
+            return Err(
+                Diagnostic::new("target.constants", "the target names no preset of constants").in_file(source.path())
+            );
+        }
+        Ok(Target {
+            name: file.name.clone(),
+            chips_x: file.chips_x.value,
+            chips_y: file.chips_y.value,
+            chip,
+            constants,
+        })
+    }
+
+    /// The target's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its chip.
+    #[must_use]
+    pub fn chip(&self) -> &Chip {
+        &self.chip
+    }
+
+    /// The limits of a core.
+    #[must_use]
+    pub fn limits(&self) -> &Limits {
+        &self.chip.limits
+    }
+
+    /// Presets of constants; the first is the default.
+    #[must_use]
+    pub fn constants(&self) -> &[Constants] {
+        &self.constants
+    }
+
+    /// Number of chips.
+    #[must_use]
+    pub fn chips(&self) -> u32 {
+        self.chips_x * self.chips_y
+    }
+
+    /// Chips from west to east.
+    #[must_use]
+    pub fn chips_x(&self) -> u32 {
+        self.chips_x
+    }
+
+    /// Number of cores of all chips.
+    #[must_use]
+    pub fn cores(&self) -> u32 {
+        self.chips() * self.chip.cores
+    }
+}

@@ -1,0 +1,66 @@
+//! An array of numbers as a file holds it: shape, and integers or reals in C order.
+
+/// Numbers of one kind.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Numbers {
+    /// From an integer array.
+    Integers(Vec<i32>),
+    /// From a floating-point array, or a list in a model file.
+    Reals(Vec<f64>),
+}
+
+/// An array in C order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tensor {
+    shape: Vec<usize>,
+    numbers: Numbers,
+}
+
+impl Tensor {
+    /// An array, if its numbers fill its shape.
+    #[must_use]
+    pub fn new(shape: Vec<usize>, numbers: Numbers) -> Option<Self> {
+        let length = match &numbers {
+            Numbers::Integers(x) => x.len(),
+            Numbers::Reals(x) => x.len(),
+        };
+        let product = shape.iter().try_fold(1usize, |product, &axis| product.checked_mul(axis))?;
+        (product == length).then_some(Tensor { shape, numbers })
+    }
+
+    /// The axes.
+    #[must_use]
+    pub fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// How many numbers.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The numbers.
+    #[must_use]
+    pub fn numbers(&self) -> &Numbers {
+        &self.numbers
+    }
+
+    /// One number as a real; every integer that a tensor holds is exact in an `f64`.
+    ///
+    /// # Panics
+    /// When `index` is not below `len`.
+    #[must_use]
+    pub fn real(&self, index: usize) -> f64 {
+        match &self.numbers {
+            Numbers::Integers(x) => f64::from(x[index]),
+            Numbers::Reals(x) => x[index],
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! Everything that can end a command early, and the exit status that goes with it.
+
+use crate::base::diagnostic::Diagnostic;
+
+/// Why a command could not do its work. "Does not fit" and "does not agree" are answers, not errors.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// An input cannot be read or is not supported: exit status 3.
+    #[error("{0}")]
+    Input(Box<Diagnostic>),
+    /// The command line asks for something that makes no sense: exit status 2.
+    #[error("{0}")]
+    Usage(String),
+    /// A fault of nsim itself: exit status 4.
+    #[error("this is a fault of nsim: {0}")]
+    Fault(String),
+}
+
+impl Error {
+    /// The process's exit status.
+    #[must_use]
+    pub fn exit_status(&self) -> u8 {
+        match self {
+            Error::Usage(_) => 2,
+            Error::Input(_) => 3,
+            Error::Fault(_) => 4,
+        }
+    }
+}
+
+impl From<Diagnostic> for Error {
+    fn from(diagnostic: Diagnostic) -> Self {
+        Error::Input(Box::new(diagnostic))
+    }
+}

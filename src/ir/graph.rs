@@ -1,0 +1,357 @@
+//! Populations and projections with real parameters: the model as it was meant, before any integer.
+//!
+//! Made by `compile::lower`. True of every [`Graph`]: names are unique, endpoints exist, shapes and array sizes agree,
+//! delays are in range, and there is one output population of Loihi compartments. Whether numbers fit their hardware
+//! fields is for `compile::quantise`.
+
+use std::fmt;
+use std::sync::Arc;
+
+use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
+
+use crate::base::diagnostic::{SourceText, Span};
+use crate::base::fixed::{Delay, SignMode};
+use crate::desc::network::{ResetDesc, Semantics, ThresholdTest, WeightRounding};
+use crate::desc::spanned::Spanned;
+use crate::desc::tensor::Tensor;
+
+/// The most channels or compartments that a network may have: above it, no target could hold them (768 chips of
+/// 131,072 compartments are 100,663,296).
+pub const MOST_UNITS: u64 = 1 << 27;
+/// The most synapses that a projection may have.
+pub const MOST_SYNAPSES: u64 = 1 << 32;
+
+/// The shape of a population, flattened in C order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// `[n]`
+    Line(u32),
+    /// `[channels, height, width]`
+    Volume(u32, u32, u32),
+}
+
+impl Shape {
+    /// Channels or compartments.
+    #[must_use]
+    pub fn len(self) -> u32 {
+        match self {
+            Shape::Line(n) => n,
+            Shape::Volume(c, h, w) => c * h * w,
+        }
+    }
+
+    /// Whether there is none; a lowered population always has one.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+
+    /// Channels, height and width, for projections over space.
+    #[must_use]
+    pub fn volume(self) -> Option<(u32, u32, u32)> {
+        match self {
+            Shape::Line(_) => None,
+            Shape::Volume(c, h, w) => Some((c, h, w)),
+        }
+    }
+}
+
+impl fmt::Display for Shape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Shape::Line(n) => write!(f, "[{n}]"),
+            Shape::Volume(c, h, w) => write!(f, "[{c}, {h}, {w}]"),
+        }
+    }
+}
+
+/// One value for all compartments of a population, or one for each.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PerCompartment<T> {
+    /// The same for all.
+    Same(T),
+    /// One each, as many as the population has.
+    Each(Vec<T>),
+}
+
+impl<T: Copy> PerCompartment<T> {
+    /// The value of one compartment.
+    #[inline]
+    #[must_use]
+    pub fn get(&self, index: u32) -> T {
+        match self {
+            PerCompartment::Same(value) => *value,
+            PerCompartment::Each(values) => values[index as usize],
+        }
+    }
+
+    /// Changes every value, stopping at the first failure; `f` gets the compartment, `None` when it is for all.
+    ///
+    /// # Errors
+    /// The first error of `f`.
+    pub fn try_map<U, E>(&self, mut f: impl FnMut(Option<u32>, T) -> Result<U, E>) -> Result<PerCompartment<U>, E> {
+        Ok(match self {
+            PerCompartment::Same(value) => PerCompartment::Same(f(None, *value)?),
+            PerCompartment::Each(values) => PerCompartment::Each(
+                values.iter().enumerate().map(|(i, &value)| f(Some(i as u32), value)).collect::<Result<_, _>>()?,
+            ),
+        })
+    }
+}
+
+/// A parameter and where it was given.
+#[derive(Debug, Clone)]
+pub struct Values {
+    /// The numbers.
+    pub each: PerCompartment<f64>,
+    /// Their place in the model file.
+    pub span: Span,
+}
+
+impl Values {
+    /// A default that no file gave.
+    #[must_use]
+    pub fn constant(value: f64) -> Self {
+        Values { each: PerCompartment::Same(value), span: Span::default() }
+    }
+}
+
+/// A decay as the file gives it.
+#[derive(Debug, Clone)]
+pub enum DecayParameter {
+    /// Effective decay in 4096ths.
+    Effective(Values),
+    /// Time constant in ms.
+    TimeConstantMs(Values),
+}
+
+/// A threshold as the file gives it.
+#[derive(Debug, Clone)]
+pub enum ThresholdParameter {
+    /// The hardware's mantissa.
+    Mantissa(Values),
+    /// A real threshold; incoming weights are real too.
+    Real(Values),
+}
+
+/// A bias as the file gives it.
+#[derive(Debug, Clone)]
+pub enum BiasParameter {
+    /// The hardware's mantissa and exponent.
+    Integer(Values, Values),
+    /// In the units of a real threshold.
+    Real(Values),
+}
+
+/// The parameters of a population of Loihi compartments.
+#[derive(Debug, Clone)]
+pub struct LoihiParameters {
+    /// Decay of the current.
+    pub current_decay: DecayParameter,
+    /// Decay of the voltage.
+    pub voltage_decay: DecayParameter,
+    /// Threshold.
+    pub threshold: ThresholdParameter,
+    /// Bias.
+    pub bias: BiasParameter,
+    /// Refractory period in timesteps.
+    pub refractory: Values,
+    /// Exponent of the lower clip.
+    pub vmin_exp: Values,
+    /// Exponent of the upper clip.
+    pub vmax_exp: Values,
+    /// The step before which the population is held at zero.
+    pub start_step: u32,
+}
+
+/// What a population is made of.
+#[derive(Debug, Clone)]
+pub enum PopulationKind {
+    /// Channels that a stimulus drives.
+    Input,
+    /// Compartments.
+    Loihi(Box<LoihiParameters>),
+}
+
+/// A node of the graph.
+#[derive(Debug, Clone)]
+pub struct Population {
+    /// Its name, unique in the network.
+    pub name: String,
+    /// Where the file declares it.
+    pub span: Span,
+    /// Its shape.
+    pub shape: Shape,
+    /// What it is made of.
+    pub kind: PopulationKind,
+}
+
+/// A window sliding over a `[C, H, W]` population; pairs are (y, x).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Window {
+    /// Source channels, height, width.
+    pub source: (u32, u32, u32),
+    /// Target channels, height, width.
+    pub target: (u32, u32, u32),
+    /// Size of the window.
+    pub kernel: (u32, u32),
+    /// Step of the window.
+    pub stride: (u32, u32),
+    /// Rows and columns of nothing around the source.
+    pub padding: (u32, u32),
+    /// Distance of neighbours within the window.
+    pub dilation: (u32, u32),
+    /// Channel groups.
+    pub groups: u32,
+}
+
+/// How the sources of a projection reach its targets.
+#[derive(Debug, Clone)]
+pub enum ProjectionKind {
+    /// All to all: `[target][column]`; the projection's sources are the columns from `first_source`.
+    Dense {
+        /// Weights of all columns of the declaration.
+        weights: Arc<Tensor>,
+        /// Place of each row, when they stand in the model file.
+        rows: Arc<[Span]>,
+    },
+    /// (source within this population, target, weight, place) each.
+    Sparse {
+        /// The synapses.
+        synapses: Vec<(u32, u32, f64, Span)>,
+    },
+    /// Cross-correlation with `[C'][C / groups][kh][kw]`.
+    Conv2d {
+        /// Geometry.
+        window: Window,
+        /// Kernel.
+        weights: Arc<Tensor>,
+        /// Place of each output channel's kernel, when it stands in the model file.
+        rows: Arc<[Span]>,
+    },
+    /// The same weight from each position of a window.
+    SumPool2d {
+        /// Geometry; the groups are the channels.
+        window: Window,
+        /// The weight and its place.
+        weight: Spanned<f64>,
+    },
+    /// Seeded random synapses.
+    Random {
+        /// Synapses of each source.
+        fan_out: u32,
+        /// The least weight.
+        low: Spanned<i64>,
+        /// The greatest weight.
+        high: Spanned<i64>,
+        /// The seed.
+        seed: u64,
+    },
+}
+
+/// An edge of the graph: from one population to one.
+#[derive(Debug, Clone)]
+pub struct Projection {
+    /// `source -> target`, for messages.
+    pub name: String,
+    /// Where the file declares it.
+    pub span: Span,
+    /// The index of this population's first unit among the concatenated sources of the declaration.
+    pub first_source: u32,
+    /// Weight exponent.
+    pub weight_exp: Spanned<i64>,
+    /// Sign mode.
+    pub sign: SignMode,
+    /// Bits of a weight.
+    pub weight_bits: Spanned<i64>,
+    /// Delay field.
+    pub delay: Delay,
+    /// What a real weight of 1 counts.
+    pub weight_scale: Option<Spanned<f64>>,
+    /// Place of the weights.
+    pub weights_span: Span,
+    /// How it reaches its targets.
+    pub kind: ProjectionKind,
+}
+
+/// Facts about a network as a whole.
+#[derive(Debug, Clone)]
+pub struct NetworkFacts {
+    /// The network's name.
+    pub name: String,
+    /// Its file, for messages.
+    pub source: SourceText,
+    /// Milliseconds that a timestep stands for.
+    pub timestep_ms: f64,
+    /// Names of classes, one for each output compartment, or none.
+    pub classes: Vec<String>,
+    /// Periodic reset.
+    pub reset: Option<ResetDesc>,
+    /// When a compartment spikes.
+    pub threshold: ThresholdTest,
+    /// Which arithmetic.
+    pub semantics: Semantics,
+    /// How weights are rounded.
+    pub weight_rounding: WeightRounding,
+    /// The stimulus to use when none is given.
+    pub scene: Option<String>,
+    /// Where the network comes from.
+    pub provenance: Option<String>,
+}
+
+/// The network with real parameters.
+#[derive(Debug, Clone)]
+pub struct Graph {
+    facts: NetworkFacts,
+    graph: DiGraph<Population, Projection>,
+    output: NodeIndex,
+}
+
+impl Graph {
+    /// A graph from checked parts; `compile::lower` is the way to get one from a file.
+    ///
+    /// # Panics
+    /// When `output` is not one of the nodes: a mistake of the caller.
+    #[must_use]
+    pub fn new(facts: NetworkFacts, graph: DiGraph<Population, Projection>, output: NodeIndex) -> Self {
+        assert!(graph.node_weight(output).is_some(), "the output population is a node");
+        Graph { facts, graph, output }
+    }
+
+    /// Facts about the network as a whole.
+    #[must_use]
+    pub fn facts(&self) -> &NetworkFacts {
+        &self.facts
+    }
+
+    /// Populations in the order of the file.
+    pub fn populations(&self) -> impl Iterator<Item = (NodeIndex, &Population)> {
+        self.graph.node_indices().map(|node| (node, &self.graph[node]))
+    }
+
+    /// Projections in the order of the file, with source and target.
+    pub fn projections(&self) -> impl Iterator<Item = (EdgeIndex, NodeIndex, NodeIndex, &Projection)> {
+        self.graph.edge_indices().filter_map(|edge| {
+            let (source, target) = self.graph.edge_endpoints(edge)?;
+            Some((edge, source, target, &self.graph[edge]))
+        })
+    }
+
+    /// A population.
+    #[must_use]
+    pub fn population(&self, node: NodeIndex) -> &Population {
+        &self.graph[node]
+    }
+
+    /// The population whose spikes decide.
+    #[must_use]
+    pub fn output(&self) -> NodeIndex {
+        self.output
+    }
+
+    /// The petgraph, for algorithms over it.
+    #[must_use]
+    pub fn petgraph(&self) -> &DiGraph<Population, Projection> {
+        &self.graph
+    }
+}

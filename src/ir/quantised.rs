@@ -1,0 +1,566 @@
+//! The network in integers that fit their hardware fields: what the chip would be told, before any core.
+//!
+//! Made by `compile::quantise`. True of every [`Quantised`]: each weight is a multiple of its format's least step within
+//! the format's range, each parameter fits its field, compartments and channels are numbered without gaps in the order
+//! of the populations. Synapses stay described (a kernel, a seed) and are enumerated source by source.
+
+use std::sync::Arc;
+
+use crate::base::fixed::{
+    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
+    WeightBits, WeightExponent, scaled_weight,
+};
+use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
+use crate::base::rng;
+use crate::desc::network::{Semantics, ThresholdTest};
+use crate::ir::graph::{PerCompartment, Shape, Window};
+
+/// The parameters of one compartment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Neuron {
+    /// Effective decay of the current.
+    pub du: Decay,
+    /// Effective decay of the voltage.
+    pub dv: Decay,
+    /// Threshold mantissa.
+    pub vth: ThresholdMantissa,
+    /// Bias mantissa.
+    pub bias_mant: BiasMantissa,
+    /// Bias exponent.
+    pub bias_exp: BiasExponent,
+    /// Refractory period.
+    pub refractory: Refractory,
+    /// Exponent of the lower clip.
+    pub vmin: VminExponent,
+    /// Exponent of the upper clip.
+    pub vmax: VmaxExponent,
+}
+
+/// The parameters of a population's compartments.
+#[derive(Debug, Clone)]
+pub struct Neurons {
+    /// Effective decay of the current.
+    pub du: PerCompartment<Decay>,
+    /// Effective decay of the voltage.
+    pub dv: PerCompartment<Decay>,
+    /// Threshold mantissa.
+    pub vth: PerCompartment<ThresholdMantissa>,
+    /// Bias mantissa.
+    pub bias_mant: PerCompartment<BiasMantissa>,
+    /// Bias exponent.
+    pub bias_exp: PerCompartment<BiasExponent>,
+    /// Refractory period.
+    pub refractory: PerCompartment<Refractory>,
+    /// Exponent of the lower clip.
+    pub vmin: PerCompartment<VminExponent>,
+    /// Exponent of the upper clip.
+    pub vmax: PerCompartment<VmaxExponent>,
+}
+
+impl Neurons {
+    /// The parameters of one compartment of the population.
+    #[must_use]
+    pub fn get(&self, index: u32) -> Neuron {
+        Neuron {
+            du: self.du.get(index),
+            dv: self.dv.get(index),
+            vth: self.vth.get(index),
+            bias_mant: self.bias_mant.get(index),
+            bias_exp: self.bias_exp.get(index),
+            refractory: self.refractory.get(index),
+            vmin: self.vmin.get(index),
+            vmax: self.vmax.get(index),
+        }
+    }
+}
+
+/// What a population is made of.
+#[derive(Debug, Clone)]
+pub enum Units {
+    /// Input channels from this one on.
+    Input(ChannelId),
+    /// Compartments from `first` on.
+    Loihi {
+        /// The first compartment.
+        first: CompartmentId,
+        /// Their parameters.
+        neurons: Neurons,
+        /// The step before which they are held at zero.
+        start_step: u32,
+    },
+}
+
+/// A population in integers.
+#[derive(Debug, Clone)]
+pub struct Population {
+    /// Its name.
+    pub name: String,
+    /// Its shape.
+    pub shape: Shape,
+    /// What it is made of.
+    pub units: Units,
+}
+
+impl Population {
+    /// The first compartment, when it has compartments.
+    #[must_use]
+    pub fn first_compartment(&self) -> Option<CompartmentId> {
+        match self.units {
+            Units::Input(_) => None,
+            Units::Loihi { first, .. } => Some(first),
+        }
+    }
+
+    /// The first channel, when it is an input.
+    #[must_use]
+    pub fn first_channel(&self) -> Option<ChannelId> {
+        match self.units {
+            Units::Input(first) => Some(first),
+            Units::Loihi { .. } => None,
+        }
+    }
+}
+
+/// The format that the synapses of a projection are stored in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct SynapseFormat {
+    /// Weight exponent.
+    pub exponent: WeightExponent,
+    /// Sign mode.
+    pub sign: SignMode,
+    /// Bits of a weight.
+    pub bits: WeightBits,
+}
+
+impl SynapseFormat {
+    /// Equation (1): what a spike over a weight of this format adds to the accumulator.
+    #[inline]
+    #[must_use]
+    pub fn scaled(self, weight: i16) -> i32 {
+        scaled_weight(weight, self.exponent)
+    }
+}
+
+/// How the sources of a projection reach its targets, with integer weights.
+#[derive(Debug, Clone)]
+pub enum Connectivity {
+    /// All to all; row-major `[source][target]`, so that a spike walks one row.
+    Dense {
+        /// Number of targets.
+        targets: u32,
+        /// The weights.
+        weights: Arc<[i16]>,
+    },
+    /// Listed synapses: those of source s are `first[s]..first[s + 1]`.
+    Sparse {
+        /// One more than sources.
+        first: Arc<[u64]>,
+        /// Target of each synapse; ascending within a source.
+        targets: Arc<[u32]>,
+        /// Weight of each synapse.
+        weights: Arc<[i16]>,
+    },
+    /// Cross-correlation; kernel `[C'][C / groups][kh][kw]`.
+    Conv2d {
+        /// Geometry.
+        window: Window,
+        /// The kernel.
+        kernel: Arc<[i16]>,
+    },
+    /// The same weight from each position of a window, channel by channel.
+    SumPool2d {
+        /// Geometry.
+        window: Window,
+        /// The weight.
+        weight: i16,
+    },
+    /// Seeded random synapses: synapse k of source s has target `below(targets, seed, first_source + s, 2 k)` and weight
+    /// `low + step * below(1 + (high - low) / step, seed, first_source + s, 2 k + 1)`.
+    Random {
+        /// Number of targets.
+        targets: u32,
+        /// Synapses of each source.
+        fan_out: u32,
+        /// The least weight.
+        low: i16,
+        /// The greatest weight.
+        high: i16,
+        /// Distance of neighbouring weights.
+        step: i16,
+        /// The seed.
+        seed: u64,
+        /// Index of the first source among the concatenated sources of its declaration.
+        first_source: u32,
+    },
+}
+
+/// A projection in integers.
+#[derive(Debug, Clone)]
+pub struct Projection {
+    /// `source -> target`.
+    pub name: String,
+    /// Where spikes come from.
+    pub source: PopulationId,
+    /// Where they go.
+    pub target: PopulationId,
+    /// How its synapses are stored.
+    pub format: SynapseFormat,
+    /// Delay field of every synapse.
+    pub delay: Delay,
+    /// Its synapses.
+    pub connectivity: Connectivity,
+}
+
+impl Connectivity {
+    /// Calls `f(target, weight)` for every synapse of a source, in ascending order of targets except for `Random`.
+    /// Indices are within the populations.
+    #[inline]
+    pub fn for_each_from(&self, source: u32, mut f: impl FnMut(u32, i16)) {
+        match self {
+            Connectivity::Dense { targets, weights } => {
+                let row = source as usize * *targets as usize;
+                for (target, &weight) in weights[row..row + *targets as usize].iter().enumerate() {
+                    f(target as u32, weight);
+                }
+            }
+            Connectivity::Sparse { first, targets, weights } => {
+                let range = first[source as usize] as usize..first[source as usize + 1] as usize;
+                for (&target, &weight) in targets[range.clone()].iter().zip(&weights[range]) {
+                    f(target, weight);
+                }
+            }
+            Connectivity::Conv2d { window, kernel } => {
+                let (_, kh, kw) = (0, window.kernel.0, window.kernel.1);
+                let per_group_in = window.source.0 / window.groups;
+                let per_group_out = window.target.0 / window.groups;
+                let channel = source / (window.source.1 * window.source.2);
+                let group = channel / per_group_in;
+                for out in group * per_group_out..(group + 1) * per_group_out {
+                    let base = (out * per_group_in + channel % per_group_in) * kh * kw;
+                    window.for_each_position(source, |y, x, ky, kx| {
+                        let target = (out * window.target.1 + y) * window.target.2 + x;
+                        f(target, kernel[(base + ky * kw + kx) as usize]);
+                    });
+                }
+            }
+            Connectivity::SumPool2d { window, weight } => {
+                let channel = source / (window.source.1 * window.source.2);
+                window.for_each_position(source, |y, x, _, _| {
+                    f((channel * window.target.1 + y) * window.target.2 + x, *weight);
+                });
+            }
+            Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
+                let entity = u64::from(*first_source) + u64::from(source);
+                let levels = ((i32::from(*high) - i32::from(*low)) / i32::from(*step) + 1) as u64;
+                for k in 0..u64::from(*fan_out) {
+                    let target = rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32;
+                    let level = rng::below(levels, *seed, entity, 2 * k + 1) as i16;
+                    f(target, low + step * level);
+                }
+            }
+        }
+    }
+
+    /// Number of synapses of a source.
+    #[must_use]
+    pub fn count_from(&self, source: u32) -> u64 {
+        match self {
+            Connectivity::Dense { targets, .. } => u64::from(*targets),
+            Connectivity::Sparse { first, .. } => first[source as usize + 1] - first[source as usize],
+            Connectivity::Random { fan_out, .. } => u64::from(*fan_out),
+            Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. } => {
+                let mut count = 0;
+                self.for_each_from(source, |_, _| count += 1);
+                count
+            }
+        }
+    }
+}
+
+impl Window {
+    /// Calls `f(y, x, ky, kx)` for every output position whose window covers this source, and its place in the window.
+    pub fn for_each_position(&self, source: u32, mut f: impl FnMut(u32, u32, u32, u32)) {
+        let within = source % (self.source.1 * self.source.2);
+        let (sy, sx) = (within / self.source.2, within % self.source.2);
+        let reach = |s: u32, axis: fn((u32, u32)) -> u32, size: u32| {
+            let (stride, padding, dilation) = (axis(self.stride), axis(self.padding), axis(self.dilation));
+            // Output o covers s at k when o * stride - padding + k * dilation = s.
+            let kernel = axis(self.kernel);
+            (0..kernel).rev().filter_map(move |k| {
+                let at = (s + padding).checked_sub(k * dilation)?;
+                (at % stride == 0 && at / stride < size).then_some((at / stride, k))
+            })
+        };
+        for (y, ky) in reach(sy, |p| p.0, self.target.1) {
+            for (x, kx) in reach(sx, |p| p.1, self.target.2) {
+                f(y, x, ky, kx);
+            }
+        }
+    }
+}
+
+/// Something that quantisation changed or left behind, for the user to know.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Note {
+    /// The population or projection.
+    pub entity: String,
+    /// What was done to it.
+    pub message: String,
+}
+
+/// The periodic reset of a network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reset {
+    /// Timesteps between two resets, at least 1.
+    pub interval: u32,
+    /// The first, counted from each population's start step.
+    pub offset: u32,
+}
+
+impl Reset {
+    /// Whether a population with this start step returns to zero before the update of `step`.
+    #[inline]
+    #[must_use]
+    pub fn falls_on(self, step: u32, start_step: u32) -> bool {
+        match step.checked_sub(start_step.saturating_add(self.offset)) {
+            Some(since) => since % self.interval == 0,
+            None => false,
+        }
+    }
+}
+
+/// What the parts of a [`Quantised`] network are made from.
+#[derive(Debug, Clone)]
+pub struct Parts {
+    /// The network's name.
+    pub name: String,
+    /// Milliseconds that a timestep stands for.
+    pub timestep_ms: f64,
+    /// Populations in the order of the file.
+    pub populations: IdVec<PopulationId, Population>,
+    /// Projections in the order of the file.
+    pub projections: IdVec<ProjectionId, Projection>,
+    /// The population whose spikes decide.
+    pub output: PopulationId,
+    /// Names of classes, or none.
+    pub classes: Vec<String>,
+    /// Which arithmetic.
+    pub semantics: Semantics,
+    /// When a compartment spikes.
+    pub threshold: ThresholdTest,
+    /// Periodic reset.
+    pub reset: Option<Reset>,
+    /// What quantisation changed.
+    pub notes: Vec<Note>,
+}
+
+/// The network in integers.
+#[derive(Debug, Clone)]
+pub struct Quantised {
+    parts: Parts,
+    channels: u32,
+    compartments: u32,
+    outgoing: IdVec<PopulationId, Vec<ProjectionId>>,
+}
+
+/// Where spikes come from: an input channel or a compartment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum SpikeSource {
+    /// An input channel.
+    Channel(ChannelId),
+    /// A compartment.
+    Compartment(CompartmentId),
+}
+
+/// A part that contradicts another.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Inconsistent(pub String);
+
+impl Quantised {
+    /// A network from its parts.
+    ///
+    /// # Errors
+    /// [`Inconsistent`] when units are not numbered in order, an array has another size than its populations, a weight is
+    /// not in its format, an endpoint does not exist or a target is an input.
+    pub fn new(parts: Parts) -> Result<Self, Inconsistent> {
+        let (mut channels, mut compartments) = (0u32, 0u32);
+        for population in &parts.populations {
+            let (first, counter) = match &population.units {
+                Units::Input(first) => (first.0, &mut channels),
+                Units::Loihi { first, .. } => (first.0, &mut compartments),
+            };
+            if first != *counter {
+                return Err(Inconsistent(format!(
+                    "population {} does not start where the last ended",
+                    population.name
+                )));
+            }
+            *counter += population.shape.len();
+        }
+        let mut outgoing: IdVec<PopulationId, Vec<ProjectionId>> = parts.populations.iter().map(|_| vec![]).collect();
+        for (id, projection) in parts.projections.enumerate() {
+            check_projection(&parts, projection)?;
+            outgoing[projection.source].push(id);
+        }
+        match parts.populations.get(parts.output).map(|p| &p.units) {
+            Some(Units::Loihi { .. }) => {}
+            _ => return Err(Inconsistent("the output is not a population of compartments".to_string())),
+        }
+        Ok(Quantised { parts, channels, compartments, outgoing })
+    }
+
+    /// The parts.
+    #[must_use]
+    pub fn parts(&self) -> &Parts {
+        &self.parts
+    }
+
+    /// Populations in the order of the file.
+    #[must_use]
+    pub fn populations(&self) -> &IdVec<PopulationId, Population> {
+        &self.parts.populations
+    }
+
+    /// Projections in the order of the file.
+    #[must_use]
+    pub fn projections(&self) -> &IdVec<ProjectionId, Projection> {
+        &self.parts.projections
+    }
+
+    /// Input channels of all input populations.
+    #[must_use]
+    pub fn channels(&self) -> u32 {
+        self.channels
+    }
+
+    /// Compartments of all populations.
+    #[must_use]
+    pub fn compartments(&self) -> u32 {
+        self.compartments
+    }
+
+    /// Projections that leave a population, in the order of the file.
+    #[must_use]
+    pub fn outgoing(&self, population: PopulationId) -> &[ProjectionId] {
+        &self.outgoing[population]
+    }
+
+    /// Input populations in order.
+    pub fn inputs(&self) -> impl Iterator<Item = (PopulationId, &Population)> {
+        self.parts.populations.enumerate().filter(|(_, p)| matches!(p.units, Units::Input(_)))
+    }
+
+    /// A population by name.
+    #[must_use]
+    pub fn population_named(&self, name: &str) -> Option<PopulationId> {
+        self.parts.populations.enumerate().find(|(_, p)| p.name == name).map(|(id, _)| id)
+    }
+
+    /// The population of a compartment, and the compartment's index in it.
+    ///
+    /// # Panics
+    /// When the compartment is not of this network.
+    #[must_use]
+    pub fn population_of(&self, compartment: CompartmentId) -> (PopulationId, u32) {
+        self.parts
+            .populations
+            .enumerate()
+            .filter_map(|(id, p)| Some((id, compartment.0.checked_sub(p.first_compartment()?.0)?, p.shape.len())))
+            .find(|&(_, index, len)| index < len)
+            .map(|(id, index, _)| (id, index))
+            .expect("compartments are numbered over the populations")
+    }
+
+    /// Every source of spikes: channels, then compartments.
+    pub fn sources(&self) -> impl Iterator<Item = SpikeSource> + use<> {
+        let channels = (0..self.channels).map(|c| SpikeSource::Channel(ChannelId(c)));
+        channels.chain((0..self.compartments).map(|c| SpikeSource::Compartment(CompartmentId(c))))
+    }
+
+    /// The number of synapses.
+    #[must_use]
+    pub fn synapses(&self) -> u64 {
+        self.parts
+            .projections
+            .iter()
+            .map(|p| {
+                let sources = self.parts.populations[p.source].shape.len();
+                (0..sources).map(|s| p.connectivity.count_from(s)).sum::<u64>()
+            })
+            .sum()
+    }
+}
+
+fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Inconsistent> {
+    let wrong = |what: &str| Err(Inconsistent(format!("projection {}: {what}", projection.name)));
+    let (Some(source), Some(target)) =
+        (parts.populations.get(projection.source), parts.populations.get(projection.target))
+    else {
+        return wrong("an endpoint does not exist");
+    };
+    if matches!(target.units, Units::Input(_)) {
+        return wrong("the target is an input");
+    }
+    if projection.format.bits.get() == 7 {
+        return wrong("weights of 7 bits cannot be stored");
+    }
+    let (sources, targets) = (source.shape.len() as usize, target.shape.len());
+    let (low, high) = projection.format.sign.range(projection.format.bits);
+    let step = projection.format.sign.step(projection.format.bits);
+    let fits = |w: i16| (low..=high).contains(&w) && w % step == 0;
+    match &projection.connectivity {
+        Connectivity::Dense { targets: n, weights } => {
+            if *n != targets || weights.len() != sources * targets as usize {
+                return wrong("the weights do not fill sources x targets");
+            }
+            if !weights.iter().all(|&w| fits(w)) {
+                return wrong("a weight is not in its format");
+            }
+        }
+        Connectivity::Sparse { first, targets: to, weights } => {
+            let ordered =
+                first.len() == sources + 1 && first.windows(2).all(|w| w[0] <= w[1]) && first.first() == Some(&0);
+            if !ordered || first.last() != Some(&(to.len() as u64)) || to.len() != weights.len() {
+                return wrong("the synapse list is not closed");
+            }
+            if to.iter().any(|&t| t >= targets) || !weights.iter().all(|&w| fits(w)) {
+                return wrong("a synapse leaves its population or its format");
+            }
+        }
+        Connectivity::Conv2d { window, kernel } => {
+            let per_group = window.source.0 / window.groups.max(1);
+            let size = (window.target.0 * per_group * window.kernel.0 * window.kernel.1) as usize;
+            if !window_fits(window, source.shape, target.shape) || kernel.len() != size {
+                return wrong("the window does not fit its populations");
+            }
+            if !kernel.iter().all(|&w| fits(w)) {
+                return wrong("a weight is not in its format");
+            }
+        }
+        Connectivity::SumPool2d { window, weight } => {
+            if !window_fits(window, source.shape, target.shape) || window.source.0 != window.target.0 || !fits(*weight)
+            {
+                return wrong("the window does not fit its populations");
+            }
+        }
+        Connectivity::Random { targets: n, low: l, high: h, step: s, .. } => {
+            if *n != targets || !fits(*l) || !fits(*h) || l > h || *s != step {
+                return wrong("the range of weights is not in its format");
+            }
+        }
+    }
+    Ok(())
+}
+
+fn window_fits(window: &Window, source: Shape, target: Shape) -> bool {
+    source.volume() == Some(window.source)
+        && target.volume() == Some(window.target)
+        && window.groups > 0
+        && window.stride.0 > 0
+        && window.stride.1 > 0
+        && window.dilation.0 > 0
+        && window.dilation.1 > 0
+        && window.source.0 % window.groups == 0
+        && window.target.0 % window.groups == 0
+}

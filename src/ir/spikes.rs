@@ -1,0 +1,127 @@
+//! What goes into a run and what comes out: input spikes by step, and how any engine shows a step.
+
+use crate::base::id::{ChannelId, CompartmentId};
+use crate::ir::activity::{Overflow, Totals};
+
+/// Spikes of one sample on the channels of a network, grouped by step.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sample {
+    label: Option<u32>,
+    /// One more than steps; spikes of step t are `first[t]..first[t + 1]`.
+    first: Vec<u32>,
+    channels: Vec<ChannelId>,
+}
+
+/// Why spikes do not make a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum SampleError {
+    /// An event lies at or after the end.
+    #[error("a spike at step {step} lies outside the sample's {steps} steps")]
+    Step {
+        /// The event's step.
+        step: u32,
+        /// The sample's steps.
+        steps: u32,
+    },
+    /// More events than can be counted.
+    #[error("the sample has more than 2^32 - 1 spikes")]
+    TooMany,
+}
+
+impl Sample {
+    /// A sample of `steps` timesteps from (step, channel) events in any order; an event given twice is one spike.
+    ///
+    /// # Errors
+    /// [`SampleError`] for an event outside the sample.
+    pub fn new(steps: u32, mut events: Vec<(u32, ChannelId)>, label: Option<u32>) -> Result<Self, SampleError> {
+        events.sort_unstable();
+        events.dedup();
+        if u32::try_from(events.len()).is_err() {
+            return Err(SampleError::TooMany);
+        }
+        if let Some(&(step, _)) = events.last().filter(|event| event.0 >= steps) {
+            return Err(SampleError::Step { step, steps });
+        }
+        let mut first = vec![0u32; steps as usize + 1];
+        for &(step, _) in &events {
+            first[step as usize + 1] += 1;
+        }
+        for t in 0..steps as usize {
+            first[t + 1] += first[t];
+        }
+        Ok(Sample { label, first, channels: events.into_iter().map(|(_, channel)| channel).collect() })
+    }
+
+    /// Number of timesteps.
+    #[must_use]
+    pub fn steps(&self) -> u32 {
+        (self.first.len() - 1) as u32
+    }
+
+    /// The class that it shows, when known.
+    #[must_use]
+    pub fn label(&self) -> Option<u32> {
+        self.label
+    }
+
+    /// The channels that spike in a step, ascending, each once.
+    #[inline]
+    #[must_use]
+    pub fn at(&self, step: u32) -> &[ChannelId] {
+        &self.channels[self.first[step as usize] as usize..self.first[step as usize + 1] as usize]
+    }
+
+    /// All spikes.
+    #[must_use]
+    pub fn spikes(&self) -> usize {
+        self.channels.len()
+    }
+}
+
+/// The samples of a run, all for the channels of the same network.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Stimulus {
+    /// In run order.
+    pub samples: Vec<Sample>,
+    /// How they were made, for the record; ends up in results.
+    pub origin: Vec<String>,
+    /// The seed, when one was used.
+    pub seed: Option<u64>,
+}
+
+/// An engine after a step: what probes, digests and comparisons read. `fast` and `golden` are chosen at run time.
+pub trait Engine {
+    /// Clears state, spikes in flight and everything counted; the coming sample has this many steps.
+    fn begin(&mut self, steps: u32);
+    /// One timestep with these input channels spiking (ascending, each once).
+    fn step(&mut self, channels: &[ChannelId]);
+    /// Compartments that spiked in the last step, ascending.
+    fn spikes(&self) -> &[CompartmentId];
+    /// The current register after the last step.
+    fn u(&self, compartment: CompartmentId) -> i32;
+    /// The membrane after the last step: 0 at a spike and while refractory.
+    fn v(&self, compartment: CompartmentId) -> i32;
+    /// What a probe of the chip's voltage register reads: the refractory counter while it is running
+    /// (`docs/semantics.md`, probes), the membrane otherwise.
+    fn v_register(&self, compartment: CompartmentId) -> i32;
+    /// What was counted since `begin`.
+    fn totals(&self) -> Totals;
+    /// What left its field since `begin`.
+    fn overflow(&self) -> Overflow;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn events_are_grouped_sorted_and_counted_once() {
+        let events = vec![(2, ChannelId(1)), (0, ChannelId(5)), (2, ChannelId(0)), (2, ChannelId(1))];
+        let sample = Sample::new(4, events, None).unwrap();
+        assert_eq!(sample.at(0), [ChannelId(5)]);
+        assert_eq!(sample.at(2), [ChannelId(0), ChannelId(1)]);
+        assert_eq!((sample.at(3).len(), sample.steps(), sample.spikes()), (0, 4, 3));
+        let late = Sample::new(4, vec![(4, ChannelId(0))], None);
+        assert_eq!(late, Err(SampleError::Step { step: 4, steps: 4 }));
+    }
+}
