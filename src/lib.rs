@@ -10,5 +10,8 @@ pub mod base;
 pub mod cli;
 pub mod compile;
 pub mod desc;
+pub mod drive;
 pub mod error;
 pub mod ir;
+pub mod machine;
+pub mod scene;
