@@ -8,6 +8,7 @@
 
 pub mod base;
 pub mod cli;
+pub mod compile;
 pub mod desc;
 pub mod error;
 pub mod golden;
