@@ -493,3 +493,104 @@ fn over_window(window: &Window, (y, x): (u32, u32), mut f: impl FnMut((u32, u32)
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::fixed::{Delay, SignMode, WeightBits, WeightExponent, scaled_weight};
+    use crate::base::id::PopulationId;
+    use crate::ir::quantised::SynapseFormat;
+
+    fn projection(connectivity: Connectivity) -> Projection {
+        let format = SynapseFormat {
+            exponent: WeightExponent::new(0).unwrap(),
+            sign: SignMode::Mixed,
+            bits: WeightBits::new(8).unwrap(),
+        };
+        Projection {
+            name: String::new(),
+            source: PopulationId(0),
+            target: PopulationId(1),
+            format,
+            delay: Delay::new(0).unwrap(),
+            connectivity,
+        }
+    }
+
+    /// Holds the enumeration by targets to the one by sources that the rest of the program uses.
+    fn agrees(connectivity: Connectivity, sources: u32) {
+        let mut by_source = Vec::new();
+        for from in 0..sources {
+            let before = by_source.len();
+            connectivity.for_each_from(from, |to, weight| by_source.push((from, to, i64::from(weight))));
+            assert_eq!(connectivity.count_from(from), (by_source.len() - before) as u64);
+        }
+        let shown = format!("{connectivity:?}");
+        let mut by_target = connections(&projection(connectivity), sources);
+        by_source.sort_unstable();
+        by_target.sort_unstable();
+        assert_eq!(by_target, by_source, "{shown}");
+    }
+
+    #[test]
+    fn synapses_seen_from_targets_are_those_seen_from_sources() {
+        let weights: Vec<i16> = (0..12).map(|i| 2 * i).collect();
+        agrees(Connectivity::Dense { targets: 3, weights: weights.into() }, 4);
+        let sparse = Connectivity::Sparse {
+            first: [0, 2, 2, 5].into(),
+            targets: [0, 4, 1, 1, 3].into(),
+            weights: [2, -2, 4, 6, -8].into(),
+        };
+        agrees(sparse, 3);
+        for (targets, fan_out, low, high, step, first_source) in [(7, 5, -256, 254, 2, 0), (1, 3, 4, 4, 2, 100)] {
+            agrees(Connectivity::Random { targets, fan_out, low, high, step, seed: 5, first_source }, 9);
+        }
+    }
+
+    #[test]
+    fn windows_seen_from_targets_are_those_seen_from_sources() {
+        let mut windows = 0;
+        for case in 0..2_000 {
+            let draw =
+                |what: u64, low: u32, high: u32| low + rng::below(u64::from(high - low) + 1, 1, case, what) as u32;
+            let groups = draw(0, 1, 2);
+            let (kernel, stride, padding, dilation) = (
+                (draw(1, 1, 3), draw(2, 1, 3)),
+                (draw(3, 1, 3), draw(4, 1, 3)),
+                (draw(5, 0, 2), draw(6, 0, 2)),
+                (draw(7, 1, 2), draw(8, 1, 2)),
+            );
+            let source = (groups * draw(9, 1, 2), draw(10, 1, 6), draw(11, 1, 6));
+            // The size of a convolution's output, as every framework has it; none when the window is larger.
+            let size = |n: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
+                Some((n + 2 * padding).checked_sub(dilation * (kernel - 1) + 1)? / stride + 1)
+            };
+            let (Some(height), Some(width)) = (
+                size(source.1, kernel.0, stride.0, padding.0, dilation.0),
+                size(source.2, kernel.1, stride.1, padding.1, dilation.1),
+            ) else {
+                continue;
+            };
+            windows += 1;
+            let sources = source.0 * source.1 * source.2;
+            let target = (groups * draw(12, 1, 3), height, width);
+            let window = Window { source, target, kernel, stride, padding, dilation, groups };
+            let size = target.0 * (source.0 / groups) * kernel.0 * kernel.1;
+            let weights: Vec<i16> = (0..size as i16).map(|i| 2 * i).collect();
+            agrees(Connectivity::Conv2d { window, kernel: weights.into() }, sources);
+            let pool = Window { target: (source.0, height, width), groups: source.0, ..window };
+            agrees(Connectivity::SumPool2d { window: pool, weight: 6 }, sources);
+        }
+        assert!(windows > 1_000, "{windows}");
+    }
+
+    #[test]
+    fn scaling_by_division_is_scaling_by_shifts() {
+        for exponent in -8..=7 {
+            let field = WeightExponent::new(i64::from(exponent)).unwrap();
+            for weight in -256..=255i16 {
+                assert_eq!(scaled(i64::from(weight), exponent), i64::from(scaled_weight(weight, field)));
+            }
+        }
+    }
+}
