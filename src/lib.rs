@@ -10,4 +10,5 @@ pub mod base;
 pub mod cli;
 pub mod desc;
 pub mod error;
+pub mod io;
 pub mod ir;
