@@ -13,6 +13,7 @@ pub mod desc;
 pub mod drive;
 pub mod error;
 pub mod golden;
+pub mod io;
 pub mod ir;
 pub mod machine;
 pub mod scene;
