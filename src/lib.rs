@@ -12,6 +12,8 @@ pub mod compile;
 pub mod desc;
 pub mod drive;
 pub mod error;
+pub mod golden;
+pub mod io;
 pub mod ir;
 pub mod machine;
 pub mod scene;
