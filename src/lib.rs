@@ -16,4 +16,5 @@ pub mod golden;
 pub mod io;
 pub mod ir;
 pub mod machine;
+pub mod report;
 pub mod scene;
