@@ -9,6 +9,8 @@
 pub mod base;
 pub mod cli;
 pub mod compile;
+pub mod cost;
 pub mod desc;
 pub mod error;
 pub mod ir;
+pub mod report;
