@@ -8,7 +8,12 @@
 
 pub mod base;
 pub mod cli;
+pub mod compile;
 pub mod desc;
+pub mod drive;
 pub mod error;
 pub mod io;
+pub mod golden;
 pub mod ir;
+pub mod machine;
+pub mod scene;

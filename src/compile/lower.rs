@@ -1,0 +1,579 @@
+//! `Network` -> [`Graph`]: names become nodes, arrays meet their shapes.
+//!
+//! Comes in: a parsed model with its arrays. Goes out: a graph whose endpoints exist, whose array sizes agree with its
+//! populations and whose delays are in range; or the first thing that is not so, with its place in the model file. What
+//! a number means to the hardware is left to `quantise`.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use petgraph::graph::{DiGraph, NodeIndex};
+
+use crate::base::diagnostic::{Diagnostic, Span};
+use crate::base::fixed::{Delay, SignMode};
+use crate::base::rng;
+use crate::desc::network::{
+    Conv2dDesc, DenseDesc, LoihiDesc, Network, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
+    Source, SparseDesc, SumPool2dDesc, SynapseDesc, Weights,
+};
+use crate::desc::spanned::Spanned;
+use crate::desc::tensor::{Numbers, Tensor};
+use crate::ir::graph::{
+    BiasParameter, DecayParameter, Graph, LoihiParameters, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, PerCompartment,
+    Population, PopulationKind, Projection, ProjectionKind, Shape, ThresholdParameter, Values, Window,
+};
+
+/// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
+const MOST_UNIFORM: u64 = 1 << 28;
+
+/// Turns a model into a graph.
+///
+/// # Errors
+/// A diagnostic at the first name, shape, size or delay that does not fit.
+pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
+    let lowering = Lowering { network };
+    let file = network.file();
+    if !(file.timestep_ms.value > 0.0 && file.timestep_ms.value <= 1e6) {
+        let message = format!("timestep_ms {} is not above 0 and at most 1e6", file.timestep_ms.value);
+        return Err(lowering.error("model.timestep", message, file.timestep_ms.span));
+    }
+    let mut graph = DiGraph::new();
+    let mut nodes: HashMap<&str, NodeIndex> = HashMap::new();
+    let mut units = 0u64;
+    for desc in &file.populations {
+        let population = lowering.population(desc)?;
+        units += u64::from(population.shape.len());
+        if units > MOST_UNITS {
+            let message =
+                format!("the populations up to here have {units} channels and compartments, the limit is {MOST_UNITS}");
+            return Err(lowering.error("model.too-large", message, desc.value.shape().span));
+        }
+        let name = desc.value.name();
+        if nodes.insert(name, graph.add_node(population)).is_some() {
+            let message = format!("population '{}' is declared twice", name.value);
+            return Err(lowering
+                .error("model.name-twice", message, name.span)
+                .help("give each population its own name"));
+        }
+    }
+    for desc in &file.projections {
+        lowering.projection(desc, &nodes, &mut graph)?;
+    }
+    let output = lowering.find(&nodes, &file.output, "output")?;
+    let size = graph[output].shape.len();
+    if matches!(graph[output].kind, PopulationKind::Input) {
+        let message = format!("output '{}' is an input population", file.output.value);
+        return Err(lowering.error("model.output", message, file.output.span).help("name a Loihi population"));
+    }
+    let classes = match &file.classes {
+        Some(classes) if classes.len() != size as usize => {
+            let message = format!("{} class names for {size} output compartments", classes.len());
+            return Err(lowering.error("model.classes", message, classes.span));
+        }
+        Some(classes) => classes.value.clone(),
+        None => Vec::new(),
+    };
+    if let Some(reset) = &file.reset
+        && (reset.interval == 0 || reset.interval > u64::from(u32::MAX) || reset.offset > u64::from(u32::MAX))
+    {
+        let message =
+            format!("reset interval {} with offset {}: the interval is 1 to 2^32 - 1", reset.interval, reset.offset);
+        return Err(lowering.error("model.reset", message, reset.span));
+    }
+    let facts = NetworkFacts {
+        name: file.name.clone(),
+        source: network.source().clone(),
+        timestep_ms: file.timestep_ms.value,
+        classes,
+        reset: file.reset.as_ref().map(|reset| reset.value),
+        threshold: file.threshold,
+        semantics: file.semantics,
+        weight_rounding: file.weight_rounding,
+        scene: file.scene.clone(),
+        provenance: file.provenance.clone(),
+    };
+    Ok(Graph::new(facts, graph, output))
+}
+
+struct Lowering<'a> {
+    network: &'a Network,
+}
+
+type Nodes<'a> = HashMap<&'a str, NodeIndex>;
+
+impl Lowering<'_> {
+    fn error(&self, code: &'static str, message: impl Into<String>, span: Span) -> Diagnostic {
+        Diagnostic::new(code, message).at(self.network.source(), span)
+    }
+
+    fn find(&self, nodes: &Nodes, name: &Spanned<String>, role: &str) -> Result<NodeIndex, Diagnostic> {
+        nodes.get(name.as_str()).copied().ok_or_else(|| {
+            let mut known: Vec<&str> = nodes.keys().copied().collect();
+            known.sort_unstable();
+            self.error(
+                "model.unknown-population",
+                format!("{role} names '{}', which is not a population", name.value),
+                name.span,
+            )
+            .help(format!("populations are: {}", known.join(", ")))
+        })
+    }
+
+    fn population(&self, desc: &Spanned<PopulationDesc>) -> Result<Population, Diagnostic> {
+        let name = desc.value.name();
+        // '@' and '#' separate copies and indices in reports, '=' and '.' stand in arguments that name populations.
+        if name.is_empty() || name.contains(|c: char| c.is_whitespace() || c.is_control() || "@#=./\\:".contains(c)) {
+            let message = format!("'{}' cannot be a population's name", name.value);
+            return Err(self.error("model.name", message, name.span).help(
+                "use letters, digits, '_' and '-': names stand in arguments such as name=file.npy and name.spikes",
+            ));
+        }
+        let shape = self.shape(desc.value.shape())?;
+        let kind = match &desc.value {
+            PopulationDesc::Input { .. } => PopulationKind::Input,
+            PopulationDesc::Loihi(loihi) => {
+                PopulationKind::Loihi(Box::new(self.loihi(loihi, desc.span, shape.len())?))
+            }
+        };
+        Ok(Population { name: name.value.clone(), span: desc.span, shape, kind })
+    }
+
+    fn shape(&self, shape: &Spanned<Vec<u64>>) -> Result<Shape, Diagnostic> {
+        let product = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
+        match product {
+            Some(units) if (1..=MOST_UNITS).contains(&units) => {}
+            _ => {
+                let message = format!("shape {:?} does not hold 1 to {MOST_UNITS} units", shape.value);
+                return Err(self.error("model.shape", message, shape.span));
+            }
+        }
+        match *shape.value.as_slice() {
+            [n] => Ok(Shape::Line(n as u32)),
+            [c, h, w] => Ok(Shape::Volume(c as u32, h as u32, w as u32)),
+            _ => Err(self
+                .error("model.shape", format!("shape {:?} has {} axes", shape.value, shape.len()), shape.span)
+                .help("a shape is [n] or [channels, height, width]")),
+        }
+    }
+
+    fn loihi(&self, desc: &LoihiDesc, span: Span, units: u32) -> Result<LoihiParameters, Diagnostic> {
+        let name = &desc.name.value;
+        let one_of = |a: &Option<Parameter>, b: &Option<Parameter>, names: [&str; 2]| match (a, b) {
+            (Some(_), Some(second)) => {
+                let message = format!("population '{name}' gives both {} and {}", names[0], names[1]);
+                Err(self.error("model.parameter-twice", message, second.span).help("keep one of them"))
+            }
+            _ => Ok(()),
+        };
+        let missing = |what: &str, help: &str| {
+            self.error("model.parameter-missing", format!("population '{name}' has no {what}"), span).help(help)
+        };
+        one_of(&desc.du, &desc.tau_u_ms, ["du", "tau_u_ms"])?;
+        one_of(&desc.dv, &desc.tau_v_ms, ["dv", "tau_v_ms"])?;
+        one_of(&desc.vth_mant, &desc.vth, ["vth_mant", "vth"])?;
+        one_of(&desc.bias_mant, &desc.bias, ["bias_mant", "bias"])?;
+        one_of(&desc.bias_exp, &desc.bias, ["bias_exp", "bias"])?;
+        let values = |parameter: &Parameter, what: &str| self.values(name, what, parameter, units);
+        let decay = |field: &Option<Parameter>, tau: &Option<Parameter>, names: [&'static str; 2]| match (field, tau) {
+            (Some(field), _) => Ok(DecayParameter::Effective(values(field, names[0])?)),
+            (_, Some(tau)) => Ok(DecayParameter::TimeConstantMs(values(tau, names[1])?)),
+            (None, None) => Err(missing(names[0], "give the effective decay 0..4096, or a time constant in ms")),
+        };
+        let or = |parameter: &Option<Parameter>, what: &str, default: f64| match parameter {
+            Some(parameter) => values(parameter, what),
+            None => Ok(Values::constant(default)),
+        };
+        let threshold = match (&desc.vth_mant, &desc.vth) {
+            (Some(mantissa), _) => ThresholdParameter::Mantissa(values(mantissa, "vth_mant")?),
+            (_, Some(real)) => ThresholdParameter::Real(values(real, "vth")?),
+            (None, None) => return Err(missing("vth_mant", "give the threshold mantissa, or a real threshold vth")),
+        };
+        let bias = match &desc.bias {
+            Some(real) if matches!(threshold, ThresholdParameter::Mantissa(_)) => {
+                let message = format!("population '{name}' has a real bias beside an integer threshold");
+                return Err(self
+                    .error("model.parameter", message, real.span)
+                    .help("give bias_mant and bias_exp, or a real vth"));
+            }
+            Some(real) => BiasParameter::Real(values(real, "bias")?),
+            None => {
+                BiasParameter::Integer(or(&desc.bias_mant, "bias_mant", 0.0)?, or(&desc.bias_exp, "bias_exp", 0.0)?)
+            }
+        };
+        let start_step = match &desc.start_step {
+            Some(step) => u32::try_from(step.value).map_err(|_| {
+                let message = format!("population '{name}': start_step {} is outside 0..=2^32 - 1", step.value);
+                self.error("model.start-step", message, step.span)
+            })?,
+            None => 0,
+        };
+        Ok(LoihiParameters {
+            current_decay: decay(&desc.du, &desc.tau_u_ms, ["du", "tau_u_ms"])?,
+            voltage_decay: decay(&desc.dv, &desc.tau_v_ms, ["dv", "tau_v_ms"])?,
+            threshold,
+            bias,
+            refractory: or(&desc.refractory, "refractory", 1.0)?,
+            vmin_exp: or(&desc.vmin_exp, "vmin_exp", 23.0)?,
+            vmax_exp: or(&desc.vmax_exp, "vmax_exp", 7.0)?,
+            start_step,
+        })
+    }
+
+    fn values(&self, population: &str, what: &str, parameter: &Parameter, units: u32) -> Result<Values, Diagnostic> {
+        let each = match &parameter.value {
+            ParameterValue::Same(value) => PerCompartment::Same(*value),
+            ParameterValue::Each(source) => {
+                let tensor = self.tensor(source, &[u64::from(units)], parameter.span)?;
+                if tensor.len() != units as usize {
+                    let message = format!(
+                        "population '{population}': {what} has {} entries for {units} compartments",
+                        tensor.len()
+                    );
+                    return Err(self.error("model.parameter-size", message, parameter.span));
+                }
+                PerCompartment::Each((0..tensor.len()).map(|i| tensor.real(i)).collect())
+            }
+        };
+        let finite = match &each {
+            PerCompartment::Same(value) => value.is_finite(),
+            PerCompartment::Each(values) => values.iter().all(|value| value.is_finite()),
+        };
+        if !finite {
+            let message = format!("population '{population}': {what} is not a finite number");
+            return Err(self.error("model.not-finite", message, parameter.span));
+        }
+        Ok(Values { each, span: parameter.span })
+    }
+
+    /// The numbers of a source; `shape` is what a seeded source should fill.
+    fn tensor(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
+        match source {
+            Source::InPlace(tensor, _) => Ok(Arc::new(tensor.clone())),
+            Source::File(reference) => Ok(Arc::new(self.network.array(reference).clone())),
+            Source::Uniform { low, high, seed } => {
+                let length = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
+                let length = length.filter(|&n| n <= MOST_UNIFORM).ok_or_else(|| {
+                    self.error("model.too-large", format!("Uniform would make more than {MOST_UNIFORM} numbers"), span)
+                        .help("use a Random projection, whose synapses are never expanded")
+                })?;
+                if !(low.is_finite() && high.is_finite() && low <= high) {
+                    return Err(self.error("model.uniform", format!("Uniform from {low} to {high} is no range"), span));
+                }
+                let whole = low.fract() == 0.0 && high.fract() == 0.0 && (high - low) < 1e9;
+                let levels = if whole { (high - low) as u64 + 1 } else { 1 };
+                let draw = |i: u64| match whole {
+                    true => low + rng::below(levels, *seed, i, 0) as f64,
+                    false => low + (high - low) * rng::unit(*seed, i, 0),
+                };
+                let numbers = Numbers::Reals((0..length).map(draw).collect());
+                let tensor = Tensor::new(shape.iter().map(|&axis| axis as usize).collect(), numbers);
+                Ok(Arc::new(tensor.expect("as many numbers as the shape holds")))
+            }
+        }
+    }
+
+    fn projection(
+        &self,
+        desc: &Spanned<ProjectionDesc>,
+        nodes: &Nodes,
+        graph: &mut DiGraph<Population, Projection>,
+    ) -> Result<(), Diagnostic> {
+        let synapse = desc.value.synapse();
+        let target = self.find(nodes, synapse.to, "'to'")?;
+        if matches!(graph[target].kind, PopulationKind::Input) {
+            let message = format!("a projection ends at '{}', which is an input", synapse.to.value);
+            return Err(self.error("model.target", message, synapse.to.span));
+        }
+        if synapse.from.is_empty() {
+            return Err(self.error(
+                "model.source",
+                format!("the projection to '{}' comes from nowhere", synapse.to.value),
+                desc.span,
+            ));
+        }
+        let sources: Vec<NodeIndex> =
+            synapse.from.iter().map(|name| self.find(nodes, name, "'from'")).collect::<Result<_, _>>()?;
+        let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
+        let declared = Declared {
+            lowering: self,
+            span: desc.span,
+            synapse,
+            sources: sizes.iter().map(|&size| u64::from(size)).sum(),
+            source_shape: graph[sources[0]].shape,
+            target_shape: graph[target].shape,
+        };
+        let whole = declared.kind(&desc.value)?;
+        let delay = synapse.delay.map_or(Ok(Delay::MIN), |delay| {
+            Delay::new(delay.value).map_err(|e| {
+                self.error("model.delay-range", format!("projection to '{}': {e}", synapse.to.value), delay.span)
+                    .help("a longer delay needs a relay population")
+            })
+        })?;
+        let mut first_source = 0;
+        for (&source, &size) in sources.iter().zip(&sizes) {
+            let kind = match &whole {
+                ProjectionKind::Sparse { synapses } => ProjectionKind::Sparse {
+                    synapses: synapses
+                        .iter()
+                        .filter(|s| (first_source..first_source + size).contains(&s.0))
+                        .map(|&(from, to, weight, span)| (from - first_source, to, weight, span))
+                        .collect(),
+                },
+                other => other.clone(),
+            };
+            let projection = Projection {
+                name: format!("{} -> {}", graph[source].name, graph[target].name),
+                span: desc.span,
+                first_source,
+                weight_exp: synapse.weight_exp.cloned().unwrap_or_else(|| 0.into()),
+                sign: synapse.sign.map_or(SignMode::Mixed, |sign| sign.value),
+                weight_bits: synapse.weight_bits.cloned().unwrap_or_else(|| 8.into()),
+                delay,
+                weight_scale: synapse.weight_scale.cloned(),
+                weights_span: desc.value.weights().map_or(desc.span, |weights| weights.span),
+                kind,
+            };
+            graph.add_edge(source, target, projection);
+            first_source += size;
+        }
+        Ok(())
+    }
+}
+
+/// A projection's declaration with the sizes of its ends.
+struct Declared<'a> {
+    lowering: &'a Lowering<'a>,
+    span: Span,
+    synapse: SynapseDesc<'a>,
+    sources: u64,
+    source_shape: Shape,
+    target_shape: Shape,
+}
+
+impl Declared<'_> {
+    fn kind(&self, desc: &ProjectionDesc) -> Result<ProjectionKind, Diagnostic> {
+        match desc {
+            ProjectionDesc::Dense(dense) => self.dense(dense),
+            ProjectionDesc::Sparse(sparse) => self.sparse(sparse),
+            ProjectionDesc::Conv2d(conv) => self.conv(conv),
+            ProjectionDesc::SumPool2d(pool) => self.pool(pool),
+            ProjectionDesc::Random(random) => self.random(random),
+        }
+    }
+
+    fn error(&self, code: &'static str, message: impl Into<String>, span: Span) -> Diagnostic {
+        self.lowering.error(code, message, span)
+    }
+
+    fn to(&self) -> &str {
+        self.synapse.to
+    }
+
+    /// The weights with exactly this shape; trailing axes of length 1 are allowed and dropped.
+    fn weights(&self, weights: &Weights, shape: &[u64]) -> Result<(Arc<Tensor>, Arc<[Span]>), Diagnostic> {
+        let tensor = self.lowering.tensor(&weights.source, shape, weights.span)?;
+        let mut found: Vec<u64> = tensor.shape().iter().map(|&axis| axis as u64).collect();
+        while found.len() > shape.len() && found.last() == Some(&1) {
+            found.pop();
+        }
+        if found != shape {
+            let message = format!(
+                "projection to '{}': weights are {:?}, its populations need {shape:?}",
+                self.to(),
+                tensor.shape()
+            );
+            return Err(self
+                .error("model.weights-shape", message, weights.span)
+                .help("weights are [target][source], kernels [out channel][in channel / groups][height][width]"));
+        }
+        let rows: Arc<[Span]> = match &weights.source {
+            Source::InPlace(_, rows) => rows.as_slice().into(),
+            Source::File(_) | Source::Uniform { .. } => Arc::from([]),
+        };
+        Ok((tensor, rows))
+    }
+
+    fn dense(&self, dense: &DenseDesc) -> Result<ProjectionKind, Diagnostic> {
+        let (weights, rows) = self.weights(&dense.weights, &[u64::from(self.target_shape.len()), self.sources])?;
+        Ok(ProjectionKind::Dense { weights, rows })
+    }
+
+    fn sparse(&self, sparse: &SparseDesc) -> Result<ProjectionKind, Diagnostic> {
+        let targets = u64::from(self.target_shape.len());
+        let synapses = sparse
+            .synapses
+            .iter()
+            .map(|synapse| {
+                let (source, target, weight) = synapse.value;
+                for (what, index, size) in [("source", source, self.sources), ("target", target, targets)] {
+                    if index >= size {
+                        let message = format!("projection to '{}': {what} {index} is outside 0..{size}", self.to());
+                        return Err(self.error("model.synapse-index", message, synapse.span));
+                    }
+                }
+                Ok((source as u32, target as u32, weight, synapse.span))
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(ProjectionKind::Sparse { synapses })
+    }
+
+    fn volumes(&self, what: &str) -> Result<((u32, u32, u32), (u32, u32, u32)), Diagnostic> {
+        if self.synapse.from.len() != 1 {
+            let message = format!("{what} to '{}' has {} sources", self.to(), self.synapse.from.len());
+            return Err(self.error("model.window", message, self.span).help("declare one projection for each source"));
+        }
+        match (self.source_shape.volume(), self.target_shape.volume()) {
+            (Some(source), Some(target)) => Ok((source, target)),
+            _ => {
+                let message =
+                    format!("{what} to '{}' goes from shape {} to {}", self.to(), self.source_shape, self.target_shape);
+                Err(self
+                    .error("model.window", message, self.span)
+                    .help("both shapes must be [channels, height, width]"))
+            }
+        }
+    }
+
+    /// Numbers of a window, each from `least` to 65,535.
+    fn pair(
+        &self,
+        pair: Option<&Spanned<(u64, u64)>>,
+        what: &str,
+        default: (u32, u32),
+        least: u64,
+    ) -> Result<(u32, u32), Diagnostic> {
+        let Some(pair) = pair else { return Ok(default) };
+        let range = least..=65_535;
+        if !range.contains(&pair.value.0) || !range.contains(&pair.value.1) {
+            let message = format!("projection to '{}': {what} {:?} is outside {range:?}", self.to(), pair.value);
+            return Err(self.error("model.window", message, pair.span));
+        }
+        Ok((pair.value.0 as u32, pair.value.1 as u32))
+    }
+
+    /// Checks that the target is exactly what the window makes of the source.
+    fn check_window(&self, window: &Window) -> Result<(), Diagnostic> {
+        let size = |source: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
+            let reach = u64::from(dilation) * u64::from(kernel - 1) + 1;
+            let room = u64::from(source) + 2 * u64::from(padding);
+            room.checked_sub(reach).map(|slack| slack / u64::from(stride) + 1)
+        };
+        let w = window;
+        let expected = (
+            size(w.source.1, w.kernel.0, w.stride.0, w.padding.0, w.dilation.0),
+            size(w.source.2, w.kernel.1, w.stride.1, w.padding.1, w.dilation.1),
+        );
+        if expected != (Some(u64::from(w.target.1)), Some(u64::from(w.target.2))) {
+            let show = |side: Option<u64>| side.map_or("nothing".to_string(), |n| n.to_string());
+            let message = format!(
+                "projection to '{}': the window makes {} x {} of {} x {}, the population is {} x {}",
+                self.to(),
+                show(expected.0),
+                show(expected.1),
+                w.source.1,
+                w.source.2,
+                w.target.1,
+                w.target.2
+            );
+            return Err(self
+                .error("model.window", message, self.span)
+                .help("size = (source + 2 padding - dilation (kernel - 1) - 1) / stride + 1, rounded down"));
+        }
+        Ok(())
+    }
+
+    fn conv(&self, conv: &Conv2dDesc) -> Result<ProjectionKind, Diagnostic> {
+        let (source, target) = self.volumes("Conv2d")?;
+        let groups = conv.groups.as_ref().map_or(1, |groups| groups.value);
+        if groups == 0 || u64::from(source.0) % groups != 0 || u64::from(target.0) % groups != 0 {
+            let message = format!(
+                "projection to '{}': {groups} groups do not divide {} and {} channels",
+                self.to(),
+                source.0,
+                target.0
+            );
+            return Err(self.error("model.window", message, conv.groups.as_ref().map_or(self.span, |g| g.span)));
+        }
+        // The kernel's size is read off the weights, so those are looked at first.
+        let kernel = match &conv.weights.source {
+            Source::InPlace(tensor, _) => tensor.shape().to_vec(),
+            Source::File(reference) => self.lowering.network.array(reference).shape().to_vec(),
+            Source::Uniform { .. } => {
+                return Err(self
+                    .error("model.window", "a convolution's kernel needs its size", conv.weights.span)
+                    .help("give the kernel in place or as a file"));
+            }
+        };
+        let (Some(&kh), Some(&kw)) = (kernel.get(2), kernel.get(3)) else {
+            return Err(self
+                .error(
+                    "model.weights-shape",
+                    format!("projection to '{}': the kernel is {kernel:?}", self.to()),
+                    conv.weights.span,
+                )
+                .help("kernels are [out channel][in channel / groups][height][width]"));
+        };
+        let shape = [u64::from(target.0), u64::from(source.0) / groups, kh as u64, kw as u64];
+        let (weights, rows) = self.weights(&conv.weights, &shape)?;
+        if kh == 0 || kw == 0 || kh > 65_535 || kw > 65_535 {
+            return Err(self.error("model.window", format!("a kernel of {kh} x {kw}"), conv.weights.span));
+        }
+        let window = Window {
+            source,
+            target,
+            kernel: (kh as u32, kw as u32),
+            stride: self.pair(conv.stride.as_ref(), "stride", (1, 1), 1)?,
+            padding: self.pair(conv.padding.as_ref(), "padding", (0, 0), 0)?,
+            dilation: self.pair(conv.dilation.as_ref(), "dilation", (1, 1), 1)?,
+            groups: groups as u32,
+        };
+        self.check_window(&window)?;
+        Ok(ProjectionKind::Conv2d { window, weights, rows })
+    }
+
+    fn pool(&self, pool: &SumPool2dDesc) -> Result<ProjectionKind, Diagnostic> {
+        let (source, target) = self.volumes("SumPool2d")?;
+        let kernel = self.pair(Some(&pool.kernel), "kernel", (1, 1), 1)?;
+        let window = Window {
+            source,
+            target,
+            kernel,
+            stride: self.pair(pool.stride.as_ref(), "stride", kernel, 1)?,
+            padding: self.pair(pool.padding.as_ref(), "padding", (0, 0), 0)?,
+            dilation: (1, 1),
+            groups: source.0,
+        };
+        if source.0 != target.0 {
+            let message = format!("SumPool2d to '{}' goes from {} to {} channels", self.to(), source.0, target.0);
+            return Err(self.error("model.window", message, self.span));
+        }
+        self.check_window(&window)?;
+        Ok(ProjectionKind::SumPool2d { window, weight: pool.weight.clone() })
+    }
+
+    fn random(&self, random: &RandomDesc) -> Result<ProjectionKind, Diagnostic> {
+        let synapses = self.sources.checked_mul(random.fan_out.value);
+        if synapses.is_none_or(|n| n > MOST_SYNAPSES) || u32::try_from(random.fan_out.value).is_err() {
+            let message = format!(
+                "projection to '{}': {} sources times {} synapses is more than {MOST_SYNAPSES}",
+                self.to(),
+                self.sources,
+                random.fan_out.value
+            );
+            return Err(self.error("model.too-large", message, random.fan_out.span));
+        }
+        if let Some(scale) = self.synapse.weight_scale {
+            return Err(self.error(
+                "model.random",
+                "a Random projection has integer weights and takes no weight_scale",
+                scale.span,
+            ));
+        }
+        Ok(ProjectionKind::Random {
+            fan_out: random.fan_out.value as u32,
+            low: random.low.clone(),
+            high: random.high.clone(),
+            seed: random.seed.value,
+        })
+    }
+}
