@@ -69,8 +69,6 @@ pub struct Golden {
     reset: Option<Reset>,
     channels: usize,
     compartments: IdVec<CompartmentId, Compartment>,
-    /// Steps of the sample.
-    steps: u32,
     /// Steps done, hence the number of the next.
     done: u32,
     /// Which channels spiked, the latest step first.
@@ -109,7 +107,6 @@ impl Golden {
             reset: parts.reset,
             channels: network.channels() as usize,
             compartments,
-            steps: 0,
             done: 0,
             channel_history: VecDeque::new(),
             compartment_history: VecDeque::new(),
@@ -143,9 +140,8 @@ impl Golden {
     /// One step of one compartment, counted; whether it spikes.
     fn update(&mut self, id: CompartmentId, step: u32) -> bool {
         let (sum, events) = self.arrivals(id);
-        if step < self.steps {
-            self.totals.synaptic_events += events;
-        }
+        // Rule (12): what would arrive after the sample's end is never looked for.
+        self.totals.synaptic_events += events;
         self.totals.compartment_updates += 1;
 
         let (semantics, threshold) = (self.semantics, self.threshold);
@@ -185,11 +181,10 @@ impl Golden {
 }
 
 impl Engine for Golden {
-    fn begin(&mut self, steps: u32) {
+    fn begin(&mut self, _steps: u32) {
         for compartment in self.compartments.iter_mut() {
             compartment.state = State::default();
         }
-        self.steps = steps;
         self.done = 0;
         self.channel_history.clear();
         self.compartment_history.clear();
@@ -346,7 +341,7 @@ fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i
     let voltage = decay(state.v, neuron.dv) + wrap(biased, 23);
     let vmin = 1 - (1i64 << neuron.vmin.get());
     let vmax = (1i64 << (9 + 2 * neuron.vmax.get())) - 1;
-    let clipped = voltage.max(vmin).min(vmax);
+    let clipped = voltage.clamp(vmin, vmax);
     let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
     Outcome {
         spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
@@ -369,7 +364,7 @@ fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, 
         current
     };
     let voltage = wrap(decay(state.v, neuron.dv) + state.u + bias(Semantics::Lava, neuron), 31);
-    let clipped = voltage.max(1 - HALF).min(HALF - 1);
+    let clipped = voltage.clamp(1 - HALF, HALF - 1);
     Outcome {
         spiked: fire(Semantics::Lava, neuron, threshold, state, clipped, step),
         q_wrapped: false,

@@ -49,6 +49,11 @@ fn a_current_of_two_to_the_23_wraps_on_the_chip_stays_in_lava_and_collapses_in_s
     ends_in(Semantics::Hardware, &forgets_slowly, &acc, (-8_388_608, -8_388_607), counts(0, 1, 1, 5));
     ends_in(Semantics::Lava, &forgets_slowly, &acc, (8_388_608, 0), counts(0, 0, 1, 5));
     ends_in(Semantics::Slayer, &forgets_slowly, &acc, (1_050_878, 1_050_878), NONE);
+    // At the other end it is lava that wraps (`wrapped_curr <= -max_uv_val` in its `proc/lif/models.py`).
+    let acc = acc.map(|x| -x);
+    ends_in(Semantics::Hardware, &forgets_slowly, &acc, (-8_388_608, -8_388_607), counts(0, 0, 1, 5));
+    ends_in(Semantics::Lava, &forgets_slowly, &acc, (8_388_608, 0), counts(0, 1, 1, 5));
+    ends_in(Semantics::Slayer, &forgets_slowly, &acc, (-1_050_878, -1_050_878), NONE);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! What several integration tests share: the engines that they run over, networks built by hand, recorded data.
 
-// Each test file is a crate of its own and uses a part of this.
-#![allow(dead_code)]
+// Each test file is a crate of its own and uses a part of this; a helper of tests may unwrap as they do.
+#![allow(dead_code, clippy::unwrap_used)]
 
 pub mod drive;
 
