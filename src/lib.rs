@@ -9,6 +9,7 @@
 pub mod base;
 pub mod cli;
 pub mod compile;
+pub mod cost;
 pub mod desc;
 pub mod drive;
 pub mod error;

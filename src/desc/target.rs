@@ -69,6 +69,18 @@ pub struct BarrierTime {
     pub time: Constant,
 }
 
+/// A figure that a source gives beside the others and that no count of a run multiplies: kept so that it is on record.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UnusedConstant {
+    /// Its name.
+    pub name: String,
+    /// The figure.
+    pub constant: Constant,
+    /// Why nothing is charged for it.
+    pub why: String,
+}
+
 macro_rules! constants {
     ($(#[$doc:meta])* $name:ident, $file:literal { $($(#[$fdoc:meta])* $field:ident: $unit:ident,)* }) => {
         $(#[$doc])*
@@ -81,6 +93,9 @@ macro_rules! constants {
             pub notes: String,
             /// Barrier times by tiles in use, ascending.
             pub barrier: Vec<BarrierTime>,
+            /// Figures of the same sources that enter no sum.
+            #[serde(default)]
+            pub unused: Vec<UnusedConstant>,
             $($(#[$fdoc])* pub $field: Constant,)*
         }
         impl $name {
@@ -108,6 +123,9 @@ macro_rules! constants {
                 for entry in &self.barrier {
                     check_constant(source, "barrier", &entry.time, Unit::us)?;
                 }
+                for entry in &self.unused {
+                    check_constant(source, &entry.name, &entry.constant, entry.constant.unit)?;
+                }
                 Ok(())
             }
         }
@@ -116,6 +134,11 @@ macro_rules! constants {
 
 fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Unit) -> Result<(), Diagnostic> {
     let value = constant.value.value;
+    if constant.source.trim().is_empty() {
+        return Err(Diagnostic::new("target.source", format!("{name} names no source"))
+            .help("say where the figure is printed, what it was fitted to, or why it is assumed")
+            .at(source, constant.value.span));
+    }
     if constant.unit != unit {
         return Err(Diagnostic::new("target.unit", format!("{name} is in {:?}, not {unit:?}", constant.unit))
             .at(source, constant.value.span));
@@ -223,6 +246,71 @@ pub struct Chip {
     pub power_unit: PowerUnit,
     /// The limits of a core.
     pub limits: Limits,
+    /// Where each limit comes from.
+    #[serde(default)]
+    pub limit_sources: Vec<LimitSource>,
+    /// What other sources say.
+    #[serde(default)]
+    pub alternatives: Vec<AlternativeLimit>,
+}
+
+/// Where a limit comes from.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LimitSource {
+    /// Its name in [`Limits`].
+    pub limit: Spanned<String>,
+    /// Paper and table, or repository and file.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+}
+
+/// A limit as another source has it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AlternativeLimit {
+    /// Its name in [`Limits`].
+    pub limit: Spanned<String>,
+    /// The other value.
+    pub value: u32,
+    /// Paper and table, or repository and file.
+    pub source: String,
+}
+
+impl Chip {
+    /// Checks what the types of the fields do not.
+    ///
+    /// # Errors
+    /// A diagnostic when x86 cores are kept busy that the chip does not have, when an output axon takes no slot, or when a
+    /// source is given for a limit that does not exist.
+    pub fn check(&self, source: &SourceText) -> Result<(), Diagnostic> {
+        let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));
+        if self.x86_cores_in_use > self.x86_cores {
+            return Err(wrong(format!(
+                "x86_cores_in_use {} is more than x86_cores {}",
+                self.x86_cores_in_use, self.x86_cores
+            ))
+            .in_file(source.path()));
+        }
+        let limits = &self.limits;
+        if limits.axon_out_slots == 0 || limits.axon_out_slots_off_chip < limits.axon_out_slots {
+            return Err(wrong(format!(
+                "an output axon takes {} slots on its chip and {} off it; at least 1, and off it at least as many",
+                limits.axon_out_slots, limits.axon_out_slots_off_chip
+            ))
+            .in_file(source.path()));
+        }
+        let named = self.limit_sources.iter().map(|entry| &entry.limit);
+        for limit in named.chain(self.alternatives.iter().map(|entry| &entry.limit)) {
+            if !Limits::NAMES.contains(&limit.value.as_str()) {
+                return Err(wrong(format!("there is no limit {}", limit.value))
+                    .help(format!("limits are {}", Limits::NAMES.join(", ")))
+                    .at(source, limit.span));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// The limits of a core (`docs/formats.md` has the source of each).
@@ -259,6 +347,26 @@ pub struct Limits {
     pub packing: Packing,
 }
 
+impl Limits {
+    /// The names of all limits, as files write them.
+    pub const NAMES: [&str; 14] = [
+        "compartments",
+        "axons_in",
+        "axons_out",
+        "axon_out_slots",
+        "axon_out_slots_off_chip",
+        "axons_out_per_compartment",
+        "synapse_words",
+        "synapse_words_per_axon",
+        "synapses_per_entry",
+        "synapse_formats",
+        "compartment_profiles",
+        "threshold_profiles",
+        "accumulators",
+        "packing",
+    ];
+}
+
 /// A target file: chips on a board.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Target")]
@@ -276,6 +384,9 @@ pub struct TargetFile {
     /// Presets of constants; the first is the default.
     pub constants: Vec<Spanned<String>>,
 }
+
+/// The most cores of a board: 16,384 chips of Loihi's mesh protocol (Davies et al. 2018) with 128 cores each.
+pub const MOST_CORES: u64 = 16_384 * 128;
 
 /// A board with everything it refers to.
 #[derive(Debug, Clone)]
@@ -320,6 +431,15 @@ impl Target {
                     format!("chip {}: {what} {value} is outside 1..={most}", chip.name),
                 ));
             }
+        }
+        // So that a number of cores always fits its type, whatever the sides.
+        let cores = u64::from(file.chips_x.value) * u64::from(file.chips_y.value) * u64::from(chip.cores);
+        if cores > MOST_CORES {
+            return Err(Diagnostic::new(
+                "target.size",
+                format!("the board has {cores} cores, the most is {MOST_CORES}"),
+            )
+            .at(source, file.chips_x.span));
         }
         if constants.is_empty() {
             return Err(
@@ -375,5 +495,101 @@ impl Target {
     #[must_use]
     pub fn cores(&self) -> u32 {
         self.chips() * self.chip.cores
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::desc::spanned::parse;
+
+    fn read<T: serde::de::DeserializeOwned>(path: &str) -> (SourceText, T) {
+        let text = std::fs::read_to_string(format!("{}/mapping/{path}", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        let source = SourceText::new(path, text);
+        let value = parse(&source, "target.syntax").unwrap_or_else(|problem| panic!("{problem}"));
+        (source, value)
+    }
+
+    fn target(name: &str) -> Target {
+        let (source, file) = read::<TargetFile>(&format!("targets/{name}.ron"));
+        let (chip_source, chip) = read::<Chip>(&format!("chips/{}.ron", file.chip.value));
+        chip.check(&chip_source).unwrap();
+        let constants = file.constants.iter().map(|preset| {
+            let (source, constants) = read::<Constants>(&format!("constants/{}.ron", preset.value));
+            constants.check(&source).unwrap();
+            constants
+        });
+        let constants = constants.collect();
+        Target::new(&file, &source, chip, constants).unwrap()
+    }
+
+    #[test]
+    fn the_shipped_boards_have_their_published_sizes() {
+        let sizes = |name| {
+            let target = target(name);
+            assert_eq!(target.name(), name);
+            (target.chips(), target.cores())
+        };
+        assert_eq!(sizes("tiny"), (2, 8));
+        assert_eq!(sizes("loihi1-chip"), (1, 128));
+        assert_eq!(sizes("kapoho-bay"), (2, 256));
+        assert_eq!(sizes("nahuku-32"), (32, 4096));
+        assert_eq!(sizes("pohoiki-springs"), (768, 98_304));
+    }
+
+    #[test]
+    fn every_limit_and_every_constant_of_a_shipped_board_names_its_source() {
+        for name in ["tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs"] {
+            let target = target(name);
+            let limits = serde_json::to_value(target.limits()).unwrap();
+            let fields: Vec<&String> = limits.as_object().unwrap().keys().collect();
+            assert_eq!(fields, Limits::NAMES);
+            let sources = &target.chip().limit_sources;
+            for field in fields {
+                let of_field: Vec<_> = sources.iter().filter(|entry| entry.limit.value == *field).collect();
+                assert_eq!(of_field.len(), 1, "{name}: {field}");
+                assert!(!of_field[0].source.is_empty(), "{name}: {field}");
+            }
+            assert_eq!(
+                target.constants().iter().map(|c| c.name.as_str()).collect::<Vec<_>>(),
+                ["sanafe-calibrated", "davies2018"]
+            );
+            for constants in target.constants() {
+                assert!(constants.list().iter().all(|(_, constant)| !constant.source.is_empty()));
+                assert!(constants.barrier.iter().all(|entry| !entry.time.source.is_empty()));
+            }
+        }
+    }
+
+    #[test]
+    fn a_constant_without_a_source_and_a_source_without_a_limit_are_refused_where_they_stand() {
+        let (source, _) = read::<Constants>("constants/davies2018.ron");
+        let text =
+            source.text().replacen("Davies et al. 2018, IEEE Micro 38(1), table 2: tile hop east or west", "", 1);
+        let changed = SourceText::new("changed.ron", text);
+        let problem = parse::<Constants>(&changed, "target.syntax").unwrap().check(&changed).unwrap_err();
+        assert_eq!(problem.message, "hop_ew_energy names no source");
+        assert!(problem.position().is_some());
+
+        let (source, _) = read::<Chip>("chips/tiny.ron");
+        let changed =
+            SourceText::new("changed.ron", source.text().replacen("limit: \"axons_in\"", "limit: \"axon_in\"", 1));
+        let problem = parse::<Chip>(&changed, "target.syntax").unwrap().check(&changed).unwrap_err();
+        assert_eq!(problem.message, "chip tiny: there is no limit axon_in");
+        assert!(problem.position().is_some());
+    }
+
+    #[test]
+    fn a_board_of_too_many_cores_is_refused() {
+        let (source, file) = read::<TargetFile>("targets/tiny.ron");
+        let file = TargetFile { chips_x: 128.into(), chips_y: 128.into(), ..file };
+        let (_, chip) = read::<Chip>("chips/loihi1.ron");
+        let (_, constants) = read::<Constants>("constants/davies2018.ron");
+        assert_eq!(
+            Target::new(&file, &source, chip.clone(), vec![constants.clone()]).unwrap().cores() as u64,
+            MOST_CORES
+        );
+        let chip = Chip { width: 64, height: 64, cores_per_tile: 64, cores: 262_144, ..chip };
+        assert_eq!(Target::new(&file, &source, chip, vec![constants]).unwrap_err().code, "target.size");
     }
 }

@@ -57,7 +57,7 @@ pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic
     loop {
         let more = reader.read_record(&mut row).map_err(|error| {
             let at = error.position().map_or(0, |position| position.byte() as usize);
-            problem(&source, at, "input.csv", format!("this row cannot be read: {error}"))
+            row_problem(&source, at, "input.csv", format!("this row cannot be read: {error}"))
         })?;
         if !more {
             break;
@@ -66,31 +66,31 @@ pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic
         if std::mem::take(&mut first) && row.iter().any(|field| field.parse::<f64>().is_err()) {
             columns = Columns::of_header(&row).ok_or_else(|| {
                 let header = row.iter().collect::<Vec<_>>().join(",");
-                problem(&source, at, "input.csv", format!("the header '{}' is not known", shortened(&header)))
+                row_problem(&source, at, "input.csv", format!("the header '{}' is not known", shortened(&header)))
                     .help("columns are timestep,channel or sample,timestep,channel, in any order")
             })?;
             continue;
         }
         if row.len() != columns.count() {
             let message = format!("the row has {} columns, not {}", row.len(), columns.count());
-            return Err(problem(&source, at, "input.csv", message)
+            return Err(row_problem(&source, at, "input.csv", message)
                 .help("each row is timestep,channel; a third column needs a header that names it 'sample'"));
         }
         let number = |column: usize, what: &str| {
             row[column].parse::<u32>().map_err(|_| {
                 let message = format!("{what} '{}' is not a whole number from 0 to 2^32 - 1", shortened(&row[column]));
-                problem(&source, at, "input.csv", message)
+                row_problem(&source, at, "input.csv", message)
             })
         };
         let (step, channel) = (number(columns.step, "timestep")?, number(columns.channel, "channel")?);
         if u64::from(channel) >= units {
             let message = format!("channel {channel} is outside the population's 0..{units}");
-            return Err(problem(&source, at, "input.channel", message));
+            return Err(row_problem(&source, at, "input.channel", message));
         }
         let limit = comments.steps.unwrap_or(MOST_STEPS);
         if step >= limit {
             let message = format!("timestep {step} is outside the recording's 0..{limit}");
-            return Err(problem(&source, at, "input.step", message));
+            return Err(row_problem(&source, at, "input.step", message));
         }
         let sample = columns.sample.map_or(Ok(0), |column| number(column, "sample"))? as usize;
         last = last.max(Some(step));
@@ -99,7 +99,7 @@ pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic
             let steps = u64::from(comments.steps.or(last.map(|last| last + 1)).unwrap_or(1));
             if (sample as u64 + 1) * steps > MOST_STEPS_TOGETHER {
                 let message = format!("sample {sample} makes more than {MOST_STEPS_TOGETHER} timesteps in all");
-                return Err(problem(&source, at, "input.step", message));
+                return Err(row_problem(&source, at, "input.step", message));
             }
             samples.resize_with(sample + 1, Vec::new);
         }
@@ -163,18 +163,23 @@ impl Comments {
     }
 }
 
-fn problem(source: &SourceText, at: usize, code: &'static str, message: String) -> Diagnostic {
-    let text = source.text();
-    // The csv crate places a row where the one before ended; empty lines and comments may stand between.
-    let mut start = at.min(text.len());
-    while let Some(line) = text.get(start..).and_then(|rest| rest.split_inclusive('\n').next()) {
-        if !line.trim().is_empty() && !line.trim_start().starts_with('#') || line.starts_with('#') && start == at {
+/// A problem with the row at a byte. The csv crate places a row where the one before ended; empty lines and comments may
+/// stand between.
+fn row_problem(source: &SourceText, at: usize, code: &'static str, message: String) -> Diagnostic {
+    let mut start = at;
+    for line in source.text().get(at..).unwrap_or_default().split_inclusive('\n') {
+        if !line.trim().is_empty() && !line.starts_with('#') {
             break;
         }
         start += line.len();
     }
-    let end = text.get(start..).and_then(|rest| rest.find('\n')).map_or(text.len(), |length| start + length);
-    Diagnostic::new(code, message).at(source, Span { start, end })
+    problem(source, start, code, message)
+}
+
+/// A problem with the line at a byte.
+fn problem(source: &SourceText, start: usize, code: &'static str, message: String) -> Diagnostic {
+    let line = source.text().get(start..).unwrap_or_default().lines().next().unwrap_or_default();
+    Diagnostic::new(code, message).at(source, Span { start, end: start + line.len() })
 }
 
 fn shortened(text: &str) -> String {

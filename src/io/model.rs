@@ -186,7 +186,7 @@ Network(
         let folder = folder();
         let error = load(&folder, &EVERYTHING.replace("v.npy", "absent.npy")).unwrap_err();
         let position = error.position().unwrap();
-        assert_eq!((error.code, position.line, position.column), ("io.missing", 8, 70), "{error}");
+        assert_eq!((error.code, position.line, position.column), ("io.missing", 8, 74), "{error}");
         assert!(error.message.contains("absent.npy: there is no such file"), "{error}");
         let error = load(&folder, &EVERYTHING.replace("fc.weight", "fc.wait")).unwrap_err();
         assert_eq!((error.code, error.position().unwrap().line), ("safetensors.key", 12));

@@ -139,6 +139,7 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
     let mut quote = None;
     let mut number: Option<u64> = None;
     let mut numbers = 1u64;
+    let mut empty = false;
     let mut escaped = false;
     for &byte in header.iter().chain(b" ") {
         if let Some(open) = quote {
@@ -154,6 +155,7 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
             number = Some(number.unwrap_or(0).saturating_mul(10).saturating_add(u64::from(byte - b'0')));
             continue;
         }
+        empty |= number == Some(0);
         numbers = numbers.saturating_mul(number.take().unwrap_or(1).max(1));
         match byte {
             b'\'' | b'"' => quote = Some(byte),
@@ -165,9 +167,9 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
             return problem("npy.format", format!("the header has brackets deeper than {DEEPEST_HEADER}"));
         }
     }
-    // Every number of an array takes at least a byte.
+    // Every number of an array takes at least a byte; an array with an empty axis has none, however long the others are.
     let there = (bytes.len() - start - length) as u64;
-    if numbers > there {
+    if numbers > if empty { u64::from(u32::MAX) } else { there } {
         return problem(
             "npy.shape",
             format!("the shape in the header asks for at least {numbers} bytes, and {there} follow it"),
@@ -480,7 +482,9 @@ mod tests {
     #[test]
     fn scalars_and_empty_arrays_are_arrays() {
         assert_eq!(parse(file("'|u1'", "False", "()", &[7])).unwrap().numbers(), &Numbers::Integers(vec![7]));
-        assert_eq!(parse(file("'|u1'", "True", "(0, 3)", &[])).unwrap_err().code, "npy.shape");
+        assert_eq!(parse(file("'<i4'", "True", "(0, 3)", &[])).unwrap().shape(), [0, 3]);
+        let overflows = file("'|u1'", "False", "(9223372036854775808, 9223372036854775808, 0)", &[]);
+        assert_eq!(code(overflows), "npy.shape");
         assert_eq!(parse(file("'|u1'", "False", "(0,)", &[])).unwrap().len(), 0);
     }
 

@@ -145,7 +145,7 @@ pub(crate) mod tests {
     #[test]
     fn problems_point_into_the_file_that_has_them() {
         let error = load(&TARGET.replace("\"one\"", "\"two\""), CHIP, &constants()).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().column), ("target.part", 41), "{error}");
+        assert_eq!((error.code, error.position().unwrap().column), ("target.part", 36), "{error}");
         let error = load(&TARGET.replace("chips_x: 2", "chips_x: 200"), CHIP, &constants()).unwrap_err();
         assert_eq!((error.code, error.position().unwrap().line), ("target.size", 2));
         let error = load(TARGET, &CHIP.replace("cores: 4", "cores: 5"), &constants()).unwrap_err();

@@ -16,10 +16,7 @@ fn exists(path: &Path) -> Diagnostic {
 }
 
 fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
-    match error.kind() {
-        ErrorKind::AlreadyExists => exists(path),
-        _ => Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path),
-    }
+    Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
 }
 
 /// Whether a file may be written there: asked before a long run, so that it does not fail at its end.
@@ -74,7 +71,11 @@ pub fn file(
     out.flush().map_err(fail)?;
     drop(out);
     let kept = if force { temporary.persist(path) } else { temporary.persist_noclobber(path) };
-    kept.map(drop).map_err(|error| failed(path, &error.error))
+    kept.map(drop).map_err(|error| match error.error.kind() {
+        // Somebody else made it in the meantime.
+        ErrorKind::AlreadyExists => exists(path),
+        _ => failed(path, &error.error),
+    })
 }
 
 /// Writes a text file.

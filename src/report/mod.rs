@@ -1,5 +1,7 @@
-//! Results as text for people, JSON for scripts and CSV for spreadsheets.
+//! Results as people and scripts read them: text, JSON, CSV.
 //!
-//! In come values of the stages below; out go strings. Nothing is computed here that another stage could need.
+//! Goes in: finished results. Comes out: strings; writing them is the command line's. Nothing is computed here but the
+//! rounding of what is printed.
 
+pub mod energy;
 pub mod map;
