@@ -344,7 +344,7 @@ pub(crate) mod tests {
         let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
         let mut meter = StepMeter::new(tables, tiles);
         for step in steps {
-            activity.add_step(step);
+            activity.add_steps(step, 1);
             meter.add(step);
         }
         (activity, meter)

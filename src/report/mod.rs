@@ -4,3 +4,4 @@
 //! rounding of what is printed.
 
 pub mod energy;
+pub mod run;
