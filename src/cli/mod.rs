@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand turns what was typed into a validated job, calls the library, and writes.
 
 pub mod energy;
+pub mod inspect;
 
 /// How results are printed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]

@@ -5,10 +5,13 @@
 //! the value.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
+use ron::value::RawValue;
+use serde::de::{DeserializeSeed, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use super::spanned::{Shape, Spanned, parse_shape, shape_of};
+use super::spanned::{Shape, Spanned, parse_entry, parse_list, parse_shape, shape_of};
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::base::fixed::SignMode;
@@ -68,47 +71,117 @@ pub struct Weights {
     pub span: Span,
 }
 
-/// Nested lists of numbers of any depth up to four, which is what a convolution kernel has.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum Nested {
-    Number(f64),
-    List(Vec<Nested>),
+/// The deepest lists: a convolution kernel is `[C'][C / groups][kh][kw]`.
+const DEEPEST: usize = 4;
+
+/// Appends the numbers of one entry of a list, straight into one vector: a file of many small numbers must not cost many
+/// times its size while it is being read.
+struct Entry<'a> {
+    depth: usize,
+    shape: &'a mut Vec<usize>,
+    numbers: &'a mut Vec<f64>,
 }
 
-fn flatten(nested: &Nested, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<f64>) -> Result<(), &'static str> {
-    match nested {
-        Nested::Number(x) if shape.len() == depth => {
-            numbers.push(*x);
-            Ok(())
+impl<'de> DeserializeSeed<'de> for Entry<'_> {
+    type Value = ();
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Entry<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number or a list of numbers")
+    }
+
+    fn visit_f64<E: serde::de::Error>(self, x: f64) -> Result<(), E> {
+        if self.shape.len() != self.depth {
+            return Err(E::custom("a number stands where the other rows have a list"));
         }
-        Nested::Number(_) => Err("a number stands where the other rows have a list"),
-        Nested::List(items) => {
-            if shape.len() == depth {
-                if !numbers.is_empty() {
-                    return Err("a list stands where the other rows have a number");
-                }
-                shape.push(items.len());
-            } else if shape[depth] != items.len() {
-                return Err("the rows have different lengths");
+        if !x.is_finite() {
+            return Err(E::custom(format_args!("{x} is not a finite number")));
+        }
+        self.numbers.push(x);
+        Ok(())
+    }
+
+    fn visit_i64<E: serde::de::Error>(self, x: i64) -> Result<(), E> {
+        self.visit_f64(x as f64)
+    }
+
+    fn visit_u64<E: serde::de::Error>(self, x: u64) -> Result<(), E> {
+        self.visit_f64(x as f64)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<(), A::Error> {
+        let Entry { depth, shape, numbers } = self;
+        if depth == DEEPEST {
+            return Err(serde::de::Error::custom(format_args!("lists are nested deeper than {DEEPEST}")));
+        }
+        // The first list met at a depth fixes how long all others there are.
+        let first = shape.len() == depth;
+        if first {
+            if !numbers.is_empty() {
+                return Err(serde::de::Error::custom("a list stands where the other rows have a number"));
             }
-            items.iter().try_for_each(|item| flatten(item, depth + 1, shape, numbers))
+            shape.push(0);
         }
+        let mut length = 0;
+        while items.next_element_seed(Entry { depth: depth + 1, shape: &mut *shape, numbers: &mut *numbers })?.is_some()
+        {
+            length += 1;
+        }
+        if first {
+            shape[depth] = length;
+        } else if shape[depth] != length {
+            return Err(serde::de::Error::custom(format_args!(
+                "the rows have different lengths: {length} here, {} before",
+                shape[depth]
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// The rows of a list in place, each with its span.
+struct Rows<'a> {
+    shape: &'a mut Vec<usize>,
+    numbers: &'a mut Vec<f64>,
+    spans: &'a mut Vec<Span>,
+}
+
+impl<'de> DeserializeSeed<'de> for Rows<'_> {
+    type Value = ();
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Rows<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<(), A::Error> {
+        while let Some(row) = items.next_element::<&RawValue>()? {
+            let entry = Entry { depth: 1, shape: &mut *self.shape, numbers: &mut *self.numbers };
+            self.spans.push(parse_entry(row, entry)?);
+        }
+        self.shape[0] = self.spans.len();
+        Ok(())
     }
 }
 
 /// Numbers in place, from the text of a list.
 fn in_place<E: serde::de::Error>(text: &str, span: Span) -> Result<Source, E> {
-    let rows: Vec<Spanned<Nested>> = parse_shape(text, span)?;
-    let mut shape = vec![rows.len()];
+    let mut shape = vec![0];
     let mut numbers = Vec::new();
-    let mut spans = Vec::with_capacity(rows.len());
-    for row in &rows {
-        if let Err(problem) = flatten(&row.value, 1, &mut shape, &mut numbers) {
-            return super::spanned::refuse(row.span, problem);
-        }
-        spans.push(row.span);
-    }
+    let mut spans = Vec::new();
+    parse_list(text, span, Rows { shape: &mut shape, numbers: &mut numbers, spans: &mut spans })?;
     match Tensor::new(shape, Numbers::Reals(numbers)) {
         Some(tensor) => Ok(Source::InPlace(tensor, spans)),
         None => super::spanned::refuse(span, "the rows have different lengths"),

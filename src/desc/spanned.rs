@@ -8,7 +8,8 @@ use std::cell::Cell;
 
 use ron::extensions::Extensions;
 use ron::value::RawValue;
-use serde::de::{Deserialize, DeserializeOwned, Deserializer};
+use serde::de::{Deserialize, DeserializeOwned, DeserializeSeed, Deserializer};
+use serde::ser::{Serialize, Serializer};
 
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 
@@ -81,7 +82,15 @@ fn offset_of(text: &str, position: ron::error::Position) -> usize {
 }
 
 fn nested<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
-    options().from_str(text).map_err(|error| {
+    nested_seed(text, span, std::marker::PhantomData)
+}
+
+fn nested_seed<'de, S: DeserializeSeed<'de>, E: serde::de::Error>(
+    text: &'de str,
+    span: Span,
+    seed: S,
+) -> Result<S::Value, E> {
+    options().from_str_seed(text, seed).map_err(|error| {
         if INNERMOST.get().is_none() {
             let start = span.start + offset_of(text, error.span.start);
             let end = span.start + offset_of(text, error.span.end);
@@ -103,6 +112,12 @@ impl<'de, T: DeserializeOwned> Deserialize<'de> for Spanned<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let (text, span) = place_of(<&RawValue>::deserialize(deserializer)?);
         Ok(Spanned { value: nested(text, span)?, span })
+    }
+}
+
+impl<T: Serialize> Serialize for Spanned<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.value.serialize(serializer)
     }
 }
 
@@ -133,6 +148,27 @@ pub(crate) fn shape_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Sh
 /// Parses the text of a [`Shape`].
 pub(crate) fn parse_shape<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
     nested(text, span)
+}
+
+/// Parses the text of a [`Shape::List`] with a seed.
+pub(crate) fn parse_list<'de, S: DeserializeSeed<'de>, E: serde::de::Error>(
+    text: &'de str,
+    span: Span,
+    seed: S,
+) -> Result<S::Value, E> {
+    nested_seed(text, span, seed)
+}
+
+/// Parses one raw entry of a list with a seed, and says where it stands; a failure is reported at the entry.
+pub(crate) fn parse_entry<'de, S: DeserializeSeed<'de, Value = ()>, E: serde::de::Error>(
+    raw: &'de RawValue,
+    seed: S,
+) -> Result<Span, E> {
+    let (text, span) = place_of(raw);
+    match options().from_str_seed(text, seed) {
+        Ok(()) => Ok(span),
+        Err(error) => fail(span, error.code),
+    }
 }
 
 /// Parses a whole RON text.

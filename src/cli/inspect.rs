@@ -1,0 +1,686 @@
+//! `nsim inspect FILE`: what a file holds.
+//!
+//! Comes in: a file, a folder, or the name of something shipped. Goes out: its kind, what it says about itself, and tables
+//! of its parts. Nothing is compiled: a model that is inspected may still be refused by `nsim map`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use comfy_table::{CellAlignment, ContentArrangement, Table};
+use serde_json::{Map, Value, json};
+
+use super::{Answer, Context, Format};
+use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::desc::mapping::MappingFile;
+use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
+use crate::desc::spanned::parse;
+use crate::desc::target::{Chip, Constants, Limits, Target};
+use crate::desc::tensor::Tensor;
+use crate::error::Error;
+use crate::io::shipped::{self, Origin};
+use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text, write};
+
+/// What was typed.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "EXAMPLES:
+  nsim inspect vtsnn-slip                 a shipped model
+  nsim inspect nahuku-32                  a shipped target and its constants
+  nsim inspect weights.npy --format json  shape, type and range of an array
+  nsim inspect recordings/                a folder of sample_<i>_label_<c>.npy")]
+pub struct Args {
+    /// A model, target, mapping, data set, .npy, .safetensors or .csv file, a folder of recordings, or a shipped name
+    pub file: String,
+}
+
+/// What was found: facts about the whole, and tables of its parts.
+struct Findings {
+    kind: &'static str,
+    facts: Vec<(&'static str, Value)>,
+    tables: Vec<Rows>,
+}
+
+/// A table of parts.
+struct Rows {
+    key: &'static str,
+    columns: &'static [&'static str],
+    rows: Vec<Vec<Value>>,
+}
+
+/// Says what a file holds.
+///
+/// # Errors
+/// When the file cannot be read, or its kind is not known.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let findings = inspect(&args.file)?;
+    let text = match context.format {
+        Format::Text => findings.text(&args.file),
+        Format::Json => findings.json(&args.file),
+        Format::Csv => findings.csv().map_err(|error| Error::Fault(format!("csv: {error}")))?,
+    };
+    write::stdout(&text)?;
+    Ok(Answer::Yes)
+}
+
+fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
+    if !shipped::is_path(argument) && !Path::new(argument).exists() {
+        return inspect_shipped(argument);
+    }
+    let path = Path::new(argument);
+    if path.is_dir() {
+        return inspect_folder(path);
+    }
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    match extension.as_deref() {
+        Some("npy") => inspect_npy(path),
+        Some("safetensors") => inspect_safetensors(path),
+        Some("csv") => inspect_csv(path),
+        Some("ron") => inspect_ron(text::read_text(path)?, Origin::File),
+        None if text::is_standard_stream(path) => inspect_ron(text::read_text(path)?, Origin::File),
+        _ => {
+            // A file that is not there is a better answer than an extension that is not known.
+            text::read_bytes(path, u64::MAX - 1).map(drop).or_else(|problem| match problem.code {
+                "io.too-large" => Ok(()),
+                _ => Err(problem),
+            })?;
+            Err(Diagnostic::new("inspect.kind", "files of this kind are not known")
+                .help("known are .ron, .npy, .safetensors and .csv, and folders of recordings")
+                .in_file(path))
+        }
+    }
+}
+
+fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
+    let tables = [shipped::MODELS, shipped::TARGETS, shipped::CHIPS, shipped::CONSTANTS];
+    for table in tables {
+        if let Some(found) = shipped::Shipped::find(table, name) {
+            return inspect_ron(found.source(), Origin::Shipped);
+        }
+    }
+    let names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
+    Err(Diagnostic::new("inspect.unknown", format!("there is no file and nothing shipped named '{name}'"))
+        .help(format!("shipped are: {}", names.join(", "))))
+}
+
+/// The name in front of the first bracket of a RON text, past comments and attributes.
+fn root_name(text: &str) -> &str {
+    let mut rest = text;
+    loop {
+        rest = rest.trim_start();
+        let end = if rest.starts_with("//") {
+            rest.find('\n')
+        } else if rest.starts_with("/*") {
+            rest.find("*/").map(|end| end + 2)
+        } else if rest.starts_with("#!") {
+            rest.find(']').map(|end| end + 1)
+        } else {
+            let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+            return &rest[..end];
+        };
+        match end {
+            Some(end) => rest = &rest[end..],
+            None => return "",
+        }
+    }
+}
+
+fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnostic> {
+    match root_name(source.text()) {
+        "Network" => Ok(of_network(&model::network(source, origin)?)),
+        "Target" => Ok(of_target(&target::target(&source, origin)?)),
+        "Chip" => Ok(of_chip(&parse::<Chip>(&source, "chip.syntax")?)),
+        "Constants" => Ok(of_constants(&target::parse_constants(&source)?)),
+        "Mapping" => Ok(of_mapping(&parse(&source, "mapping.syntax")?)),
+        "DataSet" => Ok(of_dataset(&dataset::manifest(source)?)),
+        other => Err(Diagnostic::new(
+            "inspect.kind",
+            if other.is_empty() {
+                "the file does not say what it is".to_string()
+            } else {
+                format!("'{other}' is not a kind of file of nsim")
+            },
+        )
+        .help("a .ron file begins with Network(, Target(, Chip(, Constants(, Mapping( or DataSet(")
+        .in_file(source.path())),
+    }
+}
+
+fn units_of(shape: &[u64]) -> Option<u64> {
+    shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
+}
+
+/// How many of the places of a window that slides over an axis lie on the axis, over all its positions.
+fn taps(input: u64, output: u64, kernel: u64, stride: u64, padding: u64, dilation: u64) -> Option<u64> {
+    if output.checked_mul(kernel)? > 1 << 24 {
+        return None;
+    }
+    let on_axis = |o: u64, k: u64| {
+        let place = o.checked_mul(stride)?.checked_add(k.checked_mul(dilation)?)?.checked_sub(padding)?;
+        (place < input).then_some(())
+    };
+    Some((0..output).map(|o| (0..kernel).filter(|&k| on_axis(o, k).is_some()).count() as u64).sum())
+}
+
+/// The synapses that a projection makes, when its shapes let them be counted.
+fn synapses(network: &Network, projection: &ProjectionDesc) -> Option<u64> {
+    let shape_of = |name: &str| {
+        let found = network.file().populations.iter().find(|population| population.value.name().value == name)?;
+        Some(found.value.shape().value.as_slice())
+    };
+    let ends = projection.synapse();
+    let sources = ends.from.iter().try_fold(0u64, |sum, name| sum.checked_add(units_of(shape_of(&name.value)?)?))?;
+    let volumes = || match (shape_of(&ends.from.first()?.value)?, shape_of(&ends.to.value)?) {
+        (&[_, h, w], &[c, to_h, to_w]) => Some((h, w, c, to_h, to_w)),
+        _ => None,
+    };
+    match projection {
+        ProjectionDesc::Dense(_) => sources.checked_mul(units_of(shape_of(&ends.to.value)?)?),
+        ProjectionDesc::Sparse(sparse) => Some(sparse.synapses.len() as u64),
+        ProjectionDesc::Random(random) => sources.checked_mul(random.fan_out.value),
+        ProjectionDesc::Conv2d(conv) => {
+            let (h, w, c, to_h, to_w) = volumes()?;
+            let kernel = match &conv.weights.source {
+                Source::InPlace(tensor, _) => tensor.shape(),
+                Source::File(reference) => network.array(reference).shape(),
+                Source::Uniform { .. } => return None,
+            };
+            let &[_, per_group, kh, kw] = kernel else { return None };
+            let of =
+                |pair: &Option<crate::desc::spanned::Spanned<(u64, u64)>>, or| pair.as_ref().map_or(or, |p| p.value);
+            let (stride, padding, dilation) =
+                (of(&conv.stride, (1, 1)), of(&conv.padding, (0, 0)), of(&conv.dilation, (1, 1)));
+            let y = taps(h, to_h, kh as u64, stride.0, padding.0, dilation.0)?;
+            let x = taps(w, to_w, kw as u64, stride.1, padding.1, dilation.1)?;
+            c.checked_mul(per_group as u64)?.checked_mul(y)?.checked_mul(x)
+        }
+        ProjectionDesc::SumPool2d(pool) => {
+            let (h, w, c, to_h, to_w) = volumes()?;
+            let kernel = pool.kernel.value;
+            let stride = pool.stride.as_ref().map_or(kernel, |stride| stride.value);
+            let padding = pool.padding.as_ref().map_or((0, 0), |padding| padding.value);
+            let y = taps(h, to_h, kernel.0, stride.0, padding.0, 1)?;
+            let x = taps(w, to_w, kernel.1, stride.1, padding.1, 1)?;
+            c.checked_mul(y)?.checked_mul(x)
+        }
+    }
+}
+
+fn of_network(network: &Network) -> Findings {
+    let file = network.file();
+    let populations = file
+        .populations
+        .iter()
+        .map(|population| {
+            let desc = &population.value;
+            let (kind, parameters) = match desc {
+                PopulationDesc::Input { .. } => ("input", String::new()),
+                PopulationDesc::Loihi(loihi) => {
+                    let shown = [
+                        ("du", &loihi.du),
+                        ("dv", &loihi.dv),
+                        ("tau_u_ms", &loihi.tau_u_ms),
+                        ("tau_v_ms", &loihi.tau_v_ms),
+                        ("vth_mant", &loihi.vth_mant),
+                        ("vth", &loihi.vth),
+                        ("bias_mant", &loihi.bias_mant),
+                        ("bias", &loihi.bias),
+                        ("refractory", &loihi.refractory),
+                    ];
+                    let given = shown.into_iter().filter_map(|(name, parameter)| {
+                        Some(match &parameter.as_ref()?.value {
+                            ParameterValue::Same(x) => format!("{name} {x}"),
+                            ParameterValue::Each(_) => format!("{name} each"),
+                        })
+                    });
+                    ("loihi", given.collect::<Vec<_>>().join(", "))
+                }
+            };
+            let shape = &desc.shape().value;
+            vec![json!(desc.name().value), json!(kind), json!(shape), json!(units_of(shape)), json!(parameters)]
+        })
+        .collect();
+    let projections: Vec<Vec<Value>> = file
+        .projections
+        .iter()
+        .map(|projection| {
+            let desc = &projection.value;
+            let kind = match desc {
+                ProjectionDesc::Dense(_) => "dense",
+                ProjectionDesc::Sparse(_) => "sparse",
+                ProjectionDesc::Conv2d(_) => "conv2d",
+                ProjectionDesc::SumPool2d(_) => "sumpool2d",
+                ProjectionDesc::Random(_) => "random",
+            };
+            let ends = desc.synapse();
+            let from: Vec<&str> = ends.from.iter().map(|name| name.value.as_str()).collect();
+            let delay = ends.delay.map_or(0, |delay| delay.value);
+            vec![
+                json!(from.join(" + ")),
+                json!(ends.to.value),
+                json!(kind),
+                json!(synapses(network, desc)),
+                json!(delay),
+            ]
+        })
+        .collect();
+    let together = projections.iter().map(|row| row[3].as_u64()).try_fold(0u64, |sum, n| sum.checked_add(n?));
+    let classes = file.classes.as_ref().map(|classes| &classes.value);
+    Findings {
+        kind: "model",
+        facts: vec![
+            ("name", json!(file.name)),
+            ("timestep_ms", json!(file.timestep_ms.value)),
+            ("semantics", json!(file.semantics)),
+            ("threshold", json!(file.threshold)),
+            ("output", json!(file.output.value)),
+            ("classes", json!(classes)),
+            ("synapses", json!(together)),
+            ("scene", json!(file.scene)),
+            ("provenance", json!(file.provenance)),
+        ],
+        tables: vec![
+            Rows { key: "populations", columns: &["name", "kind", "shape", "units", "parameters"], rows: populations },
+            Rows { key: "projections", columns: &["from", "to", "kind", "synapses", "delay"], rows: projections },
+        ],
+    }
+}
+
+fn limits_table(limits: &Limits) -> Rows {
+    let rows = match json!(limits) {
+        Value::Object(map) => map.into_iter().map(|(name, value)| vec![json!(name), value]).collect(),
+        _ => Vec::new(),
+    };
+    Rows { key: "limits", columns: &["limit", "value"], rows }
+}
+
+fn constants_table(presets: &[Constants]) -> Rows {
+    let mut rows = Vec::new();
+    for preset in presets {
+        let mut add = |name: String, constant: &crate::desc::target::Constant| {
+            rows.push(vec![
+                json!(preset.name),
+                json!(name),
+                json!(constant.value.value),
+                json!(constant.unit),
+                json!(constant.status),
+                json!(constant.source),
+            ]);
+        };
+        for (name, constant) in preset.list() {
+            add(name.to_string(), constant);
+        }
+        for entry in &preset.barrier {
+            add(format!("barrier, {} tiles", entry.tiles), &entry.time);
+        }
+    }
+    Rows { key: "constants", columns: &["preset", "name", "value", "unit", "status", "source"], rows }
+}
+
+fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {
+    vec![
+        ("tiles", json!([chip.width, chip.height])),
+        ("cores_per_tile", json!(chip.cores_per_tile)),
+        ("cores_per_chip", json!(chip.cores)),
+        ("x86_cores_per_chip", json!(chip.x86_cores)),
+        ("power_unit", json!(chip.power_unit)),
+        ("chip_notes", json!(chip.notes)),
+    ]
+}
+
+fn of_target(target: &Target) -> Findings {
+    let mut facts = vec![
+        ("name", json!(target.name())),
+        ("chip", json!(target.chip().name)),
+        ("chips", json!(target.chips())),
+        ("chips_x", json!(target.chips_x())),
+        ("cores", json!(target.cores())),
+    ];
+    facts.extend(chip_facts(target.chip()));
+    Findings { kind: "target", facts, tables: vec![constants_table(target.constants()), limits_table(target.limits())] }
+}
+
+fn of_chip(chip: &Chip) -> Findings {
+    let mut facts = vec![("name", json!(chip.name))];
+    facts.extend(chip_facts(chip));
+    Findings { kind: "chip", facts, tables: vec![limits_table(&chip.limits)] }
+}
+
+fn of_constants(constants: &Constants) -> Findings {
+    let facts = vec![("name", json!(constants.name)), ("notes", json!(constants.notes))];
+    Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
+}
+
+fn of_mapping(mapping: &MappingFile) -> Findings {
+    let rows = mapping
+        .cores
+        .iter()
+        .map(|core| {
+            let compartments: u64 = core.holds.iter().map(|run| u64::from(run.count)).sum();
+            let holds: Vec<String> = core
+                .holds
+                .iter()
+                .map(|run| {
+                    format!("{}[{}..{}]", run.population, run.first, u64::from(run.first) + u64::from(run.count))
+                })
+                .collect();
+            vec![
+                json!(core.chip),
+                json!(core.x),
+                json!(core.y),
+                json!(core.core),
+                json!(compartments),
+                json!(holds.join(" ")),
+            ]
+        })
+        .collect();
+    let mut chips: Vec<u32> = mapping.cores.iter().map(|core| core.chip).collect();
+    chips.sort_unstable();
+    chips.dedup();
+    Findings {
+        kind: "mapping",
+        facts: vec![
+            ("model", json!(mapping.model)),
+            ("target", json!(mapping.target)),
+            ("copies", json!(mapping.copies)),
+            ("strategy", json!(mapping.strategy)),
+            ("seed", json!(mapping.seed)),
+            ("cores_used", json!(mapping.cores.len())),
+            ("chips_used", json!(chips.len())),
+        ],
+        tables: vec![Rows { key: "cores", columns: &["chip", "x", "y", "core", "compartments", "holds"], rows }],
+    }
+}
+
+fn labels_table(labels: impl Iterator<Item = Option<u32>>, names: &[String]) -> Rows {
+    let mut counts: BTreeMap<Option<u32>, u64> = BTreeMap::new();
+    for label in labels {
+        *counts.entry(label).or_default() += 1;
+    }
+    let rows = counts
+        .into_iter()
+        .map(|(label, count)| {
+            let name = label.and_then(|label| names.get(label as usize));
+            vec![json!(label), json!(name), json!(count)]
+        })
+        .collect();
+    Rows { key: "labels", columns: &["label", "class", "samples"], rows }
+}
+
+fn of_dataset(manifest: &dataset::Manifest) -> Findings {
+    let set = manifest.set();
+    let folds: Vec<usize> = set.folds.iter().map(|fold| fold.value.len()).collect();
+    Findings {
+        kind: "dataset",
+        facts: vec![
+            ("name", json!(set.name)),
+            ("samples", json!(set.samples.len())),
+            ("steps", json!(set.steps)),
+            ("populations", json!(set.populations.values().collect::<Vec<_>>())),
+            ("classes", json!(set.classes)),
+            ("fold_sizes", json!(folds)),
+            ("seed", json!(set.seed)),
+            ("provenance", json!(set.provenance)),
+        ],
+        tables: vec![labels_table(set.samples.iter().map(|sample| sample.value.label), &set.classes)],
+    }
+}
+
+/// Least, greatest, and how many are not zero.
+fn range_of(tensor: &Tensor) -> (Option<f64>, Option<f64>, usize) {
+    let numbers = || (0..tensor.len()).map(|index| tensor.real(index));
+    (numbers().reduce(f64::min), numbers().reduce(f64::max), numbers().filter(|&x| x != 0.0).count())
+}
+
+/// A number as people write it: without a fraction when it has none.
+fn number(x: f64) -> Value {
+    if x.fract() == 0.0 && x.abs() < 9e15 { json!(x as i64) } else { json!(x) }
+}
+
+fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {
+    let array = npy::open(path)?;
+    let (dtype, tensor) = (array.dtype(), array.tensor()?);
+    let (least, greatest, non_zero) = range_of(&tensor);
+    let density = (!tensor.is_empty()).then(|| non_zero as f64 / tensor.len() as f64);
+    Ok(Findings {
+        kind: "npy",
+        facts: vec![
+            ("shape", json!(array.shape())),
+            ("dtype", json!(dtype)),
+            ("numbers", json!(tensor.len())),
+            ("min", json!(least.map(number))),
+            ("max", json!(greatest.map(number))),
+            ("spikes", json!(non_zero)),
+            ("density", json!(density)),
+        ],
+        tables: Vec::new(),
+    })
+}
+
+fn inspect_safetensors(path: &Path) -> Result<Findings, Diagnostic> {
+    let entries = safetensors::open(path)?.entries()?;
+    let rows = entries.iter().map(|entry| vec![json!(entry.key), json!(entry.dtype), json!(entry.shape)]).collect();
+    Ok(Findings {
+        kind: "safetensors",
+        facts: vec![("tensor_count", json!(entries.len()))],
+        tables: vec![Rows { key: "tensors", columns: &["key", "dtype", "shape"], rows }],
+    })
+}
+
+fn inspect_csv(path: &Path) -> Result<Findings, Diagnostic> {
+    let samples = event_csv::read(path, 1 << 32)?;
+    let events = || samples.iter().flat_map(|sample| &sample.events);
+    Ok(Findings {
+        kind: "events",
+        facts: vec![
+            ("samples", json!(samples.len())),
+            ("steps", json!(samples.first().map(|sample| sample.steps))),
+            ("spikes", json!(events().count())),
+            ("highest_channel", json!(events().map(|event| event.1).max())),
+            ("label", json!(samples.first().and_then(|sample| sample.label))),
+        ],
+        tables: Vec::new(),
+    })
+}
+
+fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
+    let listed = stimulus::list_folder(path)?;
+    let (mut spikes, mut places) = (0u64, 0u64);
+    let mut shapes: Vec<Vec<usize>> = Vec::new();
+    for (_, _, file) in &listed {
+        let array = npy::open(file)?;
+        array.each_non_zero(|_| {
+            spikes += 1;
+            Ok(())
+        })?;
+        places += array.shape().iter().product::<usize>() as u64;
+        if !shapes.iter().any(|shape| shape == array.shape()) {
+            shapes.push(array.shape().to_vec());
+        }
+    }
+    let mut steps: Vec<usize> = shapes.iter().filter_map(|shape| shape.last().copied()).collect();
+    steps.sort_unstable();
+    steps.dedup();
+    Ok(Findings {
+        kind: "recordings",
+        facts: vec![
+            ("samples", json!(listed.len())),
+            ("shapes", json!(shapes)),
+            ("steps", json!(steps)),
+            ("spikes", json!(spikes)),
+            ("density", json!((places > 0).then(|| spikes as f64 / places as f64))),
+        ],
+        tables: vec![labels_table(listed.iter().map(|(_, label, _)| Some(*label)), &[])],
+    })
+}
+
+/// A value for people: strings bare, lists as `[2, 3]`, nothing for what is not known.
+fn shown(value: &Value) -> String {
+    match value {
+        Value::Null => "-".to_string(),
+        Value::String(text) => text.clone(),
+        Value::Array(items) => format!("[{}]", items.iter().map(shown).collect::<Vec<_>>().join(", ")),
+        other => other.to_string(),
+    }
+}
+
+impl Findings {
+    fn text(&self, file: &str) -> String {
+        let mut out = format!("{file}: {}\n", self.kind);
+        let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
+        for (key, value) in self.facts.iter().filter(|(_, value)| !value.is_null()) {
+            let value = shown(value).replace('\n', &format!("\n  {:width$}  ", ""));
+            let _ = writeln!(out, "  {key:width$}  {value}");
+        }
+        for part in &self.tables {
+            let mut table = Table::new();
+            table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Dynamic);
+            table.set_header(part.columns.iter().copied());
+            for row in &part.rows {
+                table.add_row(row.iter().map(shown));
+            }
+            for (index, column) in table.column_iter_mut().enumerate() {
+                if !part.rows.is_empty() && part.rows.iter().all(|row| row[index].is_number() || row[index].is_null()) {
+                    column.set_cell_alignment(CellAlignment::Right);
+                }
+            }
+            let _ = writeln!(out, "\n{}\n{}", part.key, table.trim_fmt());
+        }
+        out
+    }
+
+    fn json(&self, file: &str) -> String {
+        let mut object = Map::new();
+        object.insert("schema".into(), json!("nsim.inspect/1"));
+        object.insert("kind".into(), json!(self.kind));
+        object.insert("file".into(), json!(file));
+        for (key, value) in &self.facts {
+            object.insert((*key).into(), value.clone());
+        }
+        for part in &self.tables {
+            let rows = part.rows.iter().map(|row| {
+                part.columns.iter().zip(row).map(|(column, value)| ((*column).to_string(), value.clone())).collect()
+            });
+            object.insert(part.key.into(), Value::Array(rows.map(Value::Object).collect()));
+        }
+        format!("{:#}\n", Value::Object(object))
+    }
+
+    /// The first table; facts as key and value when there is none.
+    fn csv(&self) -> Result<String, csv::Error> {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let cell = |value: &Value| if value.is_null() { String::new() } else { shown(value) };
+        match self.tables.first() {
+            Some(part) => {
+                writer.write_record(part.columns)?;
+                for row in &part.rows {
+                    writer.write_record(row.iter().map(cell))?;
+                }
+            }
+            None => {
+                writer.write_record(["key", "value"])?;
+                for (key, value) in &self.facts {
+                    writer.write_record([*key, &cell(value)])?;
+                }
+            }
+        }
+        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn findings(name: &str, bytes: &[u8]) -> Result<Findings, Diagnostic> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        inspect(path.to_str().unwrap())
+    }
+
+    fn object(findings: &Findings) -> Value {
+        serde_json::from_str(&findings.json("f")).unwrap()
+    }
+
+    const MODEL: &str = r#"/* a */ // b
+Network(name: "m", timestep_ms: 1.0,
+    populations: [
+        Input(name: "in", shape: [2, 4, 4]),
+        Loihi(name: "conv", shape: [3, 2, 2], du: 1, dv: [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1], vth_mant: 1),
+        Loihi(name: "pool", shape: [2, 2, 2]),
+        Loihi(name: "out", shape: [2]),
+    ],
+    projections: [
+        Conv2d(from: ["in"], to: "conv", stride: (2, 2), padding: (1, 1), weights: [
+            [[[1, 1, 1], [1, 1, 1], [1, 1, 1]], [[1, 1, 1], [1, 1, 1], [1, 1, 1]]],
+            [[[1, 1, 1], [1, 1, 1], [1, 1, 1]], [[1, 1, 1], [1, 1, 1], [1, 1, 1]]],
+            [[[1, 1, 1], [1, 1, 1], [1, 1, 1]], [[1, 1, 1], [1, 1, 1], [1, 1, 1]]],
+        ]),
+        SumPool2d(from: ["in"], to: "pool", kernel: (2, 2), weight: 1),
+        Dense(from: ["conv", "pool"], to: "out", weights: Uniform(low: -1, high: 1, seed: 1), delay: 2),
+        Random(from: ["out"], to: "out", fan_out: 3, low: -2, high: 2, seed: 1),
+    ],
+    output: "out",
+)"#;
+
+    #[test]
+    fn a_model_is_counted_without_being_compiled() {
+        let found = findings("m.ron", MODEL.as_bytes()).unwrap();
+        let object = object(&found);
+        // Of 3 places from -1 in steps of 2 over an axis of 4, the first window loses one: 2 + 3 on each axis.
+        let counts: Vec<_> = object["projections"].as_array().unwrap().iter().map(|p| p["synapses"].as_u64()).collect();
+        assert_eq!(counts, [Some(3 * 2 * 5 * 5), Some(2 * 4 * 4), Some(20 * 2), Some(6)]);
+        assert_eq!((&object["synapses"], &object["kind"]), (&json!(150 + 32 + 40 + 6), &json!("model")));
+        assert_eq!(object["populations"][1]["parameters"], "du 1, dv each, vth_mant 1");
+        assert!(found.text("m").contains("conv + pool"), "{}", found.text("m"));
+        assert!(found.csv().unwrap().starts_with("name,kind,shape,units,parameters\nin,input,\"[2, 4, 4]\",32,\n"));
+    }
+
+    #[test]
+    fn shapes_beyond_all_measure_have_no_count() {
+        let text = MODEL.replace("[2, 2, 2]", "[2, 9999999999, 9999999999]").replace("[2]", "[18446744073709551615]");
+        let object = object(&findings("m.ron", text.as_bytes()).unwrap());
+        assert_eq!((&object["synapses"], &object["projections"][2]["synapses"]), (&Value::Null, &Value::Null));
+    }
+
+    #[test]
+    fn arrays_events_and_folders_are_described() {
+        let mut bytes = Vec::new();
+        npy::write_i32(&mut bytes, &[2, 2], [0, -3, 0, 9]).unwrap();
+        let array = object(&findings("a.npy", &bytes).unwrap());
+        assert_eq!((&array["shape"], &array["dtype"]), (&json!([2, 2]), &json!("<i4")));
+        assert_eq!((&array["min"], &array["max"], &array["spikes"]), (&json!(-3), &json!(9), &json!(2)));
+        let events = findings("e.csv", b"# steps: 9\n3,77\n").unwrap();
+        assert_eq!(events.csv().unwrap().lines().nth(4).unwrap(), "highest_channel,77");
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["sample_0_label_1.npy", "sample_1_label_1.npy"] {
+            std::fs::write(folder.path().join(name), &bytes).unwrap();
+        }
+        let folder = object(&inspect(folder.path().to_str().unwrap()).unwrap());
+        assert_eq!(
+            (&folder["density"], &folder["labels"]),
+            (&json!(0.5), &json!([{"label": 1, "class": null, "samples": 2}]))
+        );
+    }
+
+    #[test]
+    fn a_mapping_is_listed_by_core() {
+        let text = r#"Mapping(model: "m", target: "t", copies: 1, strategy: "s", seed: 1, cores: [
+            (chip: 2, x: 0, y: 0, core: 1, holds: [(population: "a", first: 4294967295, count: 4294967295)])])"#;
+        let object = object(&findings("m.ron", text.as_bytes()).unwrap());
+        assert_eq!(
+            (&object["chips_used"], &object["cores"][0]["compartments"]),
+            (&json!(1), &json!(4_294_967_295_u32))
+        );
+    }
+
+    #[test]
+    fn what_is_not_known_is_said() {
+        assert_eq!(findings("a.ron", b"Zoo()").err().unwrap().code, "inspect.kind");
+        assert_eq!(findings("a.ron", b"/* x").err().unwrap().code, "inspect.kind");
+        assert_eq!(findings("a.xyz", b"").err().unwrap().code, "inspect.kind");
+        assert_eq!(inspect("./absent.xyz").err().unwrap().code, "io.missing");
+        assert_eq!(inspect("absent").err().unwrap().code, "inspect.unknown");
+    }
+}

@@ -1,0 +1,48 @@
+//! The mirror of a data-set manifest (`dataset.ron`): which files hold the recordings of which sample, and what is known
+//! about each.
+//!
+//! It names files and never reads them; `io::dataset` does, and checks that labels, folds and files agree.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::spanned::Spanned;
+
+/// One sample: a file for every population, and its class.
+#[derive(Debug, Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SampleEntry {
+    /// The file of each recording, relative to the manifest, by the names that `populations` lists.
+    pub files: BTreeMap<String, Spanned<String>>,
+    /// The class that the sample shows, when known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<u32>,
+}
+
+/// A data-set manifest as it is written.
+#[derive(Debug, Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, rename = "DataSet")]
+pub struct DataSet {
+    /// The data set's name.
+    pub name: String,
+    /// What `files` calls a recording, and the input population of the model that it is for.
+    pub populations: BTreeMap<String, String>,
+    /// Timesteps of every sample, when all have the same number; a file that differs is refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u32>,
+    /// Names of the classes, by label.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub classes: Vec<String>,
+    /// The samples, in run order.
+    pub samples: Vec<Spanned<SampleEntry>>,
+    /// For each fold of a cross-validation, the samples that it tests on.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub folds: Vec<Spanned<Vec<u32>>>,
+    /// The seed that made the data, when it is synthetic.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Where the data comes from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub provenance: Option<String>,
+}

@@ -1,0 +1,157 @@
+//! Runs samples through an engine and keeps what was asked for.
+//!
+//! Comes in: an engine, samples, the output population, probes. Goes out: an [`Outcome`] for each sample, in run order.
+//! Samples share nothing: each begins from rest, nothing drains at its end.
+
+use sha2::{Digest, Sha256};
+
+use crate::base::id::CompartmentId;
+use crate::ir::activity::{Overflow, Totals};
+use crate::ir::spikes::{Engine, Sample};
+
+/// What a probe records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Quantity {
+    /// 0 or 1.
+    Spikes,
+    /// The current register.
+    U,
+    /// The membrane.
+    V,
+    /// What the chip's voltage register reads.
+    VRegister,
+}
+
+impl Quantity {
+    /// Every quantity with the name that arguments and files use.
+    pub const ALL: [(Quantity, &'static str); 4] =
+        [(Quantity::Spikes, "spikes"), (Quantity::U, "u"), (Quantity::V, "v"), (Quantity::VRegister, "v_register")];
+}
+
+/// A quantity of consecutive compartments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Probe {
+    /// The first compartment.
+    pub first: CompartmentId,
+    /// How many.
+    pub count: u32,
+    /// What to record.
+    pub quantity: Quantity,
+}
+
+/// What to keep of each sample.
+#[derive(Debug, Clone)]
+pub struct Keep {
+    /// First compartment and size of the output population.
+    pub output: (CompartmentId, u32),
+    /// Probes.
+    pub probes: Vec<Probe>,
+}
+
+/// What one sample did.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Outcome {
+    /// Spikes of each output.
+    pub counts: Vec<u32>,
+    /// (step, output) of each output spike, ascending.
+    pub spikes: Vec<(u32, u32)>,
+    /// Timesteps.
+    pub steps: u32,
+    /// Counts that any engine keeps.
+    pub totals: Totals,
+    /// What left its field.
+    pub overflow: Overflow,
+    /// For each probe `[compartments][steps]`.
+    pub probes: Vec<Vec<i32>>,
+    /// Timesteps that were not computed because nothing could happen in them.
+    pub skipped_steps: u64,
+}
+
+impl Outcome {
+    /// The output with most spikes, the lowest on a tie; none when all are silent.
+    #[must_use]
+    pub fn class(&self) -> Option<u32> {
+        let most = self.counts.iter().copied().max().filter(|&most| most > 0)?;
+        self.counts.iter().position(|&count| count == most).map(|class| class as u32)
+    }
+}
+
+/// Runs one sample; `after_step` sees the engine after each step.
+pub fn run_sample<E: Engine>(engine: &mut E, sample: &Sample, keep: &Keep, mut after_step: impl FnMut(&E)) -> Outcome {
+    let (first, size) = keep.output;
+    let mut outcome = Outcome { counts: vec![0; size as usize], steps: sample.steps(), ..Outcome::default() };
+    outcome.probes = keep.probes.iter().map(|probe| vec![0; probe.count as usize * sample.steps() as usize]).collect();
+    engine.begin(sample.steps());
+    for step in 0..sample.steps() {
+        engine.step(sample.at(step));
+        for &compartment in engine.spikes() {
+            if let Some(output) = compartment.0.checked_sub(first.0).filter(|&output| output < size) {
+                outcome.counts[output as usize] += 1;
+                outcome.spikes.push((step, output));
+            }
+        }
+        for (probe, kept) in keep.probes.iter().zip(&mut outcome.probes) {
+            record(engine, probe, step as usize, sample.steps() as usize, kept);
+        }
+        after_step(engine);
+    }
+    outcome.totals = engine.totals();
+    outcome.overflow = engine.overflow();
+    outcome
+}
+
+fn record<E: Engine>(engine: &E, probe: &Probe, step: usize, steps: usize, kept: &mut [i32]) {
+    let compartment = |i: u32| CompartmentId(probe.first.0 + i);
+    let read: fn(&E, CompartmentId) -> i32 = match probe.quantity {
+        Quantity::Spikes => {
+            for spike in engine.spikes() {
+                if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
+                    kept[i as usize * steps + step] = 1;
+                }
+            }
+            return;
+        }
+        Quantity::U => E::u,
+        Quantity::V => E::v,
+        Quantity::VRegister => E::v_register,
+    };
+    for i in 0..probe.count {
+        kept[i as usize * steps + step] = read(engine, compartment(i));
+    }
+}
+
+/// SHA-256 over little-endian u32 triples (sample in run order, step, output) of all output spikes, ascending.
+#[must_use]
+pub fn digest(outcomes: &[Outcome]) -> String {
+    let mut hash = Sha256::new();
+    for (sample, outcome) in outcomes.iter().enumerate() {
+        for &(step, output) in &outcome.spikes {
+            for word in [sample as u32, step, output] {
+                hash.update(word.to_le_bytes());
+            }
+        }
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_class_is_the_first_with_most_spikes() {
+        let class = |counts: &[u32]| Outcome { counts: counts.to_vec(), ..Outcome::default() }.class();
+        assert_eq!(class(&[1, 3, 3]), Some(1));
+        assert_eq!(class(&[0, 0]), None);
+    }
+
+    #[test]
+    fn the_digest_of_nothing_is_that_of_the_empty_string() {
+        assert_eq!(digest(&[]), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+        let one = Outcome { spikes: vec![(2, 1)], ..Outcome::default() };
+        assert_eq!(
+            digest(&[Outcome::default(), one]),
+            "d04468d46671f8bb09408f2dc16a4a4c0f9562beebf8835d408317adcf3a7528"
+        );
+    }
+}

@@ -1,0 +1,212 @@
+//! Model files with every array that they refer to.
+//!
+//! Comes in: a path or the name of a shipped model. Goes out: a [`Network`]. A problem with an array is reported at the
+//! place in the model file that names it, together with what is wrong with the array's file. Whether the numbers make
+//! sense is for `compile::lower`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::shipped::{self, Origin};
+use super::{npy, safetensors};
+use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::desc::network::{ArrayRef, Network, NetworkFile, array_refs};
+use crate::desc::spanned::parse;
+use crate::desc::tensor::Tensor;
+
+/// Loads a model: a path, `-`, or a shipped name.
+///
+/// # Errors
+/// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names them.
+pub fn load_model(argument: &str) -> Result<Network, Diagnostic> {
+    let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown")?;
+    network(source, origin)
+}
+
+/// Loads a model from its text; arrays are looked for beside the path of `source`, or among the shipped ones.
+///
+/// # Errors
+/// As [`load_model`].
+pub fn network(source: SourceText, origin: Origin) -> Result<Network, Diagnostic> {
+    let file: NetworkFile = parse(&source, "model.syntax")?;
+    let arrays = read_arrays(&source, origin, array_refs(&file))?;
+    Network::new(file, source, arrays)
+}
+
+fn read_arrays(
+    source: &SourceText,
+    origin: Origin,
+    references: Vec<(&ArrayRef, Span)>,
+) -> Result<BTreeMap<ArrayRef, Tensor>, Diagnostic> {
+    let mut arrays = BTreeMap::new();
+    // A safetensors file often holds every layer: it is read once.
+    let mut opened: BTreeMap<&str, safetensors::TensorFile> = BTreeMap::new();
+    for (reference, span) in references {
+        if arrays.contains_key(reference) {
+            continue;
+        }
+        let tensor = match reference {
+            ArrayRef::Npy(name) => {
+                bytes_of(source, origin, name, npy::open, npy::Array::from_bytes).and_then(|array| array.tensor())
+            }
+            ArrayRef::Safetensors(name, key) => {
+                if !opened.contains_key(name.as_str()) {
+                    let file = bytes_of(source, origin, name, safetensors::open, safetensors::TensorFile::from_bytes)
+                        .map_err(|problem| point_at(source, span, name, problem))?;
+                    opened.insert(name, file);
+                }
+                opened[name.as_str()].tensor(key)
+            }
+        };
+        let name = match reference {
+            ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _) => name,
+        };
+        arrays.insert(reference.clone(), tensor.map_err(|problem| point_at(source, span, name, problem))?);
+    }
+    Ok(arrays)
+}
+
+fn bytes_of<T>(
+    source: &SourceText,
+    origin: Origin,
+    name: &str,
+    open: impl Fn(&Path) -> Result<T, Diagnostic>,
+    from_bytes: impl Fn(&Path, Vec<u8>) -> Result<T, Diagnostic>,
+) -> Result<T, Diagnostic> {
+    match origin {
+        Origin::File => open(&beside(source.path(), name)),
+        Origin::Shipped => match shipped::ARRAYS.iter().find(|(path, _)| *path == name) {
+            Some((path, bytes)) => from_bytes(Path::new(path), bytes.to_vec()),
+            None => Err(Diagnostic::new("io.missing", "this array is not shipped")),
+        },
+    }
+}
+
+/// A file named within another, relative to that one.
+pub(super) fn beside(path: &Path, name: &str) -> PathBuf {
+    path.parent().unwrap_or(Path::new("")).join(name)
+}
+
+/// A problem with an array's file, reported where the model names it.
+fn point_at(source: &SourceText, span: Span, name: &str, problem: Diagnostic) -> Diagnostic {
+    let file = problem.file().map_or_else(|| name.to_string(), |file| file.display().to_string());
+    let mut pointed = Diagnostic::new(problem.code, format!("{file}: {}", problem.message)).at(source, span);
+    pointed.help = problem.help;
+    pointed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::desc::network::{ParameterValue, PopulationDesc, ProjectionDesc, Source};
+    use crate::desc::tensor::Numbers;
+
+    const EVERYTHING: &str = r#"// A comment.
+#![enable(implicit_some)]
+Network(
+    name: "all", /* nested /* comment */ */
+    timestep_ms: 1.0,
+    populations: [
+        Input(name: "µ-in", shape: [2, 3, 3]),
+        Loihi(name: "a", shape: [2], du: 1024, dv: [128, 256], vth_mant: Npy("v.npy"), refractory: 1,),
+        Loihi(name: "b", shape: [2], tau_u_ms: 3.5, tau_v_ms: Uniform(low: 1, high: 2.5, seed: 7), vth: 1, bias: -0.5),
+    ],
+    projections: [
+        Dense(from: ["µ-in"], to: "a", weights: Safetensors("w.safetensors", "fc.weight"), sign: Mixed, weight_exp: -1),
+        Dense(from: ["a"], to: "b", weights: [[2, -4], [6.0, 8e0]], sign: Excitatory, weight_bits: 8, delay: 3),
+        Sparse(from: ["a"], to: "b", synapses: [(0, 1, 2), (1, 0, -2.5)], weight_scale: 2.0),
+        Conv2d(from: ["µ-in"], to: "a", weights: [[[[1]], [[2]]]], stride: (2, 2), padding: (0, 1)),
+        SumPool2d(from: ["µ-in"], to: "a", kernel: (3, 3), weight: 1),
+        Random(from: ["a"], to: "b", fan_out: 2, low: -4, high: 4, seed: 0),
+    ],
+    output: "b",
+    classes: ["x", "y"],
+    reset: (interval: 10),
+    threshold: Inclusive,
+    semantics: Lava,
+    weight_rounding: Floor,
+    scene: "scene:slip?seed=1",
+    provenance: "made by hand",
+)
+"#;
+
+    fn folder() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let npy = std::fs::File::create(folder.path().join("v.npy")).unwrap();
+        npy::write_i32(npy, &[2], [80, 90]).unwrap();
+        let json = r#"{"fc.weight":{"dtype":"I8","shape":[2,18],"data_offsets":[0,36]}}"#;
+        let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(json.bytes());
+        bytes.extend([2; 36]);
+        std::fs::write(folder.path().join("w.safetensors"), bytes).unwrap();
+        folder
+    }
+
+    fn load(folder: &tempfile::TempDir, text: &str) -> Result<Network, Diagnostic> {
+        let path = folder.path().join("m.ron");
+        std::fs::write(&path, text).unwrap();
+        load_model(path.to_str().unwrap())
+    }
+
+    #[test]
+    fn every_kind_of_value_is_read_and_knows_its_place() {
+        let folder = folder();
+        let network = load(&folder, EVERYTHING).unwrap();
+        let text_of = |span: Span| &network.source().text()[span.start..span.end];
+        let file = network.file();
+        assert_eq!(text_of(file.populations[0].value.name().span), "\"µ-in\"");
+        let PopulationDesc::Loihi(a) = &file.populations[1].value else { panic!() };
+        let du = a.du.as_ref().unwrap();
+        assert!(matches!(du.value, ParameterValue::Same(x) if x == 1024.0));
+        assert_eq!(text_of(du.span), "1024");
+        let ParameterValue::Each(Source::InPlace(tensor, spans)) = &a.dv.as_ref().unwrap().value else { panic!() };
+        assert_eq!((tensor.numbers(), text_of(spans[1])), (&Numbers::Reals(vec![128.0, 256.0]), "256"));
+        let ParameterValue::Each(Source::File(reference)) = &a.vth_mant.as_ref().unwrap().value else { panic!() };
+        assert_eq!(network.array(reference).numbers(), &Numbers::Integers(vec![80, 90]));
+        let PopulationDesc::Loihi(b) = &file.populations[2].value else { panic!() };
+        let tau = &b.tau_v_ms.as_ref().unwrap();
+        assert!(matches!(tau.value, ParameterValue::Each(Source::Uniform { low: 1.0, high: 2.5, seed: 7 })));
+        assert_eq!(text_of(tau.span), "Uniform(low: 1, high: 2.5, seed: 7)");
+        let ProjectionDesc::Dense(first) = &file.projections[0].value else { panic!() };
+        let Source::File(reference) = &first.weights.source else { panic!() };
+        assert_eq!(network.array(reference).shape(), [2, 18]);
+        assert_eq!(text_of(file.projections[0].value.synapse().weight_exp.unwrap().span), "-1");
+        let ProjectionDesc::Dense(second) = &file.projections[1].value else { panic!() };
+        let Source::InPlace(tensor, spans) = &second.weights.source else { panic!() };
+        assert_eq!((tensor.shape(), text_of(spans[1])), (&[2, 2][..], "[6.0, 8e0]"));
+        let ProjectionDesc::Sparse(sparse) = &file.projections[2].value else { panic!() };
+        assert_eq!((sparse.synapses[1].value, text_of(sparse.synapses[1].span)), ((1, 0, -2.5), "(1, 0, -2.5)"));
+        let ProjectionDesc::Conv2d(conv) = &file.projections[3].value else { panic!() };
+        let Source::InPlace(kernel, _) = &conv.weights.source else { panic!() };
+        assert_eq!((kernel.shape(), conv.stride.as_ref().unwrap().value), (&[1, 2, 1, 1][..], (2, 2)));
+    }
+
+    #[test]
+    fn a_problem_with_an_array_stands_where_the_model_names_it() {
+        let folder = folder();
+        let error = load(&folder, &EVERYTHING.replace("v.npy", "absent.npy")).unwrap_err();
+        let position = error.position().unwrap();
+        assert_eq!((error.code, position.line, position.column), ("io.missing", 8, 74), "{error}");
+        assert!(error.message.contains("absent.npy: there is no such file"), "{error}");
+        let error = load(&folder, &EVERYTHING.replace("fc.weight", "fc.wait")).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("safetensors.key", 12));
+        assert!(error.help.unwrap().contains("fc.weight"));
+        std::fs::write(folder.path().join("v.npy"), [0u8; 4096]).unwrap();
+        let error = load(&folder, EVERYTHING).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("npy.format", 8));
+    }
+
+    #[test]
+    fn an_unknown_name_is_answered_with_the_shipped_ones() {
+        let error = load_model("vtsnn-slipp").unwrap_err();
+        assert_eq!(error.code, "model.unknown");
+        assert!(error.help.unwrap().contains("path to a .ron file"));
+    }
+
+    #[test]
+    fn every_shipped_model_loads() {
+        for model in shipped::MODELS {
+            load_model(model.name).unwrap_or_else(|error| panic!("{error}"));
+        }
+    }
+}

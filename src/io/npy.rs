@@ -1,0 +1,561 @@
+//! NumPy's `.npy` files.
+//!
+//! Comes in: a file's bytes. Goes out: an [`Array`], whose header has been held against the bytes that are there, and from
+//! it a [`Tensor`] in C order or the indices of its non-zero numbers. Object, complex, text, date and structured arrays
+//! are refused by name; `.npz` archives are not read. Also writes `u1` and `i4` arrays as they come.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use npyz::{DType, Endianness, NpyFile, NpyHeader, Order, TypeChar, WriterBuilder};
+
+use super::half::binary16;
+use super::text::{MOST_ARRAY, read_bytes};
+use crate::base::diagnostic::Diagnostic;
+use crate::desc::tensor::{Numbers, Tensor};
+
+/// The longest header that is read; NumPy's own reader stops at 10,000 bytes unless told otherwise.
+const MOST_HEADER: usize = 64 << 10;
+/// The deepest brackets of a header: a structured type within a structured type.
+const DEEPEST_HEADER: usize = 8;
+
+/// An array file whose header fits its bytes.
+pub struct Array {
+    path: PathBuf,
+    header: NpyHeader,
+    shape: Vec<usize>,
+    bytes: Vec<u8>,
+    data: usize,
+    element: Element,
+}
+
+/// The types of numbers that are read, as NumPy spells them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Element {
+    Bool,
+    I1,
+    I2,
+    I4,
+    I8,
+    U1,
+    U2,
+    U4,
+    U8,
+    F2,
+    F4,
+    F8,
+}
+
+impl Element {
+    fn of(dtype: &DType) -> Option<Element> {
+        let DType::Plain(plain) = dtype else { return None };
+        Some(match (plain.type_char(), plain.size_field()) {
+            (TypeChar::Bool, 1) => Element::Bool,
+            (TypeChar::Int, 1) => Element::I1,
+            (TypeChar::Int, 2) => Element::I2,
+            (TypeChar::Int, 4) => Element::I4,
+            (TypeChar::Int, 8) => Element::I8,
+            (TypeChar::Uint, 1) => Element::U1,
+            (TypeChar::Uint, 2) => Element::U2,
+            (TypeChar::Uint, 4) => Element::U4,
+            (TypeChar::Uint, 8) => Element::U8,
+            (TypeChar::Float, 2) => Element::F2,
+            (TypeChar::Float, 4) => Element::F4,
+            (TypeChar::Float, 8) => Element::F8,
+            _ => return None,
+        })
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Element::Bool | Element::I1 | Element::U1 => 1,
+            Element::I2 | Element::U2 | Element::F2 => 2,
+            Element::I4 | Element::U4 | Element::F4 => 4,
+            Element::I8 | Element::U8 | Element::F8 => 8,
+        }
+    }
+
+    fn is_real(self) -> bool {
+        matches!(self, Element::F2 | Element::F4 | Element::F8)
+    }
+}
+
+fn dtype_name(dtype: &DType) -> String {
+    let mut name = match dtype {
+        DType::Plain(plain) => plain.to_string(),
+        other => other.descr(),
+    };
+    if name.len() > 120 {
+        name = name.chars().take(120).collect();
+        name.push_str(" ..");
+    }
+    name
+}
+
+/// What an unreadable type holds, in words.
+fn kind_of(dtype: &DType) -> &'static str {
+    match dtype {
+        DType::Plain(plain) => match plain.type_char() {
+            TypeChar::Object => "Python objects (pickled)",
+            TypeChar::Complex => "complex numbers",
+            TypeChar::ByteStr | TypeChar::UnicodeStr => "text",
+            TypeChar::TimeDelta | TypeChar::DateTime => "dates or durations",
+            TypeChar::RawData => "raw data",
+            _ => "numbers of an unusual size",
+        },
+        DType::Record(_) | DType::Array(..) => "records of several fields",
+    }
+}
+
+/// The header's text, once its length, its depth and the sizes that it claims are known to be reasonable. Nothing of this
+/// is checked by the parser behind it, which recurses, allocates and multiplies as it is told.
+fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
+    let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
+    if !bytes.starts_with(b"\x93NUMPY") {
+        return match Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY")
+            .in_file(path)
+        {
+            d if bytes.starts_with(b"PK\x03\x04") => {
+                Err(d.help("this is an archive (.npz?); save each array with numpy.save"))
+            }
+            d => Err(d),
+        };
+    }
+    let (length, start) = match *bytes.get(6..).unwrap_or_default() {
+        [1, 0, a, b, ..] => (usize::from(u16::from_le_bytes([a, b])), 10),
+        [2 | 3, 0, a, b, c, d, ..] => (u32::from_le_bytes([a, b, c, d]) as usize, 12),
+        [major, minor, _, _, ..] if !(1..=3).contains(&major) || minor != 0 => {
+            return problem("npy.format", format!("version {major}.{minor} of the format is not known"));
+        }
+        _ => return problem("npy.truncated", "the file ends within its header".into()),
+    };
+    if length > MOST_HEADER {
+        return problem("npy.format", format!("the header claims {length} bytes; {MOST_HEADER} are read"));
+    }
+    let Some(header) = bytes.get(start..start + length) else {
+        return problem("npy.truncated", format!("the header claims {length} bytes and the file ends before"));
+    };
+    let mut depth = 0usize;
+    let mut quote = None;
+    let mut number: Option<u64> = None;
+    let mut numbers = 1u64;
+    let mut empty = false;
+    let mut escaped = false;
+    for &byte in header.iter().chain(b" ") {
+        if let Some(open) = quote {
+            match byte {
+                _ if escaped => escaped = false,
+                b'\\' => escaped = true,
+                _ if byte == open => quote = None,
+                _ => {}
+            }
+            continue;
+        }
+        if byte.is_ascii_digit() {
+            number = Some(number.unwrap_or(0).saturating_mul(10).saturating_add(u64::from(byte - b'0')));
+            continue;
+        }
+        empty |= number == Some(0);
+        numbers = numbers.saturating_mul(number.take().unwrap_or(1).max(1));
+        match byte {
+            b'\'' | b'"' => quote = Some(byte),
+            b'(' | b'[' | b'{' => depth += 1,
+            b')' | b']' | b'}' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        if depth > DEEPEST_HEADER {
+            return problem("npy.format", format!("the header has brackets deeper than {DEEPEST_HEADER}"));
+        }
+    }
+    // Every number of an array takes at least a byte; an array with an empty axis has none, however long the others are.
+    let there = (bytes.len() - start - length) as u64;
+    if numbers > if empty { u64::from(u32::MAX) } else { there } {
+        return problem(
+            "npy.shape",
+            format!("the shape in the header asks for at least {numbers} bytes, and {there} follow it"),
+        );
+    }
+    Ok(start + length)
+}
+
+/// Opens a file.
+///
+/// # Errors
+/// As [`read_bytes`] and [`Array::from_bytes`].
+pub fn open(path: &Path) -> Result<Array, Diagnostic> {
+    Array::from_bytes(path, read_bytes(path, MOST_ARRAY)?)
+}
+
+/// Reads a whole file into a tensor.
+///
+/// # Errors
+/// As [`open`] and [`Array::tensor`].
+pub fn read(path: &Path) -> Result<Tensor, Diagnostic> {
+    open(path)?.tensor()
+}
+
+impl Array {
+    /// An array from the bytes of its file; the path is for messages.
+    ///
+    /// # Errors
+    /// `npy.format`, `npy.dtype`, `npy.shape`, `npy.truncated`, `npy.trailing`.
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, Diagnostic> {
+        let data = check_header(path, &bytes)?;
+        let header = NpyHeader::from_reader(&bytes[..data]).map_err(|error| {
+            Diagnostic::new("npy.format", format!("the header cannot be read: {error}")).in_file(path)
+        })?;
+        let dtype = header.dtype();
+        let Some(element) = Element::of(&dtype) else {
+            return Err(Diagnostic::new(
+                "npy.dtype",
+                format!("the array's type {} holds {}, which are not read", dtype_name(&dtype), kind_of(&dtype)),
+            )
+            .help("save it as integers or floating-point numbers: array.astype(numpy.int32)")
+            .in_file(path));
+        };
+        let there = bytes.len() - data;
+        let overflow =
+            || Diagnostic::new("npy.shape", format!("shape {:?} is larger than memory", header.shape())).in_file(path);
+        let mut shape = Vec::with_capacity(header.shape().len());
+        let mut need = element.bytes();
+        for &axis in header.shape() {
+            let axis = usize::try_from(axis).map_err(|_| overflow())?;
+            need = need.checked_mul(axis).ok_or_else(overflow)?;
+            shape.push(axis);
+        }
+        if need != there {
+            let (code, word) = if there < need { ("npy.truncated", "only ") } else { ("npy.trailing", "") };
+            return Err(Diagnostic::new(
+                code,
+                format!(
+                    "shape {shape:?} of {} needs {need} bytes, and {word}{there} follow the header",
+                    dtype_name(&dtype)
+                ),
+            )
+            .in_file(path));
+        }
+        Ok(Array { path: path.into(), header, shape, bytes, data, element })
+    }
+
+    /// The axes.
+    #[must_use]
+    pub fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// The type of its numbers, as NumPy spells it.
+    #[must_use]
+    pub fn dtype(&self) -> String {
+        dtype_name(&self.header.dtype())
+    }
+
+    /// The file, for messages.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// An index in the order of the file as index in C order.
+    fn c_order(&self) -> impl Fn(usize) -> usize + use<> {
+        // Last axis of the file's order first: in Fortran order that is the first axis.
+        let fortran = self.header.order() == Order::Fortran && self.shape.len() > 1;
+        let shape = if fortran { self.shape.clone() } else { Vec::new() };
+        move |mut index| {
+            if !fortran {
+                return index;
+            }
+            let mut stride: usize = shape.iter().product();
+            let mut place = 0;
+            for &axis in &shape {
+                stride /= axis;
+                place += index % axis * stride;
+                index /= axis;
+            }
+            place
+        }
+    }
+
+    /// An index in C order as one index for each axis, for messages.
+    fn indices(&self, mut index: usize) -> Vec<usize> {
+        let mut indices = vec![0; self.shape.len()];
+        for (place, &axis) in indices.iter_mut().zip(&self.shape).rev() {
+            *place = index % axis;
+            index /= axis;
+        }
+        indices
+    }
+
+    fn wrong(&self, index: usize, value: impl std::fmt::Display, why: &str) -> Diagnostic {
+        Diagnostic::new("npy.value", format!("the number at {:?} is {value}, which is {why}", self.indices(index)))
+            .in_file(&self.path)
+    }
+
+    fn failed(&self, error: impl std::fmt::Display) -> Diagnostic {
+        Diagnostic::new("npy.format", format!("the numbers cannot be read: {error}")).in_file(&self.path)
+    }
+
+    /// Calls `f` with the C-order index of each number and the number.
+    fn each<T: npyz::Deserialize>(
+        &self,
+        mut f: impl FnMut(usize, T) -> Result<(), Diagnostic>,
+    ) -> Result<(), Diagnostic> {
+        let place = self.c_order();
+        let file = NpyFile::with_header(self.header.clone(), &self.bytes[self.data..]);
+        for (index, number) in file.data::<T>().map_err(|error| self.failed(error))?.enumerate() {
+            f(place(index), number.map_err(|error| self.failed(error))?)?;
+        }
+        Ok(())
+    }
+
+    /// Calls `f` with every number as a real, in the order of the file.
+    fn each_real(&self, mut f: impl FnMut(usize, f64) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
+        let mut finite = |index: usize, x: f64| {
+            if x.is_finite() { f(index, x) } else { Err(self.wrong(index, x, "not a finite number")) }
+        };
+        match self.element {
+            Element::F4 => self.each::<f32>(|index, x| finite(index, f64::from(x))),
+            Element::F8 => self.each::<f64>(finite),
+            _ => {
+                let place = self.c_order();
+                let big = matches!(self.header.dtype(), DType::Plain(plain) if plain.endianness() == Endianness::Big);
+                for (index, pair) in self.bytes[self.data..].chunks_exact(2).enumerate() {
+                    let bits = if big { [pair[1], pair[0]] } else { [pair[0], pair[1]] };
+                    finite(place(index), binary16(u16::from_le_bytes(bits)))?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Calls `f` with every number as an integer of the hardware's width.
+    fn each_integer(&self, mut f: impl FnMut(usize, i32) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
+        const WIDE: &str = "outside the 32-bit integers";
+        match self.element {
+            Element::Bool => self.each::<bool>(|index, x| f(index, i32::from(x))),
+            Element::I1 => self.each::<i8>(|index, x| f(index, i32::from(x))),
+            Element::I2 => self.each::<i16>(|index, x| f(index, i32::from(x))),
+            Element::I4 => self.each::<i32>(f),
+            Element::U1 => self.each::<u8>(|index, x| f(index, i32::from(x))),
+            Element::U2 => self.each::<u16>(|index, x| f(index, i32::from(x))),
+            Element::U4 => {
+                self.each::<u32>(|index, x| f(index, i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE))?))
+            }
+            Element::I8 => {
+                self.each::<i64>(|index, x| f(index, i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE))?))
+            }
+            Element::U8 => {
+                self.each::<u64>(|index, x| f(index, i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE))?))
+            }
+            Element::F2 | Element::F4 | Element::F8 => Err(self.failed("they are floating-point numbers")),
+        }
+    }
+
+    /// All numbers in C order.
+    ///
+    /// # Errors
+    /// `npy.value` for an integer beyond 32 bits and for NaN or infinity, with its index.
+    pub fn tensor(&self) -> Result<Tensor, Diagnostic> {
+        let length = (self.bytes.len() - self.data) / self.element.bytes();
+        let numbers = if self.element.is_real() {
+            let mut numbers = vec![0.0; length];
+            self.each_real(|index, x| {
+                numbers[index] = x;
+                Ok(())
+            })?;
+            Numbers::Reals(numbers)
+        } else {
+            let mut numbers = vec![0; length];
+            self.each_integer(|index, x| {
+                numbers[index] = x;
+                Ok(())
+            })?;
+            Numbers::Integers(numbers)
+        };
+        Tensor::new(self.shape.clone(), numbers).ok_or_else(|| self.failed("they do not fill the shape"))
+    }
+
+    /// Calls `f` with the C-order index of each number that is not zero, without holding the others.
+    ///
+    /// # Errors
+    /// As [`Array::tensor`], and whatever `f` says.
+    pub fn each_non_zero(&self, mut f: impl FnMut(usize) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
+        if self.element.is_real() {
+            self.each_real(|index, x| if x == 0.0 { Ok(()) } else { f(index) })
+        } else {
+            self.each_integer(|index, x| if x == 0 { Ok(()) } else { f(index) })
+        }
+    }
+}
+
+fn write<T: npyz::AutoSerialize>(
+    out: impl Write,
+    shape: &[u64],
+    numbers: impl IntoIterator<Item = T>,
+) -> std::io::Result<()> {
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(out).begin_nd()?;
+    writer.extend(numbers)?;
+    writer.finish()
+}
+
+/// Writes an array of bytes in C order as its numbers come; their number must be the product of the shape.
+///
+/// # Errors
+/// When the output cannot be written, or the numbers do not fill the shape.
+pub fn write_u8(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = u8>) -> std::io::Result<()> {
+    write(out, shape, numbers)
+}
+
+/// Writes an array of 32-bit integers in C order as its numbers come; their number must be the product of the shape.
+///
+/// # Errors
+/// When the output cannot be written, or the numbers do not fill the shape.
+pub fn write_i32(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = i32>) -> std::io::Result<()> {
+    write(out, shape, numbers)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::rng::unit;
+
+    /// A version 1 file as NumPy writes it.
+    fn file(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+        let mut header = format!("{{'descr': {descr}, 'fortran_order': {fortran}, 'shape': {shape}, }}");
+        while (10 + header.len() + 1) % 64 != 0 {
+            header.push(' ');
+        }
+        header.push('\n');
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.bytes());
+        bytes.extend(data);
+        bytes
+    }
+
+    fn parse(bytes: Vec<u8>) -> Result<Tensor, Diagnostic> {
+        Array::from_bytes(Path::new("a.npy"), bytes)?.tensor()
+    }
+
+    fn code(bytes: Vec<u8>) -> &'static str {
+        parse(bytes).unwrap_err().code
+    }
+
+    #[test]
+    fn every_type_of_number_is_read() {
+        let cases: [(&str, &[u8], Numbers); 12] = [
+            ("'|b1'", &[0, 1], Numbers::Integers(vec![0, 1])),
+            ("'|i1'", &[0xff, 5], Numbers::Integers(vec![-1, 5])),
+            ("'|u1'", &[0xff, 5], Numbers::Integers(vec![255, 5])),
+            ("'<i2'", &[0xfe, 0xff, 1, 0], Numbers::Integers(vec![-2, 1])),
+            ("'>i2'", &[0xff, 0xfe, 0, 1], Numbers::Integers(vec![-2, 1])),
+            ("'<u2'", &[0xff, 0xff, 0, 0], Numbers::Integers(vec![65535, 0])),
+            ("'<i4'", &[0, 0, 0, 0x80, 1, 0, 0, 0], Numbers::Integers(vec![i32::MIN, 1])),
+            ("'<u4'", &[0xff, 0xff, 0xff, 0x7f, 1, 0, 0, 0], Numbers::Integers(vec![i32::MAX, 1])),
+            (
+                "'<i8'",
+                &[1, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff],
+                Numbers::Integers(vec![1, -1]),
+            ),
+            ("'<f2'", &[0, 0x3c, 0, 0xc0], Numbers::Reals(vec![1.0, -2.0])),
+            ("'>f2'", &[0x3c, 0, 0xc0, 0], Numbers::Reals(vec![1.0, -2.0])),
+            ("'<f4'", &[0, 0, 0x80, 0x3f, 0, 0, 0, 0xbf], Numbers::Reals(vec![1.0, -0.5])),
+        ];
+        for (descr, data, numbers) in cases {
+            let tensor = parse(file(descr, "False", "(2,)", data)).unwrap();
+            assert_eq!((tensor.shape(), tensor.numbers()), (&[2][..], &numbers), "{descr}");
+        }
+        let data: Vec<u8> = [1.5f64, -3.25].iter().flat_map(|x| x.to_be_bytes()).collect();
+        assert_eq!(
+            parse(file("'>f8'", "False", "(2, 1)", &data)).unwrap().numbers(),
+            &Numbers::Reals(vec![1.5, -3.25])
+        );
+    }
+
+    #[test]
+    fn fortran_order_is_transposed() {
+        // numpy.asfortranarray([[[0,1,2],[3,4,5]], [[6,7,8],[9,10,11]]]): the first axis runs fastest.
+        let data = [0, 6, 3, 9, 1, 7, 4, 10, 2, 8, 5, 11];
+        let tensor = parse(file("'|u1'", "True", "(2, 2, 3)", &data)).unwrap();
+        assert_eq!(tensor.numbers(), &Numbers::Integers((0..12).collect()));
+    }
+
+    #[test]
+    fn scalars_and_empty_arrays_are_arrays() {
+        assert_eq!(parse(file("'|u1'", "False", "()", &[7])).unwrap().numbers(), &Numbers::Integers(vec![7]));
+        assert_eq!(parse(file("'<i4'", "True", "(0, 3)", &[])).unwrap().shape(), [0, 3]);
+        let overflows = file("'|u1'", "False", "(9223372036854775808, 9223372036854775808, 0)", &[]);
+        assert_eq!(code(overflows), "npy.shape");
+        assert_eq!(parse(file("'|u1'", "False", "(0,)", &[])).unwrap().len(), 0);
+    }
+
+    #[test]
+    fn values_that_do_not_fit_are_named_by_their_index() {
+        let data: Vec<u8> = [1i64, 2, 3, 1 << 31].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let error = parse(file("'<i8'", "False", "(2, 2)", &data)).unwrap_err();
+        assert_eq!((error.code, error.message.contains("[1, 1] is 2147483648")), ("npy.value", true), "{error}");
+        let data: Vec<u8> = [1f32, f32::NAN, 3.0, 4.0].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let error = parse(file("'<f4'", "True", "(2, 2)", &data)).unwrap_err();
+        assert_eq!((error.code, error.message.contains("[1, 0] is NaN")), ("npy.value", true), "{error}");
+    }
+
+    #[test]
+    fn hostile_headers_are_refused_before_anything_is_allocated() {
+        for (descr, what) in [
+            ("'|O'", "Python objects"),
+            ("'<c8'", "complex"),
+            ("'<U4'", "text"),
+            ("'<M8[ns]'", "dates"),
+            ("'<f16'", "unusual size"),
+            ("[('a', '<f4'), ('b', '<i4', (2,))]", "several fields"),
+        ] {
+            let error = parse(file(descr, "False", "(2,)", &[0; 64])).unwrap_err();
+            assert_eq!((error.code, error.message.contains(what)), ("npy.dtype", true), "{descr}: {error}");
+        }
+        let huge =
+            ["(18446744073709551615, 18446744073709551615)", "(4000000000000,)", "(99999999999999999999999999,)"];
+        for shape in huge {
+            assert_eq!(code(file("'<f8'", "False", shape, &[0; 64])), "npy.shape", "{shape}");
+        }
+        assert_eq!(code(file("'<f8'", "False", "(8,)", &[0; 63])), "npy.truncated");
+        assert_eq!(code(file("'<f8'", "False", "(8,)", &[0; 65])), "npy.trailing");
+        assert_eq!(code(file("'<f8'", "False", "(-8,)", &[0; 64])), "npy.format");
+        let deep = "[".repeat(30_000);
+        assert_eq!(code(file(&deep, "False", "(8,)", &[0; 64])), "npy.format");
+        assert_eq!(code(b"\x93NUMPY\x02\x00\xff\xff\xff\xff".to_vec()), "npy.format");
+        assert_eq!(code(b"\x93NUMPY\x01\x00\xff\x7f{".to_vec()), "npy.truncated");
+        assert_eq!(code(b"\x93NUMPY\x01".to_vec()), "npy.truncated");
+        assert_eq!(code(b"\x93NUMPY\x09\x00\x01\x00 ".to_vec()), "npy.format");
+        assert_eq!(code(b"PK\x03\x04".to_vec()), "npy.format");
+        assert_eq!(code(Vec::new()), "npy.format");
+    }
+
+    #[test]
+    fn damage_anywhere_in_a_header_never_panics() {
+        let good = file("'<i2'", "False", "(2, 3)", &[0; 12]);
+        let mut refused = 0;
+        for round in 0..20_000 {
+            let below = |draw: u64, n: usize| (unit(7, round, draw) * n as f64) as usize;
+            let mut bytes = good.clone();
+            for change in 0..=below(0, 3) as u64 {
+                let at = below(2 * change + 2, bytes.len());
+                bytes[at] = below(2 * change + 3, 256) as u8;
+            }
+            bytes.truncate(bytes.len() - below(1, 4));
+            refused += u32::from(parse(bytes).is_err());
+        }
+        assert!((10_000..20_000).contains(&refused), "{refused}");
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let mut bytes = Vec::new();
+        write_i32(&mut bytes, &[2, 1, 2], [1, -2, i32::MAX, i32::MIN]).unwrap();
+        let tensor = parse(bytes).unwrap();
+        assert_eq!(tensor.shape(), [2, 1, 2]);
+        assert_eq!(tensor.numbers(), &Numbers::Integers(vec![1, -2, i32::MAX, i32::MIN]));
+        let mut bytes = Vec::new();
+        write_u8(&mut bytes, &[3], [0, 1, 255]).unwrap();
+        assert_eq!(parse(bytes).unwrap().numbers(), &Numbers::Integers(vec![0, 1, 255]));
+        assert!(write_u8(Vec::new(), &[3], [0, 1]).is_err());
+    }
+}

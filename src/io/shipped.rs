@@ -1,0 +1,117 @@
+//! The files that the program carries: models, targets, chips and constants, so that it works from any folder.
+//!
+//! One table for each kind; a new file is one more line. A name that no table has is answered with the names that it has.
+
+use std::path::Path;
+
+use super::text::{is_standard_stream, read_text};
+use crate::base::diagnostic::{Diagnostic, SourceText};
+
+/// A file in the binary.
+#[derive(Debug, Clone, Copy)]
+pub struct Shipped {
+    /// Its name, without folder and extension.
+    pub name: &'static str,
+    /// Where it lies in the project.
+    pub path: &'static str,
+    /// Its content.
+    pub text: &'static str,
+}
+
+macro_rules! shipped {
+    ($folder:literal: $($name:literal),* $(,)?) => {
+        &[$(Shipped {
+            name: $name,
+            path: concat!($folder, "/", $name, ".ron"),
+            text: include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/", $folder, "/", $name, ".ron")),
+        }),*]
+    };
+}
+
+/// Shipped models.
+pub const MODELS: &[Shipped] = shipped!("models":);
+/// Shipped targets.
+pub const TARGETS: &[Shipped] = shipped!("mapping/targets":);
+/// Shipped chips.
+pub const CHIPS: &[Shipped] = shipped!("mapping/chips":);
+/// Shipped presets of constants.
+pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants":);
+
+/// The arrays that shipped models refer to: path within `models/`, content.
+pub const ARRAYS: &[(&str, &[u8])] = &[];
+
+/// Where a text came from: decides where the files that it names are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// From a file, or stdin.
+    File,
+    /// From the binary.
+    Shipped,
+}
+
+impl Shipped {
+    /// The file of a name.
+    #[must_use]
+    pub fn find(table: &'static [Shipped], name: &str) -> Option<&'static Shipped> {
+        table.iter().find(|shipped| shipped.name == name)
+    }
+
+    /// Its text under its path in the project.
+    #[must_use]
+    pub fn source(&self) -> SourceText {
+        SourceText::new(self.path, self.text)
+    }
+}
+
+/// Whether an argument is a path: it is `-`, it contains `/` or `.`, or there is such a file; otherwise it is a name.
+#[must_use]
+pub fn is_path(argument: &str) -> bool {
+    let path = Path::new(argument);
+    is_standard_stream(path) || argument.contains(['/', '\\', '.']) || path.is_file()
+}
+
+/// The error for a name that is not shipped.
+#[must_use]
+pub fn unknown(code: &'static str, kind: &str, name: &str, table: &[Shipped]) -> Diagnostic {
+    let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
+    Diagnostic::new(code, format!("there is no shipped {kind} named '{name}'"))
+        .help(format!("shipped are: {}; or give a path to a .ron file", names.join(", ")))
+}
+
+/// The text of an argument that is a path or a shipped name.
+///
+/// # Errors
+/// As [`read_text`], and `code` for a name that the table does not have.
+pub fn text_of(
+    argument: &str,
+    table: &'static [Shipped],
+    kind: &str,
+    code: &'static str,
+) -> Result<(SourceText, Origin), Diagnostic> {
+    if is_path(argument) {
+        return Ok((read_text(Path::new(argument))?, Origin::File));
+    }
+    let shipped = Shipped::find(table, argument).ok_or_else(|| unknown(code, kind, argument, table))?;
+    Ok((shipped.source(), Origin::Shipped))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_paths_are_told_apart() {
+        assert!(is_path("./x") && is_path("x.ron") && is_path("a/b") && is_path("-"));
+        assert!(!is_path("vtsnn-slip") && !is_path("src"));
+    }
+
+    #[test]
+    fn names_are_listed_once_and_files_bear_the_names_inside() {
+        for table in [MODELS, TARGETS, CHIPS, CONSTANTS] {
+            for (i, shipped) in table.iter().enumerate() {
+                assert!(table[..i].iter().all(|other| other.name != shipped.name), "{}", shipped.name);
+                assert!(shipped.text.contains(&format!("name: \"{}\"", shipped.name)), "{}", shipped.path);
+            }
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! Recordings for one input population, from any kind of source.
+//!
+//! Comes in: a path and how many channels the population has. Goes out: the spikes of each sample as plain
+//! (step, channel) pairs with the label that the source gives. Which population a source is for, and whether all have as
+//! many samples, is for those who put a stimulus together. Folders and `.npy` are read here, `.csv` in
+//! [`super::event_csv`], manifests in [`super::dataset`].
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::text::is_standard_stream;
+use super::{dataset, event_csv, npy};
+use crate::base::diagnostic::Diagnostic;
+
+/// The most timesteps of a sample: engines hold a number for each.
+pub const MOST_STEPS: u32 = 1 << 24;
+/// The most spikes of a sample: each takes eight bytes.
+pub const MOST_EVENTS: usize = 1 << 27;
+
+/// The spikes of one sample on the channels of one population.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PopulationSpikes {
+    /// How many channels the source has, if it says so.
+    pub units: Option<u64>,
+    /// Timesteps.
+    pub steps: u32,
+    /// The class that the sample shows, when known.
+    pub label: Option<u32>,
+    /// (step, channel) of each spike, in the order of the source.
+    pub events: Vec<(u32, u32)>,
+    /// The file, for messages.
+    pub name: String,
+}
+
+/// Reads a source for a population of `units` channels.
+///
+/// # Errors
+/// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for what is wrong with a known one.
+pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    if path.is_dir() {
+        return read_folder(path, units);
+    }
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    match extension.as_deref() {
+        Some("npy") => read_npy(path, units),
+        Some("csv") => event_csv::read(path, units),
+        Some("ron") => dataset::read_manifest(path)?.read_only(units),
+        // What comes through a pipe has no name to go by; text is what other programs write.
+        None if is_standard_stream(path) => event_csv::read(path, units),
+        _ if !path.exists() => Err(Diagnostic::new("io.missing", "there is no such file").in_file(path)),
+        other => Err(Diagnostic::new(
+            "input.kind",
+            match other {
+                Some(other) => format!("files of the kind .{other} are not read as spikes"),
+                None => "a file without an extension is not read as spikes".to_string(),
+            },
+        )
+        .help(
+            "read are: .npy ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), a .ron data-set \
+             manifest, and a folder of sample_<i>_label_<c>.npy",
+        )
+        .in_file(path)),
+    }
+}
+
+fn product(axes: &[usize]) -> Option<u64> {
+    axes.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis as u64))
+}
+
+/// Reads an array `[channels.., T]` or `[samples, channels.., T]`; a number other than zero is a spike.
+///
+/// # Errors
+/// `input.shape` when neither reading gives `units` channels; `input.too-long`, `input.too-many`, `npy.*`, `io.*`.
+pub fn read_npy(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    let array = npy::open(path)?;
+    let shape = array.shape();
+    let wrong = |message: String| Diagnostic::new("input.shape", message).in_file(path);
+    let Some((&steps, leading)) = shape.split_last() else {
+        return Err(wrong("a single number is not a recording; [channels.., T] is".to_string()));
+    };
+    let one = product(leading);
+    let each = leading.split_first().and_then(|(_, channels)| product(channels));
+    let samples = if one == Some(units) {
+        1
+    } else if each == Some(units) {
+        leading[0]
+    } else {
+        let mut message = format!(
+            "shape {shape:?} does not fit a population of {units} channels: read as one sample it has {}",
+            one.unwrap_or(u64::MAX)
+        );
+        if let Some(each) = each {
+            message.push_str(&format!(", read as {} samples {each} in each", leading[0]));
+        }
+        return Err(wrong(message).help("the last axis is time; the axes before it, in C order, are the channel"));
+    };
+    if samples == 0 || steps == 0 {
+        return Err(wrong(format!("shape {shape:?} holds no timestep")));
+    }
+    let steps = match u32::try_from(steps) {
+        Ok(steps) if steps <= MOST_STEPS => steps,
+        _ => {
+            return Err(Diagnostic::new("input.too-long", format!("{steps} timesteps are more than {MOST_STEPS}"))
+                .help("the last axis is time")
+                .in_file(path));
+        }
+    };
+    let channels = u32::try_from(units).map_err(|_| wrong(format!("{units} channels cannot be numbered")))?;
+    let name = path.display().to_string();
+    let mut recordings: Vec<PopulationSpikes> = (0..samples)
+        .map(|_| PopulationSpikes { units: Some(units), steps, label: None, events: Vec::new(), name: name.clone() })
+        .collect();
+    array.each_non_zero(|index| {
+        let (row, step) = (index / steps as usize, index % steps as usize);
+        let (sample, channel) = (row / channels as usize, row % channels as usize);
+        let events = &mut recordings[sample].events;
+        if events.len() == MOST_EVENTS {
+            return Err(too_many(path));
+        }
+        events.push((step as u32, channel as u32));
+        Ok(())
+    })?;
+    Ok(recordings)
+}
+
+pub(super) fn too_many(path: &Path) -> Diagnostic {
+    Diagnostic::new("input.too-many", format!("a sample has more than {MOST_EVENTS} spikes")).in_file(path)
+}
+
+/// `sample_<i>_label_<c>.npy`
+pub(super) fn sample_name(name: &str) -> Option<(u64, u32)> {
+    let (index, label) = name.strip_prefix("sample_")?.strip_suffix(".npy")?.split_once("_label_")?;
+    let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    (plain(index) && plain(label)).then(|| Some((index.parse().ok()?, label.parse().ok()?)))?
+}
+
+/// Sample number, label and path of each recording of a folder, in order of their numbers.
+///
+/// # Errors
+/// `input.folder` when there is none, or two have the same number; `io.*`.
+pub fn list_folder(folder: &Path) -> Result<Vec<(u64, u32, std::path::PathBuf)>, Diagnostic> {
+    let unreadable =
+        |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
+    let mut found = BTreeMap::new();
+    let mut others = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        match sample_name(&name) {
+            Some((index, label)) => {
+                if found.insert(index, (label, entry.path())).is_some() {
+                    return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
+                        .help("each sample has one file, sample_<i>_label_<c>.npy")
+                        .in_file(folder));
+                }
+            }
+            None => others.push((name, entry.path().is_dir())),
+        }
+    }
+    if found.is_empty() {
+        others.sort();
+        let mut missing =
+            Diagnostic::new("input.folder", "the folder holds no sample_<i>_label_<c>.npy").in_file(folder);
+        let inner: Vec<&str> =
+            others.iter().filter(|(_, folder)| *folder).map(|(name, _)| name.as_str()).take(8).collect();
+        missing.help = if others.iter().any(|(name, _)| name == "dataset.ron") {
+            Some(format!("it holds a manifest: give {}", folder.join("dataset.ron").display()))
+        } else if inner.is_empty() {
+            Some(format!("it holds {} other files", others.len()))
+        } else {
+            Some(format!("it holds the folders {}; give one of them", inner.join(", ")))
+        };
+        return Err(missing);
+    }
+    Ok(found.into_iter().map(|(index, (label, path))| (index, label, path)).collect())
+}
+
+/// Reads a folder of `sample_<i>_label_<c>.npy`, in order of the numbers; other files are left alone.
+///
+/// # Errors
+/// As [`list_folder`] and [`read_npy`]; `input.shape` for a file with several samples.
+pub fn read_folder(folder: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    list_folder(folder)?
+        .into_iter()
+        .map(|(_, label, path)| {
+            let mut recording = one_sample(&path, units)?;
+            recording.label = Some(label);
+            Ok(recording)
+        })
+        .collect()
+}
+
+/// Reads a source that holds exactly one sample.
+pub(super) fn one_sample(path: &Path, units: u64) -> Result<PopulationSpikes, Diagnostic> {
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    let mut recordings = match extension.as_deref() {
+        Some("npy") => read_npy(path, units)?,
+        Some("csv") => event_csv::read(path, units)?,
+        _ => {
+            return Err(Diagnostic::new("input.kind", "a sample of a data set is a .npy or a .csv file").in_file(path));
+        }
+    };
+    match (recordings.pop(), recordings.len()) {
+        (Some(recording), 0) => Ok(recording),
+        (_, rest) => {
+            Err(Diagnostic::new("input.shape", format!("one sample is expected; the file holds {}", rest + 1))
+                .in_file(path))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn array(folder: &Path, name: &str, shape: &[u64], numbers: &[u8]) -> std::path::PathBuf {
+        let path = folder.join(name);
+        npy::write_u8(std::fs::File::create(&path).unwrap(), shape, numbers.iter().copied()).unwrap();
+        path
+    }
+
+    #[test]
+    fn both_layouts_of_an_array_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        // Two samples, 1 x 2 channels, three steps.
+        let path = array(folder.path(), "a.npy", &[2, 1, 2, 3], &[0, 1, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0]);
+        let samples = read_source(&path, 2).unwrap();
+        assert_eq!(samples.iter().map(|s| s.events.clone()).collect::<Vec<_>>(), [vec![(1, 0), (2, 1)], vec![(0, 0)]]);
+        assert!(samples.iter().all(|s| (s.steps, s.units, s.label) == (3, Some(2), None)));
+        let sample = read_source(&path, 4).unwrap();
+        assert_eq!((sample.len(), &sample[0].events[..]), (1, &[(1, 0), (2, 1), (0, 2)][..]));
+        let error = read_source(&path, 3).unwrap_err();
+        assert_eq!(error.code, "input.shape");
+        assert!(error.message.contains("as one sample it has 4, read as 2 samples 2 in each"), "{error}");
+        let line = array(folder.path(), "b.npy", &[3], &[0, 1, 0]);
+        assert_eq!(read_source(&line, 1).unwrap()[0].events, [(1, 0)]);
+        for (shape, units) in [(&[2, 0][..], 2), (&[], 1)] {
+            let path = array(folder.path(), "c.npy", shape, &vec![0; shape.iter().product::<u64>() as usize]);
+            assert!(read_source(&path, units).unwrap_err().code.ends_with(".shape"));
+        }
+        let long = array(folder.path(), "d.npy", &[1, (1 << 24) + 1], &vec![0; (1 << 24) + 1]);
+        assert_eq!(read_source(&long, 1).unwrap_err().code, "input.too-long");
+    }
+
+    #[test]
+    fn a_folder_is_read_in_order_of_its_numbers() {
+        let folder = tempfile::tempdir().unwrap();
+        for (i, label) in [(10, 3), (2, 1), (0, 0)] {
+            array(folder.path(), &format!("sample_{i}_label_{label}.npy"), &[1, 1], &[1]);
+        }
+        std::fs::write(folder.path().join("README.md"), "x").unwrap();
+        std::fs::write(folder.path().join("sample_x_label_1.npy"), "x").unwrap();
+        let labels: Vec<_> = read_source(folder.path(), 1).unwrap().iter().map(|s| s.label).collect();
+        assert_eq!(labels, [Some(0), Some(1), Some(3)]);
+        array(folder.path(), "sample_02_label_5.npy", &[1, 1], &[1]);
+        assert_eq!(read_source(folder.path(), 1).unwrap_err().code, "input.folder");
+        let outer = tempfile::tempdir().unwrap();
+        std::fs::create_dir(outer.path().join("train")).unwrap();
+        let error = read_source(outer.path(), 1).unwrap_err();
+        assert!(error.code == "input.folder" && error.help.unwrap().contains("train"), "{}", error.message);
+    }
+
+    #[test]
+    fn other_kinds_of_files_are_answered_with_the_known_ones() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.aedat4");
+        assert_eq!(read_source(&path, 1).unwrap_err().code, "io.missing");
+        std::fs::write(&path, "x").unwrap();
+        let error = read_source(&path, 1).unwrap_err();
+        assert!(error.code == "input.kind" && error.help.unwrap().contains(".csv"));
+    }
+}

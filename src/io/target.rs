@@ -1,0 +1,173 @@
+//! Target files with the chip and the constants that they name.
+//!
+//! Comes in: a path or the name of a shipped target. Goes out: a [`Target`]. Parts of a target that is a file are looked
+//! for beside it, then in the folders that the project keeps them in relative to it (`../chips`, `../constants`), then
+//! among the shipped ones.
+
+use std::path::Path;
+
+use super::model::beside;
+use super::shipped::{self, Origin, Shipped};
+use super::text::read_text;
+use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::desc::spanned::{Spanned, parse};
+use crate::desc::target::{Chip, Constants, Target, TargetFile};
+
+/// Loads a target: a path, `-`, or a shipped name.
+///
+/// # Errors
+/// `target.*`, `chip.*`, `constants.*`, `io.*`.
+pub fn load_target(argument: &str) -> Result<Target, Diagnostic> {
+    let (source, origin) = shipped::text_of(argument, shipped::TARGETS, "target", "target.unknown")?;
+    target(&source, origin)
+}
+
+/// Loads a target from its text.
+///
+/// # Errors
+/// As [`load_target`].
+pub fn target(source: &SourceText, origin: Origin) -> Result<Target, Diagnostic> {
+    let file: TargetFile = parse(source, "target.syntax")?;
+    let chip_source = part(source, origin, &file.chip, "chips", "chip", shipped::CHIPS)?;
+    let chip: Chip = parse(&chip_source, "chip.syntax")?;
+    let mut constants = Vec::with_capacity(file.constants.len());
+    for name in &file.constants {
+        let text = part(source, origin, name, "constants", "preset of constants", shipped::CONSTANTS)?;
+        constants.push(parse_constants(&text)?);
+    }
+    // What has no place in the target file, the chip's file is to blame for.
+    Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
+        Some(_) => problem,
+        None => problem.in_file(chip_source.path()),
+    })
+}
+
+/// A preset of constants from its text.
+///
+/// # Errors
+/// `constants.syntax`, and what [`Constants::check`] says.
+pub fn parse_constants(source: &SourceText) -> Result<Constants, Diagnostic> {
+    let constants: Constants = parse(source, "constants.syntax")?;
+    constants.check(source).map_err(|problem| match problem.place {
+        Some(_) => problem,
+        None => problem.in_file(source.path()),
+    })?;
+    Ok(constants)
+}
+
+/// The text of a part that a target names.
+fn part(
+    source: &SourceText,
+    origin: Origin,
+    name: &Spanned<String>,
+    folder: &str,
+    kind: &str,
+    table: &'static [Shipped],
+) -> Result<SourceText, Diagnostic> {
+    if origin == Origin::File {
+        let file = format!("{}.ron", name.value);
+        for path in [beside(source.path(), &file), beside(source.path(), &format!("../{folder}/{file}"))] {
+            if Path::is_file(&path) {
+                return read_text(&path);
+            }
+        }
+    }
+    match Shipped::find(table, &name.value) {
+        Some(shipped) => Ok(shipped.source()),
+        None => {
+            let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
+            Err(Diagnostic::new("target.part", format!("there is no {kind} named '{}'", name.value))
+                .help(format!("shipped are: {}; or put {}.ron beside the target file", names.join(", "), name.value))
+                .at(source, name.span))
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A small chip, for the tests of this room.
+    pub(crate) const CHIP: &str = r#"Chip(
+    name: "one", notes: "for tests",
+    width: 2, height: 1, cores_per_tile: 2, cores: 4, x86_cores: 0, x86_cores_in_use: 0, power_unit: Core,
+    limits: (
+        compartments: 1024, axons_in: 4096, axons_out: 4096, axon_out_slots: 1, axon_out_slots_off_chip: 2,
+        axons_out_per_compartment: 4096, synapse_words: 16384, synapse_words_per_axon: 1024, synapses_per_entry: 60,
+        synapse_formats: 15, compartment_profiles: 32, threshold_profiles: 32, accumulators: 8192, packing: Nengo,
+    ),
+)"#;
+
+    /// A preset in which every value is its position.
+    pub(crate) fn constants() -> String {
+        let units = [
+            (
+                "pJ",
+                "synapse_dense_energy synapse_sparse_energy dendrite_energy compartment_energy \
+                    compartment_active_energy spike_energy axon_out_energy axon_in_energy local_hop_energy \
+                    hop_ew_energy hop_ns_energy hop_chip_energy core_step_energy",
+            ),
+            (
+                "ns",
+                "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time \
+                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time injection_time",
+            ),
+            ("mW", "core_static_power x86_static_power x86_busy_power"),
+        ];
+        let mut text = String::from(
+            "Constants(name: \"c\", notes: \"\", barrier: [(tiles: 1, time: (value: 0.1, unit: us, source: \"s\", status: assumed))],\n",
+        );
+        for (unit, names) in units {
+            for (i, name) in names.split_whitespace().enumerate() {
+                text.push_str(&format!("{name}: (value: {i}, unit: {unit}, source: \"s\", status: assumed),\n"));
+            }
+        }
+        text + ")"
+    }
+
+    fn load(target: &str, chip: &str, constants: &str) -> Result<Target, Diagnostic> {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in [("t.ron", target), ("one.ron", chip), ("c.ron", constants)] {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        load_target(folder.path().join("t.ron").to_str().unwrap())
+    }
+
+    const TARGET: &str =
+        "Target(name: \"t\", notes: \"\", chip: \"one\",\n chips_x: 2, chips_y: 1, constants: [\"c\"])";
+
+    #[test]
+    fn parts_beside_the_file_are_found() {
+        let target = load(TARGET, CHIP, &constants()).unwrap();
+        assert_eq!((target.name(), target.cores(), target.constants()[0].hop_ns_energy.value.value), ("t", 8, 10.0));
+    }
+
+    #[test]
+    fn problems_point_into_the_file_that_has_them() {
+        let error = load(&TARGET.replace("\"one\"", "\"two\""), CHIP, &constants()).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().column), ("target.part", 36), "{error}");
+        let error = load(&TARGET.replace("chips_x: 2", "chips_x: 200"), CHIP, &constants()).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("target.size", 2));
+        let error = load(TARGET, &CHIP.replace("cores: 4", "cores: 5"), &constants()).unwrap_err();
+        assert_eq!((error.code, error.file().unwrap().ends_with("one.ron")), ("target.size", true));
+        let error = load(TARGET, &CHIP.replace("Nengo", "Tight"), &constants()).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("chip.syntax", 7), "{error}");
+        let error =
+            load(TARGET, CHIP, &constants().replacen("value: 3, unit: ns", "value: 3, unit: pJ", 1)).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("target.unit", 18), "{error}");
+        let error = load(TARGET, CHIP, &constants().replacen("value: 3", "value: -3", 1)).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("target.constant", 5), "{error}");
+        let error = load_target("nahuku-33").unwrap_err();
+        assert_eq!(error.code, "target.unknown");
+    }
+
+    #[test]
+    fn every_shipped_target_loads() {
+        for target in shipped::TARGETS {
+            load_target(target.name).unwrap_or_else(|error| panic!("{error}"));
+        }
+        for preset in shipped::CONSTANTS {
+            parse_constants(&preset.source()).unwrap_or_else(|error| panic!("{error}"));
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! Files as bytes and as text, with a bound on their size.
+//!
+//! Comes in: a path, `-` for stdin. Goes out: the content, or a diagnostic that says what stands at the path instead: no
+//! file, a folder, a Git-LFS pointer, a binary file.
+
+use std::fs::File;
+use std::io::{ErrorKind, Read};
+use std::path::Path;
+
+use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+
+/// The most bytes of a RON file. A list of `0,` costs twelve times its text once parsed; larger arrays belong beside the
+/// file.
+pub const MOST_TEXT: u64 = 64 << 20;
+/// The most bytes of an event list in text.
+pub const MOST_EVENT_TEXT: u64 = 256 << 20;
+/// The most bytes of an array file.
+pub const MOST_ARRAY: u64 = 1 << 30;
+
+/// What a Git-LFS pointer starts with (git-lfs `docs/spec.md`).
+const LFS: &[u8] = b"version https://git-lfs";
+
+/// Whether an argument means stdin or stdout.
+#[must_use]
+pub fn is_standard_stream(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
+    let diagnostic = match error.kind() {
+        ErrorKind::NotFound => {
+            let mut missing = Diagnostic::new("io.missing", "there is no such file");
+            if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.exists()) {
+                missing = missing.help(format!("the folder {} does not exist either", folder.display()));
+            }
+            missing
+        }
+        ErrorKind::PermissionDenied => Diagnostic::new("io.denied", "the file may not be read"),
+        ErrorKind::IsADirectory => Diagnostic::new("io.folder", "this is a folder, not a file"),
+        _ => Diagnostic::new("io.read", format!("cannot be read: {error}")),
+    };
+    diagnostic.in_file(path)
+}
+
+/// The bytes of a file of at most `limit` bytes.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.read`, `io.too-large`, `io.lfs-pointer`.
+pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, Diagnostic> {
+    let mut bytes = Vec::new();
+    let too_large = |size: String| {
+        Diagnostic::new("io.too-large", format!("{size} bytes are more than the {limit} that are read")).in_file(path)
+    };
+    if is_standard_stream(path) {
+        std::io::stdin().lock().take(limit + 1).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
+    } else {
+        let file = File::open(path).map_err(|error| unreadable(path, &error))?;
+        let metadata = file.metadata().map_err(|error| unreadable(path, &error))?;
+        if metadata.is_dir() {
+            return Err(unreadable(path, &ErrorKind::IsADirectory.into()));
+        }
+        if metadata.len() > limit {
+            return Err(too_large(metadata.len().to_string()));
+        }
+        file.take(limit + 1).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
+    }
+    if bytes.len() as u64 > limit {
+        return Err(too_large(format!("more than {limit}")));
+    }
+    if bytes.starts_with(LFS) {
+        return Err(Diagnostic::new("io.lfs-pointer", "this is a Git-LFS pointer, not the file that it stands for")
+            .help("run `git lfs pull` in the folder that the file comes from")
+            .in_file(path));
+    }
+    Ok(bytes)
+}
+
+/// The text of a RON file.
+///
+/// # Errors
+/// As [`read_bytes`]; `io.utf8` with the position of the first byte that is not UTF-8.
+pub fn read_text(path: &Path) -> Result<SourceText, Diagnostic> {
+    decode(path, read_bytes(path, MOST_TEXT)?)
+}
+
+/// Bytes as the text of a file.
+///
+/// # Errors
+/// `io.utf8` with the position of the first byte that is not UTF-8.
+pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText, Diagnostic> {
+    let name = if is_standard_stream(path) { Path::new("<stdin>") } else { path };
+    match String::from_utf8(bytes) {
+        Ok(text) => {
+            // A byte order mark is not part of the text.
+            let text = text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text);
+            Ok(SourceText::new(name, text))
+        }
+        Err(error) => {
+            let good = error.utf8_error().valid_up_to();
+            let bytes = error.into_bytes();
+            let byte = bytes[good];
+            let text = std::str::from_utf8(&bytes[..good]).unwrap_or_default();
+            let mut diagnostic = Diagnostic::new("io.utf8", format!("byte 0x{byte:02x} at offset {good} is not UTF-8"))
+                .at(&SourceText::new(name, text), Span { start: good, end: good });
+            diagnostic.help = Some(
+                if bytes.starts_with(b"\x93NUMPY") {
+                    "this is a NumPy array; a text file is expected here"
+                } else if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+                    "this looks like UTF-16; save the file as UTF-8"
+                } else {
+                    "a text file in UTF-8 is expected here"
+                }
+                .to_string(),
+            );
+            Err(diagnostic)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(name: &str, bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn what_is_not_a_text_file_is_named() {
+        let (folder, path) = file("a.ron", b"ok \xff");
+        let bad = read_text(&path).unwrap_err();
+        assert_eq!((bad.code, bad.position().unwrap().column), ("io.utf8", 4));
+        assert_eq!(read_text(folder.path()).unwrap_err().code, "io.folder");
+        let absent = read_text(&folder.path().join("x/absent.ron")).unwrap_err();
+        assert_eq!(absent.code, "io.missing");
+        assert!(absent.help.unwrap().contains("does not exist either"));
+        assert_eq!(read_bytes(&path, 3).unwrap_err().code, "io.too-large");
+    }
+
+    #[test]
+    fn a_git_lfs_pointer_is_called_one() {
+        // The form of git-lfs docs/spec.md: about 130 bytes.
+        let pointer =
+            format!("version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 12345\n", "4d".repeat(32));
+        let (_folder, path) = file("w.npy", pointer.as_bytes());
+        assert_eq!(read_bytes(&path, MOST_ARRAY).unwrap_err().code, "io.lfs-pointer");
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_dropped() {
+        let (_folder, path) = file("a.ron", "\u{feff}()".as_bytes());
+        assert_eq!(&**read_text(&path).unwrap().text(), "()");
+    }
+}

@@ -1,0 +1,79 @@
+//! Independent spikes: each channel of a population spikes in each step with the same probability.
+//!
+//! The plainest stimulus there is, for networks that nothing was recorded for. A channel's spike is a function of (seed,
+//! sample and channel, step), so samples can be made in any order.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::ChannelId;
+use crate::base::rng;
+use crate::desc::stimulus::SceneArg;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::{Sample, Stimulus};
+use crate::scene::parameter;
+
+/// The scene's parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Noise {
+    samples: u32,
+    steps: u32,
+    seed: u64,
+    rate: f64,
+    rates: BTreeMap<String, f64>,
+}
+
+impl Noise {
+    /// From `samples` (default 20, at most 100,000), `steps` (150, at most 100,000), `seed` (1), `rate` (0.01 spikes a
+    /// channel and step) and `POPULATION=rate` for single populations.
+    ///
+    /// # Errors
+    /// A diagnostic for an unknown key or a value out of range.
+    pub fn parse(network: &Quantised, scene: &SceneArg) -> Result<Self, Diagnostic> {
+        let mut noise = Noise { samples: 20, steps: 150, seed: 1, rate: 0.01, rates: BTreeMap::new() };
+        for (key, value) in &scene.parameters {
+            match key.as_str() {
+                "samples" => noise.samples = parameter(key, value, 1..=100_000)?,
+                "steps" => noise.steps = parameter(key, value, 1..=100_000)?,
+                "seed" => noise.seed = parameter(key, value, 0..=u64::MAX)?,
+                "rate" => noise.rate = parameter(key, value, 0.0..=1.0)?,
+                name if network.inputs().any(|(_, population)| population.name == name) => {
+                    noise.rates.insert(name.to_string(), parameter(key, value, 0.0..=1.0)?);
+                }
+                _ => {
+                    let inputs: Vec<&str> = network.inputs().map(|(_, p)| p.name.as_str()).collect();
+                    return Err(Diagnostic::new("scene.parameter", format!("scene noise has no parameter '{key}'"))
+                        .help(format!("parameters are: samples, steps, seed, rate, {}", inputs.join(", "))));
+                }
+            }
+        }
+        Ok(noise)
+    }
+}
+
+/// Makes the samples.
+///
+/// # Errors
+/// A diagnostic when a sample would have too many spikes to count.
+pub fn stimulus(network: &Quantised, noise: &Noise) -> Result<Stimulus, Diagnostic> {
+    let samples = (0..noise.samples)
+        .into_par_iter()
+        .map(|index| {
+            let mut events = Vec::new();
+            for (_, population) in network.inputs() {
+                let rate = noise.rates.get(&population.name).copied().unwrap_or(noise.rate);
+                let first = population.first_channel().map_or(0, |channel| channel.0);
+                for channel in first..first + population.shape.len() {
+                    let entity = (u64::from(index) << 32) | u64::from(channel);
+                    let spiking = (0..noise.steps).filter(|&t| rng::unit(noise.seed, entity, u64::from(t)) < rate);
+                    events.extend(spiking.map(|t| (t, ChannelId(channel))));
+                }
+            }
+            Sample::new(noise.steps, events, None)
+        })
+        .collect::<Result<_, _>>()
+        .map_err(|e| Diagnostic::new("scene.too-large", e.to_string()))?;
+    Ok(Stimulus { samples, origin: vec!["scene:noise".to_string()], seed: Some(noise.seed) })
+}

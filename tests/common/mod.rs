@@ -1,0 +1,202 @@
+//! What several integration tests share: the engines that they run over, networks built by hand, recorded data.
+
+// Each test file is a crate of its own and uses a part of this; a helper of tests may unwrap as they do.
+#![allow(dead_code, clippy::unwrap_used)]
+
+pub mod drive;
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use nsim::base::fixed::{
+    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
+    WeightBits, WeightExponent,
+};
+use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::golden::Golden;
+use nsim::ir::graph::{PerCompartment, Shape};
+use nsim::ir::quantised::{
+    Connectivity, Neuron, Neurons, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
+};
+use nsim::ir::spikes::Engine;
+
+/// Every engine that must give the same answers, ready to begin.
+pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
+    vec![("golden", Box::new(Golden::new(network)))]
+}
+
+/// Recorded data outside the project: the folder of this name under `$NSIM_DATA` or `../shared/data`, or a message.
+pub fn data(folder: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("NSIM_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let path = root.join(folder);
+    if path.is_dir() {
+        return Some(path);
+    }
+    println!("skipped: no data at {}", path.display());
+    None
+}
+
+/// The integers of a NumPy file.
+pub struct Array {
+    pub shape: Vec<usize>,
+    pub values: Vec<i64>,
+}
+
+impl Array {
+    /// Reads a C-ordered file of one of the integer types that the recorded data uses.
+    pub fn read(path: &Path) -> Array {
+        let file = File::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let npy = npyz::NpyFile::new(BufReader::new(file)).unwrap();
+        assert_eq!(npy.order(), npyz::Order::C, "{}", path.display());
+        let shape = npy.shape().iter().map(|&n| n as usize).collect();
+        fn widen<T: Into<i64>>(values: Vec<T>) -> Vec<i64> {
+            values.into_iter().map(Into::into).collect()
+        }
+        let values = match npy.dtype().descr().trim_matches(['\'', '"']) {
+            "|u1" => widen(npy.into_vec::<u8>().unwrap()),
+            "<i2" => widen(npy.into_vec::<i16>().unwrap()),
+            "<i4" => widen(npy.into_vec::<i32>().unwrap()),
+            other => panic!("{}: type {other}", path.display()),
+        };
+        Array { shape, values }
+    }
+
+    /// The value at an index of as many numbers as the array has dimensions.
+    pub fn at<const N: usize>(&self, index: [usize; N]) -> i64 {
+        assert_eq!(self.shape.len(), N);
+        let mut flat = 0;
+        for (i, n) in index.into_iter().zip(&self.shape) {
+            assert!(i < *n);
+            flat = flat * n + i;
+        }
+        self.values[flat]
+    }
+}
+
+/// A compartment with no bias and the widest clips.
+pub fn neuron(du: i64, dv: i64, vth_mant: i64, refractory: i64) -> Neuron {
+    Neuron {
+        du: Decay::new(du).unwrap(),
+        dv: Decay::new(dv).unwrap(),
+        vth: ThresholdMantissa::new(vth_mant).unwrap(),
+        bias_mant: BiasMantissa::new(0).unwrap(),
+        bias_exp: BiasExponent::new(0).unwrap(),
+        refractory: Refractory::new(refractory).unwrap(),
+        vmin: VminExponent::new(23).unwrap(),
+        vmax: VmaxExponent::new(7).unwrap(),
+    }
+}
+
+/// The same with a bias.
+pub fn biased(neuron: Neuron, mantissa: i64, exponent: i64) -> Neuron {
+    Neuron { bias_mant: BiasMantissa::new(mantissa).unwrap(), bias_exp: BiasExponent::new(exponent).unwrap(), ..neuron }
+}
+
+/// Eight bits of this sign mode with this exponent.
+pub fn format(sign: SignMode, exponent: i64) -> SynapseFormat {
+    SynapseFormat { exponent: WeightExponent::new(exponent).unwrap(), sign, bits: WeightBits::new(8).unwrap() }
+}
+
+/// A network in the making; the population added last is the output.
+pub struct Net {
+    pub parts: Parts,
+    channels: u32,
+    compartments: u32,
+}
+
+impl Net {
+    /// An empty network with the semantics of the chip.
+    pub fn new() -> Net {
+        let parts = Parts {
+            name: "by hand".to_string(),
+            timestep_ms: 1.0,
+            populations: Vec::new().into(),
+            projections: Vec::new().into(),
+            output: PopulationId(0),
+            classes: Vec::new(),
+            semantics: Semantics::Hardware,
+            threshold: ThresholdTest::Strict,
+            reset: None,
+            notes: Vec::new(),
+        };
+        Net { parts, channels: 0, compartments: 0 }
+    }
+
+    /// The same with other semantics.
+    pub fn with(semantics: Semantics) -> Net {
+        let mut net = Net::new();
+        net.parts.semantics = semantics;
+        net
+    }
+
+    /// Adds input channels.
+    pub fn input(&mut self, shape: Shape) -> PopulationId {
+        let units = Units::Input(ChannelId(self.channels));
+        self.channels += shape.len();
+        self.add(shape, units)
+    }
+
+    /// Adds compartments with their parameters.
+    pub fn loihi(&mut self, shape: Shape, neurons: &[Neuron], start_step: u32) -> PopulationId {
+        assert_eq!(shape.len() as usize, neurons.len());
+        fn each<T>(neurons: &[Neuron], field: impl Fn(&Neuron) -> T) -> PerCompartment<T> {
+            PerCompartment::Each(neurons.iter().map(field).collect())
+        }
+        let neurons = Neurons {
+            du: each(neurons, |n| n.du),
+            dv: each(neurons, |n| n.dv),
+            vth: each(neurons, |n| n.vth),
+            bias_mant: each(neurons, |n| n.bias_mant),
+            bias_exp: each(neurons, |n| n.bias_exp),
+            refractory: each(neurons, |n| n.refractory),
+            vmin: each(neurons, |n| n.vmin),
+            vmax: each(neurons, |n| n.vmax),
+        };
+        let first = CompartmentId(self.compartments);
+        self.compartments += shape.len();
+        self.parts.output = PopulationId(self.parts.populations.len() as u32);
+        self.add(shape, Units::Loihi { first, neurons, start_step })
+    }
+
+    fn add(&mut self, shape: Shape, units: Units) -> PopulationId {
+        let name = format!("p{}", self.parts.populations.len());
+        self.parts.populations.push(Population { name, shape, units })
+    }
+
+    /// Connects two populations.
+    pub fn project(
+        &mut self,
+        source: PopulationId,
+        target: PopulationId,
+        format: SynapseFormat,
+        delay: i64,
+        connectivity: Connectivity,
+    ) {
+        let name = format!("{source} -> {target}");
+        let delay = Delay::new(delay).unwrap();
+        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
+    }
+
+    /// Connects all to all with mixed 8-bit weights `[target][source]`, as model files have them.
+    pub fn dense(&mut self, source: PopulationId, target: PopulationId, delay: i64, weights: &[i64]) {
+        let (sources, targets) =
+            (self.parts.populations[source].shape.len() as usize, self.parts.populations[target].shape.len() as usize);
+        assert_eq!(weights.len(), sources * targets);
+        let by_source = (0..sources).flat_map(|s| (0..targets).map(move |t| weights[t * sources + s] as i16)).collect();
+        let connectivity = Connectivity::Dense { targets: targets as u32, weights: by_source };
+        self.project(source, target, format(SignMode::Mixed, 0), delay, connectivity);
+    }
+
+    /// Resets every population periodically.
+    pub fn reset(&mut self, interval: u32, offset: u32) {
+        self.parts.reset = Some(Reset { interval, offset });
+    }
+
+    /// The network.
+    pub fn build(self) -> Quantised {
+        Quantised::new(self.parts).unwrap()
+    }
+}
