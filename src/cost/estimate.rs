@@ -18,7 +18,7 @@ use crate::ir::activity::Activity;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Convention {
-    /// Power times time (12), (13).
+    /// Power times time (13).
     #[default]
     Physical,
     /// The VT-SNN paper's arithmetic: the energy of a millisecond divided by the timesteps of a sample (14), (15).

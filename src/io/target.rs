@@ -30,6 +30,7 @@ pub fn target(source: &SourceText, origin: Origin) -> Result<Target, Diagnostic>
     let file: TargetFile = parse(source, "target.syntax")?;
     let chip_source = part(source, origin, &file.chip, "chips", "chip", shipped::CHIPS)?;
     let chip: Chip = parse(&chip_source, "chip.syntax")?;
+    chip.check(&chip_source)?;
     let mut constants = Vec::with_capacity(file.constants.len());
     for name in &file.constants {
         let text = part(source, origin, name, "constants", "preset of constants", shipped::CONSTANTS)?;
