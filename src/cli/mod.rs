@@ -19,6 +19,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::error::Error;
 
+pub mod map;
+
 /// How results are printed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {

@@ -18,7 +18,7 @@ pub mod reason;
 pub mod route;
 pub mod saved;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 pub mod traffic;
