@@ -9,6 +9,7 @@
 pub mod base;
 pub mod cli;
 pub mod compile;
+pub mod cost;
 pub mod desc;
 pub mod drive;
 pub mod error;
@@ -17,3 +18,4 @@ pub mod io;
 pub mod ir;
 pub mod machine;
 pub mod scene;
+pub mod report;

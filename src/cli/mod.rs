@@ -1,5 +1,6 @@
 //! The command line: one file a subcommand turns what was typed into a validated job, calls the library, and writes.
 
+pub mod energy;
 pub mod inspect;
 
 /// How results are printed.

@@ -1,4 +1,306 @@
 //! From a network to a program, one stage a line.
+//!
+//! In comes a [`Network`] and a [`Target`]; out goes a [`Compiled`] program with the stages that led to it, or every
+//! reason why the network does not fit. A program that leaves this module has been verified against the target's limits
+//! and checked against its network by code that shares nothing with the stages that made it.
 
+pub mod check;
+pub mod copies;
+pub mod fanin;
+pub mod fanout;
+pub mod fill;
 pub mod lower;
+pub mod packing;
+pub mod partition;
+pub mod place;
 pub mod quantise;
+pub mod reason;
+pub mod route;
+pub mod saved;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+pub mod traffic;
+pub mod usage;
+pub mod verify;
+
+use std::time::Instant;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{CoreId, IdVec};
+use crate::desc::mapping::MappingFile;
+use crate::desc::network::Network;
+use crate::desc::target::Target;
+use crate::ir::partition::{Partition, Resource, seats};
+use crate::ir::placement::{Mesh, Placement};
+use crate::ir::program::Program;
+use crate::ir::quantised::Quantised;
+
+pub use partition::Strategy;
+pub use reason::Reason;
+
+/// What a mapping is to be good for. It is recorded; the sequential strategy serves all alike.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Objective {
+    /// Few cores.
+    #[default]
+    Cores,
+    /// Little energy.
+    Energy,
+    /// Short timesteps.
+    Latency,
+}
+
+impl Objective {
+    /// Every objective.
+    pub const ALL: [Objective; 3] = [Objective::Cores, Objective::Energy, Objective::Latency];
+
+    /// Its name on the command line and in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Objective::Cores => "cores",
+            Objective::Energy => "energy",
+            Objective::Latency => "latency",
+        }
+    }
+}
+
+/// How to compile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Options {
+    /// Copies of the network, at least 1.
+    pub copies: u32,
+    /// How compartments are gathered on cores.
+    pub strategy: Strategy,
+    /// What for.
+    pub objective: Objective,
+    /// Seed of strategies that draw; recorded in any case.
+    pub seed: u64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options { copies: 1, strategy: Strategy::default(), objective: Objective::default(), seed: 0 }
+    }
+}
+
+/// Why there is no program.
+#[derive(Debug, thiserror::Error)]
+pub enum CompileError {
+    /// The network or the mapping cannot be used.
+    #[error("{0}")]
+    Input(Diagnostic),
+    /// The network does not fit, for all of these reasons.
+    #[error("the network does not fit the target: {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; also "))]
+    DoesNotFit(Vec<Reason>),
+    /// The compiler has contradicted itself.
+    #[error("{0}")]
+    Fault(String),
+}
+
+impl From<partition::Failure> for CompileError {
+    fn from(failure: partition::Failure) -> Self {
+        match failure {
+            partition::Failure::DoesNotFit(reasons) => CompileError::DoesNotFit(reasons),
+            partition::Failure::Fault(message) => CompileError::Fault(message),
+        }
+    }
+}
+
+/// A program and the stages that led to it.
+#[derive(Debug, Clone)]
+pub struct Compiled {
+    /// The network, all copies.
+    pub quantised: Quantised,
+    /// Compartments on cores.
+    pub partition: Partition,
+    /// Cores on the board.
+    pub placement: Placement,
+    /// The program; verified and checked.
+    pub program: Program,
+    /// Seconds of each stage, in order.
+    pub seconds: Vec<(&'static str, f64)>,
+    /// The target's name.
+    pub target: String,
+    /// How it was compiled.
+    pub options: Options,
+    /// Name of the placement: `sequential`, or `saved` when it came from a file.
+    pub placed: &'static str,
+}
+
+impl Compiled {
+    /// The mapping as a file.
+    #[must_use]
+    pub fn mapping_file(&self) -> MappingFile {
+        let origin = saved::Origin {
+            target: self.target.clone(),
+            copies: self.options.copies,
+            strategy: self.options.strategy.name().to_string(),
+            seed: self.options.seed,
+        };
+        saved::save(&self.quantised, &self.partition, &self.placement, origin)
+    }
+}
+
+/// Measures stages.
+#[derive(Default)]
+struct Clock(Vec<(&'static str, f64)>);
+
+impl Clock {
+    fn stage<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = stage();
+        let seconds = start.elapsed().as_secs_f64();
+        tracing::debug!(stage = name, seconds, "compiled");
+        self.0.push((name, seconds));
+        result
+    }
+}
+
+/// Compiles a network for a target.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn compile(network: &Network, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
+    let mut clock = Clock::default();
+    let one = front(network, &mut clock)?;
+    mapped(one, target, options, clock)
+}
+
+/// Compiles a network that is quantised already.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn compile_quantised(one: Quantised, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
+    mapped(one, target, options, Clock::default())
+}
+
+/// Compiles a quantised network with a saved mapping's partition and places. `options.copies` must be the file's.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn compile_with_mapping(
+    one: Quantised,
+    target: &Target,
+    options: &Options,
+    file: &MappingFile,
+) -> Result<Compiled, CompileError> {
+    remapped(one, target, options, file, Clock::default())
+}
+
+/// Compiles a network with a saved mapping.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn compile_network_with_mapping(
+    network: &Network,
+    target: &Target,
+    options: &Options,
+    file: &MappingFile,
+) -> Result<Compiled, CompileError> {
+    let mut clock = Clock::default();
+    let one = front(network, &mut clock)?;
+    remapped(one, target, options, file, clock)
+}
+
+fn front(network: &Network, clock: &mut Clock) -> Result<Quantised, CompileError> {
+    let graph = clock.stage("lower", || lower::lower(network)).map_err(CompileError::Input)?;
+    clock.stage("quantise", || quantise::quantise(&graph)).map_err(CompileError::Input)
+}
+
+fn mapped(one: Quantised, target: &Target, options: &Options, mut clock: Clock) -> Result<Compiled, CompileError> {
+    clock.stage("bounds", || within_bounds(&one, target, options))?;
+    let all = clock.stage("copies", || all_copies(&one, options))?;
+    let partition = clock.stage("partition", || partition::partition(&one, &all, target, options.strategy))?;
+    let placement = clock.stage("place", || place::place(&partition, target)).map_err(does_not_fit)?;
+    finished(all, partition, placement, place::NAME, target, options, clock)
+}
+
+fn remapped(
+    one: Quantised,
+    target: &Target,
+    options: &Options,
+    file: &MappingFile,
+    mut clock: Clock,
+) -> Result<Compiled, CompileError> {
+    if options.copies != file.copies {
+        let message = format!("the mapping is of {} copies, not {}", file.copies, options.copies);
+        return Err(CompileError::Input(Diagnostic::new("mapping.copies", message)));
+    }
+    clock.stage("bounds", || within_bounds(&one, target, options))?;
+    let all = clock.stage("copies", || all_copies(&one, options))?;
+    let (partition, placement) = clock.stage("mapping", || from_file(&all, target, file))?;
+    finished(all, partition, placement, "saved", target, options, clock)
+}
+
+/// From places to a program that is known to be right.
+fn finished(
+    quantised: Quantised,
+    partition: Partition,
+    placement: Placement,
+    placed: &'static str,
+    target: &Target,
+    options: &Options,
+    mut clock: Clock,
+) -> Result<Compiled, CompileError> {
+    let limits = target.limits();
+    let fault = CompileError::Fault;
+    let program = clock.stage("route", || route::route(&quantised, &partition, &placement, limits)).map_err(fault)?;
+    clock.stage("verify", || verify::verify(&program, target)).map_err(|e| fault(e.to_string()))?;
+    clock.stage("check", || check::check(&quantised, &program)).map_err(|e| fault(e.to_string()))?;
+    let (seconds, target) = (clock.0, target.name().to_string());
+    Ok(Compiled { quantised, partition, placement, program, seconds, target, options: *options, placed })
+}
+
+fn does_not_fit(reason: Reason) -> CompileError {
+    CompileError::DoesNotFit(vec![reason])
+}
+
+fn all_copies(one: &Quantised, options: &Options) -> Result<Quantised, CompileError> {
+    copies::copies(one, options.copies)
+        .map_err(|error| CompileError::Input(Diagnostic::new("map.copies", error.to_string())))
+}
+
+/// Refuses what cannot fit by its sizes alone, before anything large is made; with the reasons of a single copy, if any.
+fn within_bounds(one: &Quantised, target: &Target, options: &Options) -> Result<(), CompileError> {
+    let (limits, copies) = (target.limits(), u64::from(options.copies));
+    let (compartments, room) =
+        (u64::from(one.compartments()), u64::from(target.cores()) * u64::from(limits.compartments));
+    let cores = partition::least_cores(one, options.copies, limits);
+    let bound = if compartments * copies > room {
+        Reason::of_compartments(target, limits, options.copies, compartments * copies)
+    } else if cores > u64::from(target.cores()) && copies > 1 {
+        Reason::of_cores(target, options.copies, cores)
+    } else {
+        return Ok(());
+    };
+    let mut reasons = vec![bound];
+    if compartments <= room
+        && let Err(partition::Failure::DoesNotFit(more)) = partition::partition(one, one, target, options.strategy)
+    {
+        reasons.extend(more.into_iter().filter(|reason| reason.resource != Resource::Cores));
+    }
+    Err(CompileError::DoesNotFit(reasons))
+}
+
+/// A partition and placement as a file has them.
+fn from_file(all: &Quantised, target: &Target, file: &MappingFile) -> Result<(Partition, Placement), CompileError> {
+    let (members, sites) = saved::membership(file, all, target).map_err(CompileError::Input)?;
+    let fault = |error: &dyn std::fmt::Display| CompileError::Fault(error.to_string());
+    let placement = Placement::new(Mesh::of(target), sites).map_err(|e| fault(&e))?;
+    let seats = seats(all.compartments(), &members).map_err(|e| fault(&e))?;
+    let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
+    let usage = usage::usage(all, &members, &seats, &chips, target.limits());
+    let reasons: Vec<Reason> = usage
+        .enumerate()
+        .flat_map(|(core, used)| used.excesses(target.limits()).map(move |e| (core, e)))
+        .map(|(core, (resource, need, limit))| Reason::of_core(core, resource, need, limit))
+        .collect();
+    if !reasons.is_empty() {
+        return Err(CompileError::DoesNotFit(reasons));
+    }
+    let partition = Partition::new(all.compartments(), members, usage, target.limits()).map_err(|e| fault(&e))?;
+    Ok((partition, placement))
+}

@@ -4,6 +4,7 @@
 //! they make sense together is for `compile::lower` to find out.
 
 pub mod dataset;
+pub mod baseline;
 pub mod mapping;
 pub mod network;
 pub mod spanned;

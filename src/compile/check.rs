@@ -1,0 +1,158 @@
+//! Proof that a program equals its network.
+//!
+//! The rule, for a network N and a program P with the same numbers of channels and compartments:
+//!
+//! 1. *Parameters.* For every compartment n, with (c, s) = seat(n): `P.cores[c].ids[s] = n`, and the neuron's fields and
+//!    start step at (c, s) are those that N gives n.
+//! 2. *Synapses.* For every source s, let R(s) be the multiset of (target, format, weight, delay) over all synapses of all
+//!    projections from s in N, and D(s) the multiset of (`ids[slot]`, format, weight, delay) over all synapses of all lists
+//!    that the messages of s lead to in P, where the messages of a compartment are those of its seat. Then R(s) = D(s).
+//!    The format is exponent, sign mode and bits; so the scaled weights are equal too.
+//! 3. *Nothing else.* Every input axon of P is the end of exactly one message. (`Program::new` holds programs to it; with
+//!    2 it follows that no synapse of P is reached by a source that N does not have.)
+//! 4. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
+//!
+//! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing of the stages between.
+//! Memory is that of the largest fan-out for each thread.
+
+use rayon::prelude::*;
+
+use crate::base::fixed::Delay;
+use crate::base::id::{ChannelId, CompartmentId};
+use crate::ir::program::{AxonTarget, Compartment, Program};
+use crate::ir::quantised::{Projection, Quantised, SynapseFormat, Units};
+
+/// A difference between a program and its network.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Difference {
+    /// Something that is said once for the whole program.
+    #[error("the program's {0} is not the network's")]
+    Frame(&'static str),
+    /// A compartment with other parameters, or in another's seat.
+    #[error("compartment {0} of the program has other parameters than the network's")]
+    Parameters(CompartmentId),
+    /// A source that reaches something else.
+    #[error("{source_name} reaches {decoded} synapses in the program and {meant} in the network, or other ones")]
+    Synapses {
+        /// The source.
+        source_name: String,
+        /// Synapses that the program gives it.
+        decoded: usize,
+        /// Synapses that the network gives it.
+        meant: usize,
+    },
+}
+
+/// One synapse as either side tells it.
+type Told = (CompartmentId, SynapseFormat, i16, Delay);
+
+/// Checks that a program equals its network.
+///
+/// # Errors
+/// The first [`Difference`]: the frame, then parameters, then synapses by source.
+pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    check_frame(network, program)?;
+    check_parameters(network, program)?;
+    for (id, population) in network.populations().enumerate() {
+        let outgoing: Vec<&Projection> = network.projections().iter().filter(|p| p.source == id).collect();
+        let failed = (0..population.shape.len())
+            .into_par_iter()
+            .map_init(
+                || (Vec::new(), Vec::new()),
+                |(meant, decoded), index| {
+                    decode(program, messages_of(program, &population.units, index), decoded);
+                    mean(network, &outgoing, index, meant);
+                    if meant == decoded {
+                        return Ok(());
+                    }
+                    let source_name = name_of(&population.units, index);
+                    Err(Difference::Synapses { source_name, decoded: decoded.len(), meant: meant.len() })
+                },
+            )
+            .find_map_first(Result::err);
+        if let Some(difference) = failed {
+            return Err(difference);
+        }
+    }
+    Ok(())
+}
+
+fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    let (meant, told) = (network.parts(), program.parts());
+    let populations = network.populations().iter().map(|p| p.first_compartment().map(|first| (first, p.shape.len())));
+    let rules = [
+        (program.channels() == network.channels(), "number of input channels"),
+        (program.compartments() == network.compartments(), "number of compartments"),
+        (told.populations.iter().copied().eq(populations), "list of populations"),
+        (told.output == meant.output, "output population"),
+        (told.semantics == meant.semantics, "semantics"),
+        (told.threshold == meant.threshold, "threshold test"),
+        (told.reset == meant.reset, "reset"),
+    ];
+    match rules.into_iter().find(|(holds, _)| !holds) {
+        Some((_, what)) => Err(Difference::Frame(what)),
+        None => Ok(()),
+    }
+}
+
+fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    for population in network.populations() {
+        let Units::Loihi { first, neurons, start_step } = &population.units else { continue };
+        for index in 0..population.shape.len() {
+            let id = CompartmentId(first.0 + index);
+            let meant = Compartment { neuron: neurons.get(index), start_step: *start_step };
+            let seat = program.seats()[id];
+            let told = program.cores().get(seat.core).and_then(|image| {
+                let slot = usize::from(seat.slot);
+                (image.ids.get(slot) == Some(&id)).then(|| image.compartments.get(slot))?
+            });
+            if told != Some(&meant) {
+                return Err(Difference::Parameters(id));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn name_of(units: &Units, index: u32) -> String {
+    match units {
+        Units::Input(first) => format!("input channel {}", ChannelId(first.0 + index)),
+        Units::Loihi { first, .. } => format!("compartment {}", CompartmentId(first.0 + index)),
+    }
+}
+
+/// The messages of a source's spike.
+fn messages_of<'a>(program: &'a Program, units: &Units, index: u32) -> &'a [AxonTarget] {
+    match units {
+        Units::Input(first) => program.channel(ChannelId(first.0 + index)),
+        Units::Loihi { first, .. } => {
+            let seat = program.seats()[CompartmentId(first.0 + index)];
+            program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
+        }
+    }
+}
+
+/// D(s): what the messages lead to.
+fn decode(program: &Program, messages: &[AxonTarget], decoded: &mut Vec<Told>) {
+    decoded.clear();
+    for message in messages {
+        let image = &program.cores()[message.core];
+        for synapse in image.synapses.get(usize::from(message.axon)) {
+            let format = image.formats[usize::from(synapse.format)].synapse;
+            decoded.push((image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay));
+        }
+    }
+    decoded.sort_unstable();
+}
+
+/// R(s): what the network says.
+fn mean(network: &Quantised, outgoing: &[&Projection], index: u32, meant: &mut Vec<Told>) {
+    meant.clear();
+    for projection in outgoing {
+        let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
+        projection.connectivity.for_each_from(index, |target, weight| {
+            meant.push((CompartmentId(first.0 + target), projection.format, weight, projection.delay));
+        });
+    }
+    meant.sort_unstable();
+}

@@ -1,0 +1,296 @@
+//! One core while it is being filled: what its compartments so far need of every resource, kept up to date.
+//!
+//! In come compartments one by one; out goes whether the core still holds them all. The counts are exact, the same as
+//! those of [`crate::compile::usage`] except for output axons, which depend on where the targets end up: for these the
+//! caller gives an estimate for each compartment. Adding never lowers a need (formats excepted), so that a core that is too
+//! full stays too full; the caller then begins another.
+
+use std::collections::BTreeSet;
+
+use crate::base::fixed::{Delay, WeightBits};
+use crate::base::id::{CompartmentId, PopulationId};
+use crate::compile::fanin::FanIn;
+use crate::compile::fanout::Formats;
+use crate::compile::packing::{self, Group, MOST_SLOTS, Widths};
+use crate::compile::usage::profiles;
+use crate::desc::target::Limits;
+use crate::ir::partition::CoreUsage;
+use crate::ir::quantised::{Neuron, Quantised};
+
+/// A compartment that wants a seat.
+#[derive(Debug, Clone, Copy)]
+pub struct Newcomer {
+    /// Its number in the network.
+    pub id: CompartmentId,
+    /// Its population.
+    pub population: PopulationId,
+    /// Its index there.
+    pub index: u32,
+    /// Its parameters.
+    pub neuron: Neuron,
+    /// Estimate of its output axon slots.
+    pub slots_out: u32,
+}
+
+/// An input axon so far.
+#[derive(Debug, Clone, Copy)]
+struct Axon {
+    /// The last of its groups, which leads to the others.
+    last: Option<u32>,
+    words: u32,
+}
+
+/// The synapses of one format of one axon so far.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    axon: u32,
+    previous: Option<u32>,
+    format: u16,
+    last_slot: u16,
+    synapses: u32,
+    words: u32,
+    delayed: bool,
+    dense: bool,
+}
+
+/// A core that is being filled.
+#[derive(Debug)]
+pub struct Filling<'a> {
+    fan_in: &'a FanIn,
+    limits: &'a Limits,
+    formats: Formats,
+    weight_bits: Vec<WeightBits>,
+    delays: Vec<Delay>,
+    /// The core (by count) that last saw each source, and the source's axon there.
+    marks: Vec<(u32, u32)>,
+    count: u32,
+    members: Vec<CompartmentId>,
+    axons: Vec<Axon>,
+    entries: Vec<Entry>,
+    /// Groups by format and class: twice delayed plus dense.
+    groups: Vec<[u32; 4]>,
+    profiles: BTreeSet<(u16, u16, u8)>,
+    thresholds: BTreeSet<u32>,
+    longest: Delay,
+    widths: Widths,
+    synapses: u64,
+    words: u64,
+    widest: u32,
+    slots_out: u64,
+}
+
+impl<'a> Filling<'a> {
+    /// An empty core.
+    #[must_use]
+    pub fn new(network: &Quantised, fan_in: &'a FanIn, limits: &'a Limits) -> Self {
+        let formats = Formats::of(network);
+        let sources = network.channels() as usize + network.compartments() as usize;
+        Filling {
+            fan_in,
+            limits,
+            weight_bits: network.projections().iter().map(|p| p.format.bits).collect(),
+            delays: network.projections().iter().map(|p| p.delay).collect(),
+            marks: vec![(0, 0); sources],
+            count: 1,
+            members: Vec::new(),
+            axons: Vec::new(),
+            entries: Vec::new(),
+            groups: vec![[0; 4]; formats.len()],
+            formats,
+            profiles: BTreeSet::new(),
+            thresholds: BTreeSet::new(),
+            longest: Delay::MIN,
+            widths: Widths::of(0, Delay::MIN, limits.packing),
+            synapses: 0,
+            words: 0,
+            widest: 0,
+            slots_out: 0,
+        }
+    }
+
+    /// Begins another core and hands out the compartments of this one.
+    pub fn next_core(&mut self) -> Vec<CompartmentId> {
+        self.count += 1;
+        self.axons.clear();
+        self.entries.clear();
+        self.groups.fill([0; 4]);
+        self.profiles.clear();
+        self.thresholds.clear();
+        self.longest = Delay::MIN;
+        self.widths = Widths::of(0, Delay::MIN, self.limits.packing);
+        (self.synapses, self.words, self.widest, self.slots_out) = (0, 0, 0, 0);
+        std::mem::take(&mut self.members)
+    }
+
+    /// Compartments so far.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.members.is_empty()
+    }
+
+    /// Adds a compartment.
+    ///
+    /// # Errors
+    /// What the core would use, when it cannot hold the compartment. It is not a member then, but the running counts are
+    /// spoiled: begin another core.
+    pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
+        if self.members.len() as u32 >= self.limits.compartments.min(MOST_SLOTS) {
+            return Err(CoreUsage { compartments: self.members.len() as u32 + 1, ..self.usage() });
+        }
+        let slot = self.members.len() as u16;
+        self.members.push(newcomer.id);
+        let fan_in = self.fan_in;
+        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection| {
+            let projection = projection.0 as usize;
+            self.longest = self.longest.max(self.delays[projection]);
+            self.synapse(source, projection, slot);
+        });
+        let widths = Widths::of(self.members.len() as u32, self.longest, self.limits.packing);
+        if widths != self.widths {
+            self.widths = widths;
+            self.recount();
+        }
+        let (profile, threshold) = profiles(&newcomer.neuron);
+        self.profiles.insert(profile);
+        self.thresholds.insert(threshold);
+        self.slots_out += u64::from(newcomer.slots_out);
+        // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
+        let used = self.usage();
+        let fits = used.excesses(self.limits).next().is_none()
+            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits.axons_out));
+        if fits {
+            return Ok(());
+        }
+        self.members.pop();
+        Err(used)
+    }
+
+    fn synapse(&mut self, source: u32, projection: usize, slot: u16) {
+        let format = self.formats.by_projection()[projection];
+        let weight_bits = self.weight_bits[projection];
+        let mark = &mut self.marks[source as usize];
+        if mark.0 != self.count {
+            *mark = (self.count, self.axons.len() as u32);
+            self.axons.push(Axon { last: None, words: 0 });
+        }
+        let axon_index = mark.1;
+        let axon = &mut self.axons[axon_index as usize];
+        let mut at = axon.last;
+        while let Some(index) = at {
+            if self.entries[index as usize].format == format {
+                break;
+            }
+            at = self.entries[index as usize].previous;
+        }
+        let index = at.unwrap_or_else(|| {
+            let index = self.entries.len() as u32;
+            let (previous, last_slot) = (axon.last.replace(index), slot);
+            let empty = Entry {
+                axon: axon_index,
+                previous,
+                format,
+                last_slot,
+                synapses: 0,
+                words: 0,
+                delayed: false,
+                dense: true,
+            };
+            self.entries.push(empty);
+            index
+        });
+        let entry = &mut self.entries[index as usize];
+        let class = |entry: &Entry| usize::from(entry.delayed) * 2 + usize::from(entry.dense);
+        let counts = &mut self.groups[usize::from(format)];
+        if entry.synapses > 0 {
+            counts[class(entry)] -= 1;
+            entry.dense &= slot == entry.last_slot + 1;
+        }
+        entry.delayed |= self.delays[projection] > Delay::MIN;
+        counts[class(entry)] += 1;
+        entry.synapses += 1;
+        entry.last_slot = slot;
+        let group = Group { weight_bits, synapses: entry.synapses, delayed: entry.delayed, dense: entry.dense };
+        let words = packing::words(group, self.widths, self.limits);
+        let more = words - entry.words;
+        entry.words = words;
+        axon.words += more;
+        self.widest = self.widest.max(axon.words);
+        self.words += u64::from(more);
+        self.synapses += 1;
+    }
+
+    /// Counts all words again, with other widths.
+    fn recount(&mut self) {
+        (self.words, self.widest) = (0, 0);
+        self.axons.iter_mut().for_each(|axon| axon.words = 0);
+        for entry in &mut self.entries {
+            let weight_bits = self.formats.get(entry.format).bits;
+            let group = Group { weight_bits, synapses: entry.synapses, delayed: entry.delayed, dense: entry.dense };
+            entry.words = packing::words(group, self.widths, self.limits);
+            self.axons[entry.axon as usize].words += entry.words;
+            self.words += u64::from(entry.words);
+        }
+        self.widest = self.axons.iter().map(|axon| axon.words).max().unwrap_or(0);
+    }
+
+    /// What the compartments so far use, output axons left out.
+    #[must_use]
+    pub fn usage(&self) -> CoreUsage {
+        let compartments = self.members.len() as u32;
+        CoreUsage {
+            compartments,
+            axons_in: self.axons.len() as u32,
+            axons_out: 0,
+            axons_out_per_compartment: 0,
+            synapses: self.synapses,
+            synapse_words: self.words,
+            synapse_words_per_axon: self.widest,
+            synapse_formats: self.groups.iter().flatten().filter(|&&groups| groups > 0).count() as u32,
+            compartment_profiles: self.profiles.len() as u32,
+            threshold_profiles: self.thresholds.len() as u32,
+            accumulators: compartments.saturating_mul(packing::delay_slots(self.longest)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::id::IdVec;
+    use crate::compile::testing::{limits, random_network};
+    use crate::compile::usage::usage;
+    use crate::desc::target::Packing;
+    use crate::ir::partition::seats;
+    use crate::ir::quantised::Units;
+
+    #[test]
+    fn the_running_counts_equal_the_exact_ones() {
+        for seed in 0..80 {
+            let network = random_network(seed);
+            let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
+            let limits = Limits { packing, ..limits() };
+            let fan_in = FanIn::new(&network);
+            let mut filling = Filling::new(&network, &fan_in, &limits);
+            for (id, population) in network.populations().enumerate() {
+                let Units::Loihi { first, neurons, .. } = &population.units else { continue };
+                for index in 0..population.shape.len() {
+                    let (id, population) = (CompartmentId(first.0 + index), id);
+                    let neuron = neurons.get(index);
+                    filling.add(&Newcomer { id, population, index, neuron, slots_out: 0 }).unwrap();
+                }
+            }
+            let running = filling.usage();
+            let members: IdVec<_, _> = vec![filling.next_core()].into();
+            let seats = seats(network.compartments(), &members).unwrap();
+            let mut exact = usage(&network, &members, &seats, &vec![0].into(), &limits).as_slice()[0];
+            (exact.axons_out, exact.axons_out_per_compartment) = (0, 0);
+            assert_eq!(running, exact, "seed {seed}");
+        }
+    }
+}

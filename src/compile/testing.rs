@@ -1,0 +1,309 @@
+//! Networks and targets for the tests of the compiler, by hand and at random.
+
+use std::sync::Arc;
+
+use crate::base::diagnostic::SourceText;
+use crate::base::fixed::{
+    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
+    WeightBits, WeightExponent,
+};
+use crate::base::id::{ChannelId, CompartmentId, PopulationId};
+use crate::base::rng;
+use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::target::{Chip, Limits, Packing, PowerUnit, Target, TargetFile};
+use crate::ir::graph::{PerCompartment, Shape, Window};
+use crate::ir::quantised::{Connectivity, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units};
+
+/// The limits of a Loihi core as the shipped chip has them.
+pub fn limits() -> Limits {
+    Limits {
+        compartments: 1024,
+        axons_in: 4096,
+        axons_out: 4096,
+        axon_out_slots: 1,
+        axon_out_slots_off_chip: 2,
+        axons_out_per_compartment: 511,
+        synapse_words: 16_384,
+        synapse_words_per_axon: 256,
+        synapses_per_entry: 64,
+        synapse_formats: 16,
+        compartment_profiles: 32,
+        threshold_profiles: 16,
+        accumulators: 8192,
+        packing: Packing::Nengo,
+    }
+}
+
+/// A board of Loihi chips with these limits.
+pub fn target(chips_x: u32, chips_y: u32, limits: Limits) -> Target {
+    let chip = Chip {
+        name: "test".to_string(),
+        notes: String::new(),
+        width: 8,
+        height: 4,
+        cores_per_tile: 4,
+        cores: 128,
+        x86_cores: 3,
+        x86_cores_in_use: 1,
+        power_unit: PowerUnit::Core,
+        limits,
+    };
+    let file = TargetFile {
+        name: "test-board".to_string(),
+        notes: String::new(),
+        chip: "test".to_string().into(),
+        chips_x: chips_x.into(),
+        chips_y: chips_y.into(),
+        constants: Vec::new(),
+    };
+    Target::new(&file, &SourceText::new("test.ron", ""), chip, vec![constants()]).unwrap()
+}
+
+/// A preset of constants that no test of the compiler looks at.
+fn constants() -> crate::desc::target::Constants {
+    let names = [
+        (
+            "pJ",
+            "synapse_dense_energy synapse_sparse_energy dendrite_energy compartment_energy compartment_active_energy",
+        ),
+        ("pJ", "spike_energy axon_out_energy axon_in_energy local_hop_energy hop_ew_energy hop_ns_energy"),
+        ("pJ", "hop_chip_energy core_step_energy"),
+        (
+            "ns",
+            "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time axon_out_time",
+        ),
+        ("ns", "axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time injection_time"),
+        ("mW", "core_static_power x86_static_power x86_busy_power"),
+    ];
+    let one = |unit: &str| format!("(value: 1.0, unit: {unit}, source: \"test\", status: assumed)");
+    let mut text = format!("Constants(name: \"test\", notes: \"\", barrier: [(tiles: 1, time: {})]", one("us"));
+    for (unit, list) in names {
+        for name in list.split(' ') {
+            text += &format!(", {name}: {}", one(unit));
+        }
+    }
+    ron::from_str(&(text + ")")).unwrap()
+}
+
+/// The format of 8-bit mixed weights.
+pub fn plain_format() -> SynapseFormat {
+    format(0, SignMode::Mixed, 8)
+}
+
+/// A format.
+pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
+    SynapseFormat { exponent: WeightExponent::new(exponent).unwrap(), sign, bits: WeightBits::new(bits).unwrap() }
+}
+
+/// Parameters of the silicon network's compartments.
+pub fn neurons() -> Neurons {
+    Neurons {
+        du: PerCompartment::Same(Decay::new(1024).unwrap()),
+        dv: PerCompartment::Same(Decay::new(128).unwrap()),
+        vth: PerCompartment::Same(ThresholdMantissa::new(80).unwrap()),
+        bias_mant: PerCompartment::Same(BiasMantissa::new(0).unwrap()),
+        bias_exp: PerCompartment::Same(BiasExponent::new(0).unwrap()),
+        refractory: PerCompartment::Same(Refractory::new(1).unwrap()),
+        vmin: PerCompartment::Same(VminExponent::MAX),
+        vmax: PerCompartment::Same(VmaxExponent::MAX),
+    }
+}
+
+/// Builds a network population by population.
+pub struct Builder {
+    parts: Parts,
+    channels: u32,
+    compartments: u32,
+}
+
+impl Builder {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        let parts = Parts {
+            name: "test".to_string(),
+            timestep_ms: 1.0,
+            populations: Default::default(),
+            projections: Default::default(),
+            output: PopulationId(0),
+            classes: Vec::new(),
+            semantics: Semantics::Hardware,
+            threshold: ThresholdTest::Strict,
+            reset: None,
+            notes: Vec::new(),
+        };
+        Builder { parts, channels: 0, compartments: 0 }
+    }
+
+    /// An input of this shape.
+    pub fn input_shape(&mut self, name: &str, shape: Shape) -> PopulationId {
+        let units = Units::Input(ChannelId(self.channels));
+        self.channels += shape.len();
+        self.parts.populations.push(Population { name: name.to_string(), shape, units })
+    }
+
+    /// An input of so many channels.
+    pub fn input(&mut self, name: &str, channels: u32) -> PopulationId {
+        self.input_shape(name, Shape::Line(channels))
+    }
+
+    /// Compartments with these parameters; the last population is the output.
+    pub fn loihi_with(&mut self, name: &str, shape: Shape, neurons: Neurons) -> PopulationId {
+        let units = Units::Loihi { first: CompartmentId(self.compartments), neurons, start_step: 0 };
+        self.compartments += shape.len();
+        self.parts.output = self.parts.populations.push(Population { name: name.to_string(), shape, units });
+        self.parts.output
+    }
+
+    /// So many compartments.
+    pub fn loihi(&mut self, name: &str, compartments: u32) -> PopulationId {
+        self.loihi_with(name, Shape::Line(compartments), neurons())
+    }
+
+    /// A projection.
+    pub fn connect(
+        &mut self,
+        (source, target): (PopulationId, PopulationId),
+        format: SynapseFormat,
+        delay: i64,
+        connectivity: Connectivity,
+    ) {
+        let name = |id| &self.parts.populations[id].name;
+        let name = format!("{} -> {}", name(source), name(target));
+        let delay = Delay::new(delay).unwrap();
+        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
+    }
+
+    /// A dense projection of plain weights `f(source, target)`.
+    pub fn dense(&mut self, source: PopulationId, target: PopulationId, f: impl Fn(u32, u32) -> i16) {
+        let size = |id: PopulationId| self.parts.populations[id].shape.len();
+        let (sources, targets) = (size(source), size(target));
+        let weights: Arc<[i16]> =
+            (0..sources).flat_map(|s| (0..targets).map(move |t| (s, t))).map(|(s, t)| f(s, t)).collect();
+        self.connect((source, target), plain_format(), 0, Connectivity::Dense { targets, weights });
+    }
+
+    /// A random projection of plain weights.
+    pub fn random(&mut self, source: PopulationId, target: PopulationId, fan_out: u32, seed: u64) {
+        let targets = self.parts.populations[target].shape.len();
+        let random = Connectivity::Random { targets, fan_out, low: -64, high: 64, step: 2, seed, first_source: 0 };
+        self.connect((source, target), plain_format(), 0, random);
+    }
+
+    /// The network.
+    pub fn build(self) -> Quantised {
+        Quantised::new(self.parts).unwrap()
+    }
+}
+
+/// The shape of the VT-SNN slip network: 156 -> 50 and `vision` -> 10, both -> 2, all dense.
+pub fn slip(vision: u32) -> Quantised {
+    let mut builder = Builder::new();
+    let (tactile, seen) = (builder.input("tactile", 156), builder.input("vision", vision));
+    let (touch, sight, out) = (builder.loihi("touch", 50), builder.loihi("sight", 10), builder.loihi("out", 2));
+    for (source, target) in [(tactile, touch), (seen, sight), (touch, out), (sight, out)] {
+        builder.dense(source, target, |s, t| ((s * 7 + t * 3) % 100) as i16 * 2 - 100);
+    }
+    builder.build()
+}
+
+/// A drawer of numbers for one network.
+struct Draw(u64, u64);
+
+impl Draw {
+    fn below(&mut self, n: u64) -> u64 {
+        self.1 += 1;
+        rng::below(n, self.0, 0, self.1)
+    }
+
+    fn each<T: Copy>(&mut self, n: u32, values: &[T]) -> PerCompartment<T> {
+        let mut pick = || values[self.below(values.len() as u64) as usize];
+        if n % 2 == 0 { PerCompartment::Same(pick()) } else { PerCompartment::Each((0..n).map(|_| pick()).collect()) }
+    }
+}
+
+/// A network of a few populations with every kind of projection, delays, formats and parameters.
+pub fn random_network(seed: u64) -> Quantised {
+    let mut draw = Draw(seed, 0);
+    let mut builder = Builder::new();
+    let shape = |draw: &mut Draw| {
+        if draw.below(2) == 0 {
+            Shape::Line(1 + draw.below(40) as u32)
+        } else {
+            Shape::Volume(2, 2 + draw.below(3) as u32, 2 + draw.below(3) as u32)
+        }
+    };
+    let mut all: Vec<(PopulationId, Shape)> = Vec::new();
+    let inputs = 1 + draw.below(2);
+    for k in 0..inputs {
+        let shape = shape(&mut draw);
+        all.push((builder.input_shape(&format!("in{k}"), shape), shape));
+    }
+    for k in 0..1 + draw.below(4) {
+        let shape = shape(&mut draw);
+        let n = shape.len();
+        let neurons = Neurons {
+            du: draw.each(n, &[0, 1024, 4096].map(|d| Decay::new(d).unwrap())),
+            vth: draw.each(n, &[80, 100].map(|v| ThresholdMantissa::new(v).unwrap())),
+            refractory: draw.each(n, &[1, 2].map(|r| Refractory::new(r).unwrap())),
+            ..neurons()
+        };
+        all.push((builder.loihi_with(&format!("pop{k}"), shape, neurons), shape));
+    }
+    let signs = [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory];
+    for _ in 0..2 + draw.below(6) {
+        let (source, from) = all[draw.below(all.len() as u64) as usize];
+        let (target, to) = all[(inputs + draw.below(all.len() as u64 - inputs)) as usize];
+        let sign = signs[draw.below(3) as usize];
+        let format = format(draw.below(4) as i64 - 2, sign, [8, 8, 6, 4][draw.below(4) as usize]);
+        let delay = [0, 0, 0, 1, 3][draw.below(5) as usize];
+        let connectivity = random_connectivity(&mut draw, format, from, to);
+        builder.connect((source, target), format, delay, connectivity);
+    }
+    builder.build()
+}
+
+fn random_connectivity(draw: &mut Draw, format: SynapseFormat, from: Shape, to: Shape) -> Connectivity {
+    let (low, high) = format.sign.range(format.bits);
+    let step = format.sign.step(format.bits);
+    let levels = (i32::from(high) - i32::from(low)) / i32::from(step) + 1;
+    let weight = |draw: &mut Draw| low + step * draw.below(levels as u64) as i16;
+    let (sources, targets) = (from.len(), to.len());
+    if let (Some(source), Some(target)) = (from.volume(), to.volume())
+        && draw.below(2) == 0
+    {
+        let window = Window {
+            source,
+            target,
+            kernel: (2, 2),
+            stride: (1 + draw.below(2) as u32, 1),
+            padding: (draw.below(2) as u32, 1),
+            dilation: (1, 1 + draw.below(2) as u32),
+            groups: 1 + draw.below(2) as u32,
+        };
+        if draw.below(2) == 0 {
+            return Connectivity::SumPool2d { window: Window { groups: 1, ..window }, weight: weight(draw) };
+        }
+        let size = target.0 * source.0 / window.groups * 4;
+        return Connectivity::Conv2d { window, kernel: (0..size).map(|_| weight(draw)).collect() };
+    }
+    match draw.below(3) {
+        0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| weight(draw)).collect() },
+        1 => {
+            let (mut first, mut to, mut weights) = (vec![0], Vec::new(), Vec::new());
+            for _ in 0..sources {
+                for target in 0..targets {
+                    if draw.below(3) == 0 {
+                        to.push(target);
+                        weights.push(weight(draw));
+                    }
+                }
+                first.push(to.len() as u64);
+            }
+            Connectivity::Sparse { first: first.into(), targets: to.into(), weights: weights.into() }
+        }
+        _ => {
+            let (fan_out, seed) = (draw.below(8) as u32, draw.below(1000));
+            Connectivity::Random { targets, fan_out, low, high, step, seed, first_source: 3 }
+        }
+    }
+}

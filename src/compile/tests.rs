@@ -1,0 +1,437 @@
+//! The compiler as a whole: what fits, what does not and why, and that wrong programs are found out.
+
+use crate::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
+use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
+use crate::base::rng;
+use crate::compile::check::{Difference, check};
+use crate::compile::testing::{Builder, limits, neurons, random_network, slip, target};
+use crate::compile::verify::{Violation, verify};
+use crate::compile::{CompileError, Compiled, Options, Reason, compile_quantised};
+use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::target::{Limits, Packing};
+use crate::ir::graph::{PerCompartment, Shape};
+use crate::ir::partition::Resource;
+use crate::ir::program::{AxonTarget, Lists, Parts, Program, Synapse};
+use crate::ir::quantised::{Neurons, Quantised, Reset};
+
+fn compiled(network: Quantised, limits: Limits) -> Compiled {
+    compile_quantised(network, &target(2, 2, limits), &Options::default()).unwrap()
+}
+
+fn reasons(network: Quantised, chips: u32, limits: Limits, copies: u32) -> Vec<Reason> {
+    let options = Options { copies, ..Options::default() };
+    match compile_quantised(network, &target(chips, 1, limits), &options) {
+        Err(CompileError::DoesNotFit(reasons)) => reasons,
+        other => panic!("{:?}", other.map(|c| c.partition.cores())),
+    }
+}
+
+#[test]
+fn the_slip_network_fits_one_core_with_the_published_counts() {
+    let compiled = compiled(slip(3150), limits());
+    let usage = compiled.partition.usage().as_slice();
+    assert_eq!(usage.len(), 1);
+    // vt-snn: 156 + 3150 + 60 sources; words by nengo's formula.
+    assert_eq!((usage[0].axons_in, usage[0].synapse_words, usage[0].compartments), (3_366, 7_452, 62));
+}
+
+#[test]
+fn a_dense_layer_of_18_432_words_is_split_over_exactly_two_cores() {
+    let mut builder = Builder::new();
+    let (input, output) = (builder.input("in", 1024), builder.loihi("out", 128));
+    builder.dense(input, output, |s, t| ((s + t) % 100) as i16 * 2);
+    let compiled = compiled(builder.build(), limits());
+    let words: Vec<u64> = compiled.partition.usage().iter().map(|used| used.synapse_words).collect();
+    assert_eq!(compiled.partition.cores(), 2);
+    // 118 targets still take 9 + 7 words an axon, all 16,384; the other 10 take 2.
+    assert_eq!(words, [16_384, 2_048]);
+}
+
+#[test]
+fn both_polarities_of_the_vision_layer_do_not_fit_and_the_ways_out_are_said() {
+    let found = reasons(slip(6300), 1, limits(), 1);
+    assert_eq!(found.len(), 1, "{found:?}");
+    let reason = &found[0];
+    assert_eq!((reason.population.as_deref(), reason.resource), (Some("sight"), Resource::AxonsIn));
+    assert_eq!((reason.need, reason.limit, reason.code), (6_300, 4_096, "map.axons-in"));
+    for way in ["merge polarities", "prune inputs", "pool more", "intermediate populations"] {
+        assert!(reason.help.contains(way), "{}", reason.help);
+    }
+}
+
+#[test]
+fn every_reason_is_given_over_all_populations() {
+    let mut builder = Builder::new();
+    let (wide, narrow) = (builder.input("wide", 30), builder.input("narrow", 4));
+    let (a, b, c) = (builder.loihi("a", 3), builder.loihi("b", 3), builder.loihi("c", 40));
+    builder.dense(wide, a, |_, _| 2);
+    builder.dense(narrow, b, |_, _| 2);
+    builder.random(narrow, b, 60, 1);
+    builder.dense(b, c, |_, _| 2);
+    let tiny = Limits { axons_in: 20, synapse_words_per_axon: 3, compartments: 4, ..limits() };
+    let found: Vec<_> = reasons(builder.build(), 1, tiny, 1)
+        .into_iter()
+        .map(|r| (r.population.unwrap(), r.resource, r.limit))
+        .collect();
+    assert!(found.contains(&("a".to_string(), Resource::AxonsIn, 20)), "{found:?}");
+    // About 20 synapses of 14 bits from each channel to each of three targets: 5 words.
+    assert!(found.contains(&("b".to_string(), Resource::SynapseWordsPerAxon, 3)), "{found:?}");
+}
+
+#[test]
+fn output_axons_that_no_split_can_lower_are_a_reason() {
+    let network = || {
+        let mut builder = Builder::new();
+        let (a, b) = (builder.loihi("a", 5), builder.loihi("b", 40));
+        builder.dense(a, b, |_, _| 2);
+        builder.build()
+    };
+    // Ten cores of b: each spike of a takes 10 axons.
+    let per_compartment = Limits { compartments: 4, axons_out_per_compartment: 9, ..limits() };
+    let found = reasons(network(), 1, per_compartment, 1);
+    assert_eq!(found.len(), 1);
+    assert_eq!((found[0].resource, found[0].need, found[0].limit), (Resource::AxonsOutPerCompartment, 11, 9));
+    let slots = Limits { compartments: 4, axons_out: 9, ..limits() };
+    let found = reasons(network(), 1, slots, 1);
+    assert_eq!((found[0].population.as_deref(), found[0].resource), (Some("a"), Resource::AxonsOut));
+    // With room for 22 slots, two compartments of a fit on a core.
+    let compiled = compiled(network(), Limits { compartments: 4, axons_out: 22, ..limits() });
+    assert!(compiled.partition.usage().iter().all(|used| used.axons_out <= 22));
+}
+
+#[test]
+fn more_copies_than_the_target_holds_is_a_reason_before_anything_large_is_made() {
+    let found = reasons(slip(3150), 1, limits(), 4_096);
+    assert_eq!(found[0].resource, Resource::Compartments);
+    assert!(found[0].help.contains("fewer than 4096 copies"), "{}", found[0].help);
+    let found = reasons(slip(3150), 1, limits(), 200);
+    // 200 x 3,366 input axons need at least 165 cores.
+    assert_eq!((found[0].resource, found[0].need, found[0].limit), (Resource::Cores, 165, 128));
+    assert!(found[0].help.contains("kapoho-bay"), "{}", found[0].help);
+}
+
+#[test]
+fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
+    let options = Options { copies: 32, ..Options::default() };
+    let board = target(2, 2, limits());
+    let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
+    assert_eq!(compiled.partition.cores(), 32);
+    let traffic = crate::compile::traffic::traffic(&compiled.program, 1.0);
+    assert_eq!(traffic.cut_spikes_per_step, 32.0 * 3_306.0, "only inputs cross between cores");
+    let small = compile_quantised(slip(100), &board, &options).unwrap();
+    // 316 input axons and 62 compartments a copy: twelve copies share a core.
+    assert_eq!(small.partition.cores(), 3);
+}
+
+#[test]
+fn a_population_that_fits_an_empty_core_is_kept_whole_when_that_costs_no_core() {
+    let mut builder = Builder::new();
+    let input = builder.input("in", 4);
+    let (a, b) = (builder.loihi("a", 700), builder.loihi("b", 600));
+    builder.dense(input, a, |_, _| 2);
+    builder.dense(input, b, |_, _| 2);
+    let kept = compiled(builder.build(), limits());
+    let sizes: Vec<usize> = kept.partition.members().iter().map(Vec::len).collect();
+    assert_eq!(sizes, [700, 600]);
+    let mut builder = Builder::new();
+    let input = builder.input("in", 4);
+    for name in ["a", "b", "c"] {
+        let population = builder.loihi(name, 600);
+        builder.dense(input, population, |_, _| 2);
+    }
+    let filled = compiled(builder.build(), limits());
+    let sizes: Vec<usize> = filled.partition.members().iter().map(Vec::len).collect();
+    assert_eq!(sizes, [1024, 776], "whole would take three cores");
+}
+
+#[test]
+fn too_many_profiles_and_delays_split_a_population() {
+    let mut builder = Builder::new();
+    let input = builder.input("in", 4);
+    let each = Neurons {
+        du: PerCompartment::Each((0..100).map(|d| Decay::new(d).unwrap()).collect()),
+        vth: PerCompartment::Each((0..100).map(|v| ThresholdMantissa::new(v / 50).unwrap()).collect()),
+        ..neurons()
+    };
+    let varied = builder.loihi_with("varied", Shape::Line(100), each);
+    builder.dense(input, varied, |_, _| 2);
+    let profiles = compiled(builder.build(), limits());
+    assert_eq!(profiles.partition.cores(), 4, "100 profiles, 32 a core");
+    let mut builder = Builder::new();
+    let (input, late) = (builder.input("in", 4), builder.loihi("late", 1000));
+    let weights = vec![2i16; 4000].into();
+    let dense = crate::ir::quantised::Connectivity::Dense { targets: 1000, weights };
+    builder.connect((input, late), crate::compile::testing::plain_format(), 31, dense);
+    let delays = compiled(builder.build(), limits());
+    let used: Vec<u32> = delays.partition.usage().iter().map(|used| used.compartments).collect();
+    assert_eq!(used, [256, 256, 256, 232], "8,192 accumulators, 32 slots a compartment");
+}
+
+/// Limits drawn small enough to split and large enough to be met.
+fn drawn_limits(seed: u64) -> Limits {
+    let draw = |k, low: u64, high: u64| (low + rng::below(high - low + 1, seed, 99, k)) as u32;
+    Limits {
+        compartments: draw(0, 1, 40),
+        axons_in: draw(1, 60, 200),
+        axons_out: draw(2, 150, 800),
+        axons_out_per_compartment: draw(3, 100, 200),
+        synapse_words: draw(4, 150, 800),
+        synapse_words_per_axon: draw(5, 12, 40),
+        synapse_formats: draw(6, 12, 16),
+        compartment_profiles: draw(7, 1, 4),
+        threshold_profiles: draw(8, 1, 2),
+        accumulators: draw(9, 8, 100),
+        packing: if draw(10, 0, 1) == 0 { Packing::Nengo } else { Packing::Nxtf },
+        ..limits()
+    }
+}
+
+#[test]
+fn every_limit_is_kept_on_hundreds_of_random_networks() {
+    let (mut fitted, mut split, mut refused) = (0, 0, 0);
+    for seed in 0..500 {
+        let limits = drawn_limits(seed);
+        let options = Options { copies: 1 + (seed % 3) as u32, ..Options::default() };
+        // Compiling verifies the tables against the limits and checks them against the network.
+        match compile_quantised(random_network(seed), &target(2, 2, limits), &options) {
+            Ok(compiled) => {
+                fitted += 1;
+                split += u32::from(compiled.partition.cores() > 1);
+                for (core, used) in compiled.partition.usage().enumerate() {
+                    assert_eq!(used.excesses(&limits).next(), None, "seed {seed} {core}");
+                }
+            }
+            Err(CompileError::DoesNotFit(reasons)) => {
+                refused += 1;
+                assert!(!reasons.is_empty() && reasons.iter().all(|r| r.need > r.limit), "seed {seed}: {reasons:?}");
+            }
+            Err(other) => panic!("seed {seed}: {other}"),
+        }
+    }
+    assert!(fitted > 300 && split > 250, "{fitted} fitted, {split} were split, {refused} did not fit");
+}
+
+#[test]
+fn compiling_twice_gives_the_same_program() {
+    for seed in 0..20 {
+        let program = || compiled(random_network(seed), Limits { compartments: 7, ..limits() }).program;
+        assert_eq!(program(), program());
+    }
+}
+
+/// A network with several cores, formats, delays and populations for programs to go wrong in.
+fn mutable() -> (Quantised, Parts) {
+    let mut builder = Builder::new();
+    let (x, y) = (builder.input("x", 6), builder.input("y", 5));
+    let (a, b) = (builder.loihi("a", 8), builder.loihi("b", 3));
+    builder.dense(x, a, |s, t| (s * 8 + t) as i16 * 2 - 60);
+    builder.dense(a, b, |s, t| (s * 3 + t) as i16 * 2 - 30);
+    builder.random(b, a, 3, 5);
+    let weights = (0..15i16).map(|w| w * 2 - 14).collect();
+    let format = crate::compile::testing::format(1, SignMode::Mixed, 8);
+    let dense = crate::ir::quantised::Connectivity::Dense { targets: 3, weights };
+    builder.connect((y, b), format, 2, dense);
+    let network = builder.build();
+    let parts = compiled(network.clone(), Limits { compartments: 4, ..limits() }).program.into_parts();
+    (network, parts)
+}
+
+/// Changes the synapses of one core.
+fn resynapse(parts: &mut Parts, core: u32, change: impl FnOnce(&mut Vec<Vec<Synapse>>)) {
+    let image = &mut parts.cores[CoreId(core)];
+    let mut lists: Vec<Vec<Synapse>> = image.synapses.iter().map(<[Synapse]>::to_vec).collect();
+    change(&mut lists);
+    image.synapses = Lists::default();
+    lists.into_iter().for_each(|list| image.synapses.push(list));
+}
+
+fn relist<T: Copy>(lists: &mut Lists<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
+    let mut all: Vec<Vec<T>> = lists.iter().map(<[T]>::to_vec).collect();
+    change(&mut all);
+    *lists = Lists::default();
+    all.into_iter().for_each(|list| lists.push(list));
+}
+
+#[test]
+fn mutated_programs_are_found_out() {
+    type Mutation = (&'static str, fn(&mut Parts));
+    let mutations: [Mutation; 24] = [
+        ("changed weight", |p| resynapse(p, 0, |l| l[0][1].weight += 2)),
+        ("weight of zero", |p| resynapse(p, 1, |l| l[2][0].weight = 0)),
+        ("changed slot", |p| resynapse(p, 0, |l| l[0][0].slot = 3)),
+        ("slot outside", |p| resynapse(p, 0, |l| l[0][0].slot = 400)),
+        ("changed delay", |p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap())),
+        ("changed exponent", |p| p.cores[CoreId(0)].formats[0].synapse.exponent = WeightExponent::new(2).unwrap()),
+        ("changed sign mode", |p| p.cores[CoreId(1)].formats[0].synapse.sign = SignMode::Excitatory),
+        ("format outside", |p| resynapse(p, 0, |l| l[0][0].format = 200)),
+        ("dropped synapse", |p| resynapse(p, 0, |l| l[3].truncate(1))),
+        ("duplicated synapse", |p| {
+            resynapse(p, 0, |l| {
+                let last = *l[3].last().unwrap();
+                l[3].push(last);
+            });
+        }),
+        ("swapped weights of one axon", |p| {
+            resynapse(p, 0, |l| {
+                let (a, b) = (l[1][0].weight, l[1][1].weight);
+                (l[1][0].weight, l[1][1].weight) = (b, a);
+            });
+        }),
+        ("swapped axons", |p| resynapse(p, 0, |l| l.swap(0, 1))),
+        ("dropped axon", |p| resynapse(p, 0, |l| drop(l.pop()))),
+        ("extra axon", |p| {
+            resynapse(p, 0, |l| {
+                let copy = l[0].clone();
+                l.push(copy);
+            });
+        }),
+        ("redirected message", |p| relist(&mut p.channels, |l| l[0][0].axon += 1)),
+        ("dropped message", |p| relist(&mut p.channels, |l| l[2].clear())),
+        ("message to a core that is not there", |p| {
+            relist(&mut p.channels, |l| l[0].push(AxonTarget { core: CoreId(77), axon: 0 }));
+        }),
+        ("swapped channels", |p| relist(&mut p.channels, |l| l.swap(0, 1))),
+        ("swapped messages of compartments", |p| relist(&mut p.cores[CoreId(0)].axons_out, |l| l.swap(0, 1))),
+        ("changed decay", |p| p.cores[CoreId(0)].compartments[1].neuron.du = Decay::new(1025).unwrap()),
+        ("changed bias", |p| p.cores[CoreId(2)].compartments[0].neuron.bias_mant = BiasMantissa::new(1).unwrap()),
+        ("changed start step", |p| p.cores[CoreId(1)].compartments[0].start_step = 9),
+        ("swapped seats", |p| {
+            let (a, b) = (CompartmentId(0), CompartmentId(5));
+            let (sa, sb) = (p.seats[a], p.seats[b]);
+            (p.seats[a], p.seats[b]) = (sb, sa);
+            p.cores[sa.core].ids[usize::from(sa.slot)] = b;
+            p.cores[sb.core].ids[usize::from(sb.slot)] = a;
+        }),
+        ("seat of another", |p| p.seats[CompartmentId(0)] = p.seats[CompartmentId(1)]),
+    ];
+    let frames: [Mutation; 7] = [
+        ("changed threshold", |p| {
+            p.cores[CoreId(0)].compartments[0].neuron.vth = ThresholdMantissa::new(81).unwrap();
+        }),
+        ("changed reset", |p| p.reset = Some(Reset { interval: 3, offset: 0 })),
+        ("changed semantics", |p| p.semantics = Semantics::Lava),
+        ("changed threshold test", |p| p.threshold = ThresholdTest::Inclusive),
+        ("wrong channel count", |p| p.channels.push([])),
+        ("another output", |p| p.output = PopulationId(2)),
+        ("changed population", |p| p.populations[PopulationId(2)] = Some((CompartmentId(0), 7))),
+    ];
+    let (network, good) = mutable();
+    let program = Program::new(good.clone()).unwrap();
+    assert_eq!(check(&network, &program), Ok(()));
+    for (name, mutate) in mutations.into_iter().chain(frames) {
+        let mut parts = good.clone();
+        mutate(&mut parts);
+        assert_ne!(parts, good, "{name} changes nothing");
+        let verdict = Program::new(parts).map(|program| check(&network, &program));
+        assert!(!matches!(verdict, Ok(Ok(()))), "{name} goes unnoticed");
+    }
+}
+
+#[test]
+fn the_checker_names_what_differs() {
+    let (network, good) = mutable();
+    let mut parts = good.clone();
+    let message = parts.channels.get(ChannelId(1).0 as usize)[0];
+    resynapse(&mut parts, message.core.0, |lists| lists[usize::from(message.axon)].truncate(7));
+    let difference = check(&network, &Program::new(parts).unwrap()).unwrap_err();
+    assert_eq!(difference, Difference::Synapses { source_name: "input channel in1".to_string(), decoded: 7, meant: 8 });
+}
+
+#[test]
+fn each_rule_of_the_verifier_can_fail() {
+    let (_, good) = mutable();
+    let limits = Limits { compartments: 4, ..limits() };
+    let board = target(2, 2, limits);
+    let verdict = |limits: Limits, mutate: &dyn Fn(&mut Parts)| {
+        let mut parts = good.clone();
+        mutate(&mut parts);
+        verify(&Program::new(parts).expect("still closed"), &target(2, 2, limits)).unwrap_err()
+    };
+    assert_eq!(verify(&Program::new(good.clone()).unwrap(), &board), Ok(()));
+    assert_eq!(verify(&Program::new(good.clone()).unwrap(), &target(2, 1, limits)), Err(Violation::Mesh));
+    let reversed = verdict(limits, &|p| relist(&mut p.channels, |l| l[0].reverse()));
+    assert_eq!(reversed, Violation::Multicast("input channel 0".to_string()));
+    let reversed = verdict(limits, &|p| relist(&mut p.cores[CoreId(0)].axons_out, |l| l[3].reverse()));
+    assert!(matches!(reversed, Violation::Multicast(_)) || good.cores[CoreId(0)].axons_out.get(3).len() < 2);
+    assert!(matches!(verdict(limits, &|p| resynapse(p, 0, |l| l[0].clear())), Violation::EmptyAxon { axon: 0, .. }));
+    let format = |change: fn(&mut Parts)| matches!(verdict(limits, &change), Violation::Format { .. });
+    assert!(format(|p| {
+        let copy = p.cores[CoreId(0)].formats[0];
+        p.cores[CoreId(0)].formats.push(copy);
+    }));
+    assert!(format(|p| p.cores[CoreId(0)].formats[0].synapse.bits = crate::base::fixed::WeightBits::new(7).unwrap()));
+    assert!(format(|p| p.cores[CoreId(0)].formats[0].delay_bits = 5));
+    assert!(format(|p| p.cores[CoreId(0)].formats[0].index_bits = Some(12)));
+    assert!(format(|p| {
+        let unused = crate::compile::testing::format(5, SignMode::Mixed, 8);
+        let first = p.cores[CoreId(0)].formats[0];
+        p.cores[CoreId(0)].formats.push(crate::ir::program::CoreFormat { synapse: unused, ..first });
+    }));
+    // Core 0 holds a's first half: its first list is of channel 0, dense over slots 0 to 3.
+    let scattered = verdict(limits, &|p| {
+        let image = &mut p.cores[CoreId(0)];
+        let other = crate::ir::program::CoreFormat { index_bits: Some(6), ..image.formats[0] };
+        let number = image.formats.iter().position(|f| *f == other).unwrap_or_else(|| {
+            image.formats.push(other);
+            image.formats.len() - 1
+        });
+        resynapse(p, 0, |l| l[0][1].format = number as u8);
+    });
+    assert!(matches!(scattered, Violation::Scattered { axon: 0, .. }), "{scattered}");
+    let slots = verdict(limits, &|p| resynapse(p, 0, |l| l[0].swap(0, 1)));
+    assert!(matches!(slots, Violation::Slots { axon: 0, .. }), "{slots}");
+    let delay = verdict(limits, &|p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap()));
+    assert!(matches!(delay, Violation::Delay { .. }), "{delay}");
+    let weight = verdict(limits, &|p| resynapse(p, 0, |l| l[0][0].weight += 1));
+    assert!(matches!(weight, Violation::Weight { axon: 0, .. }), "{weight}");
+    // Each resource, one below what the program uses.
+    let used = compiled(mutable().0, limits).partition.usage().clone();
+    for resource in used.as_slice()[0].against(&limits).map(|(resource, _, _)| resource) {
+        let need = used.iter().flat_map(|u| u.against(&limits)).filter(|r| r.0 == resource).map(|r| r.1).max();
+        let tight = lowered(limits, resource, need.unwrap() as u32 - 1);
+        let found = verify(&Program::new(good.clone()).unwrap(), &target(2, 2, tight)).unwrap_err();
+        assert!(matches!(found, Violation::Excess { resource: r, .. } if r == resource), "{found}");
+    }
+}
+
+/// Limits with one of them set.
+fn lowered(limits: Limits, resource: Resource, value: u32) -> Limits {
+    let mut limits = limits;
+    let field = match resource {
+        Resource::Compartments => &mut limits.compartments,
+        Resource::AxonsIn => &mut limits.axons_in,
+        Resource::AxonsOut => &mut limits.axons_out,
+        Resource::AxonsOutPerCompartment => &mut limits.axons_out_per_compartment,
+        Resource::SynapseWords => &mut limits.synapse_words,
+        Resource::SynapseWordsPerAxon => &mut limits.synapse_words_per_axon,
+        Resource::SynapseFormats => &mut limits.synapse_formats,
+        Resource::CompartmentProfiles => &mut limits.compartment_profiles,
+        Resource::ThresholdProfiles => &mut limits.threshold_profiles,
+        Resource::Accumulators => &mut limits.accumulators,
+        Resource::Cores => unreachable!("not a resource of one core"),
+    };
+    *field = value;
+    limits
+}
+
+#[test]
+fn a_network_larger_than_the_target_is_refused_by_its_size() {
+    let mut builder = Builder::new();
+    builder.loihi("large", 200_000);
+    let found = reasons(builder.build(), 1, limits(), 1);
+    assert_eq!((found[0].need, found[0].limit), (200_000, 131_072));
+}
+
+#[test]
+fn a_random_network_of_6_4_million_synapses_keeps_every_limit_of_768_chips() {
+    let mut builder = Builder::new();
+    let (input, all) = (builder.input("in", 100), builder.loihi("all", 100_000));
+    builder.random(input, all, 8, 1);
+    builder.random(all, all, 64, 2);
+    let compiled = compile_quantised(builder.build(), &target(12, 64, limits()), &Options::default()).unwrap();
+    let most = compiled.partition.usage().iter().map(|used| used.axons_out).max().unwrap();
+    let cores = compiled.partition.cores();
+    println!("{cores} cores, {:?}", compiled.seconds);
+    // 64 targets on nearly 64 cores, most of them off chip: 4,096 / 128 compartments a core at worst.
+    assert!(most <= 4096 && cores <= 3_125, "{cores} cores, {most} slots");
+}

@@ -1,0 +1,256 @@
+//! A preset of constants in integers.
+//!
+//! Files hold decimal numbers in pJ, ns, us and mW; sums are made of fJ, ps and nW. The conversion is exact: a number with
+//! more digits than its integer unit can hold is refused, not rounded, so that what is charged is what the file says.
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::units::{Femtojoules, Nanowatts, Picoseconds};
+use crate::desc::target::{Constant, Constants, Unit};
+
+/// Energy and time of one operation.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Operation {
+    /// Its energy.
+    pub energy: Femtojoules,
+    /// Its time on the core or link that does it.
+    pub time: Picoseconds,
+}
+
+/// A preset of constants, ready to be multiplied with counts. The fields mean what those of
+/// [`crate::desc::target::Constants`] do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CostTable {
+    name: String,
+    /// A synaptic event of a dense list.
+    pub synapse_dense: Operation,
+    /// A synaptic event of a sparse list.
+    pub synapse_sparse: Operation,
+    /// A dendritic accumulator read in a step: energy only.
+    pub dendrite: Femtojoules,
+    /// A compartment visited.
+    pub compartment: Operation,
+    /// On top, when it is not at rest.
+    pub compartment_active: Operation,
+    /// On top, when it spikes.
+    pub spike: Operation,
+    /// A message sent.
+    pub axon_out: Operation,
+    /// A message received.
+    pub axon_in: Operation,
+    /// A message that stays within its tile.
+    pub local_hop: Operation,
+    /// A link crossed east or west.
+    pub hop_ew: Operation,
+    /// A link crossed north or south.
+    pub hop_ns: Operation,
+    /// On top, for a link between chips.
+    pub hop_chip: Operation,
+    /// A powered core in a step: energy only.
+    pub core_step: Femtojoules,
+    /// A spike injected from outside: time only.
+    pub injection: Picoseconds,
+    /// Static power of a powered core.
+    pub core_static: Nanowatts,
+    /// Static power of an x86 core in use.
+    pub x86_static: Nanowatts,
+    /// Power of an x86 core in use on top.
+    pub x86_busy: Nanowatts,
+    /// Barrier times by tiles in use, ascending and not empty.
+    barrier: Vec<(u64, Picoseconds)>,
+}
+
+impl CostTable {
+    /// Converts a preset.
+    ///
+    /// # Errors
+    /// A diagnostic at the first constant that is negative, too large, or has more digits than fJ, ps or nW can hold, and
+    /// when there is no barrier time or the times are not in ascending order of tiles.
+    pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
+        let preset = constants.name.as_str();
+        let integer = |field: &str, constant: &Constant| scaled(preset, field, constant);
+        let energy = |field: &str, constant| integer(field, constant).map(|fj| Femtojoules(fj.into()));
+        let time = |field: &str, constant| integer(field, constant).map(Picoseconds);
+        let power = |field: &str, constant| integer(field, constant).map(Nanowatts);
+        macro_rules! operation {
+            ($energy:ident, $time:ident) => {
+                Operation {
+                    energy: energy(stringify!($energy), &constants.$energy)?,
+                    time: time(stringify!($time), &constants.$time)?,
+                }
+            };
+        }
+        let barrier = constants
+            .barrier
+            .iter()
+            .map(|entry| Ok((entry.tiles, time("barrier", &entry.time)?)))
+            .collect::<Result<Vec<_>, Diagnostic>>()?;
+        if barrier.is_empty() || barrier.windows(2).any(|pair| pair[0].0 >= pair[1].0) {
+            return Err(Diagnostic::new(
+                "target.barrier",
+                format!("preset {preset}: barrier times must be given in ascending order of tiles, at least one"),
+            ));
+        }
+        Ok(CostTable {
+            name: constants.name.clone(),
+            synapse_dense: operation!(synapse_dense_energy, synapse_dense_time),
+            synapse_sparse: operation!(synapse_sparse_energy, synapse_sparse_time),
+            dendrite: energy("dendrite_energy", &constants.dendrite_energy)?,
+            compartment: operation!(compartment_energy, compartment_time),
+            compartment_active: operation!(compartment_active_energy, compartment_active_time),
+            spike: operation!(spike_energy, spike_time),
+            axon_out: operation!(axon_out_energy, axon_out_time),
+            axon_in: operation!(axon_in_energy, axon_in_time),
+            local_hop: operation!(local_hop_energy, local_hop_time),
+            hop_ew: operation!(hop_ew_energy, hop_ew_time),
+            hop_ns: operation!(hop_ns_energy, hop_ns_time),
+            hop_chip: operation!(hop_chip_energy, hop_chip_time),
+            core_step: energy("core_step_energy", &constants.core_step_energy)?,
+            injection: time("injection_time", &constants.injection_time)?,
+            core_static: power("core_static_power", &constants.core_static_power)?,
+            x86_static: power("x86_static_power", &constants.x86_static_power)?,
+            x86_busy: power("x86_busy_power", &constants.x86_busy_power)?,
+            barrier,
+        })
+    }
+
+    /// The preset's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Equation (10): the time of a barrier over so many tiles, linear between the preset's entries (rounded down to a
+    /// picosecond), constant before the first and after the last.
+    #[must_use]
+    pub fn barrier(&self, tiles: u64) -> Picoseconds {
+        let after = self.barrier.partition_point(|&(at, _)| at < tiles);
+        match (after.checked_sub(1).map(|i| self.barrier[i]), self.barrier.get(after).copied()) {
+            (None, Some((_, time))) | (Some((_, time)), None) => time,
+            (Some((t0, y0)), Some((t1, y1))) => {
+                let (rise, run) = (i128::from(y1.0) - i128::from(y0.0), i128::from(t1 - t0));
+                let time = i128::from(y0.0) + (rise * i128::from(tiles - t0)).div_euclid(run);
+                // Between two values that fit.
+                Picoseconds(time as u64)
+            }
+            (None, None) => Picoseconds::default(),
+        }
+    }
+}
+
+/// A constant in the least unit of its kind: pJ in fJ, ns and us in ps, mW in nW.
+fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u64, Diagnostic> {
+    let (places, least) = match constant.unit {
+        Unit::pJ => (3, "fJ"),
+        Unit::ns => (3, "ps"),
+        Unit::us => (6, "ps"),
+        Unit::mW => (6, "nW"),
+    };
+    let value = constant.value.value;
+    decimal(value, places).ok_or_else(|| {
+        Diagnostic::new(
+            "target.constant-digits",
+            format!(
+                "preset {preset}: {field} {value} {:?} is not a whole number of {least} from 0 to 10^15",
+                constant.unit
+            ),
+        )
+        .help(format!("give it with at most {places} digits after the point"))
+    })
+}
+
+/// `value * 10^places` when that is a whole number from 0 to 10^15. The shortest decimal that reads back as `value` is
+/// what the file said, up to 15 digits, so no binary rounding enters.
+fn decimal(value: f64, places: usize) -> Option<u64> {
+    if !(0.0..=1e15).contains(&value) {
+        return None;
+    }
+    let text = format!("{value}");
+    let (whole, fraction) = text.split_once('.').unwrap_or((&text, ""));
+    if fraction.len() > places {
+        return None;
+    }
+    let digits = format!("{}{fraction:0<places$}", whole.trim_start_matches('-'));
+    digits.parse().ok().filter(|&integer: &u64| integer <= 1_000_000_000_000_000)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::base::diagnostic::SourceText;
+    use crate::desc::spanned::parse;
+
+    pub(crate) fn preset(name: &str) -> Constants {
+        let path = format!("{}/mapping/constants/{name}.ron", env!("CARGO_MANIFEST_DIR"));
+        let source = SourceText::new(name, std::fs::read_to_string(path).unwrap());
+        parse(&source, "target.syntax").unwrap()
+    }
+
+    pub(crate) fn table(name: &str) -> CostTable {
+        CostTable::new(&preset(name)).unwrap()
+    }
+
+    #[test]
+    fn decimals_convert_exactly_or_not_at_all() {
+        assert_eq!(decimal(23.6, 3), Some(23_600));
+        assert_eq!(decimal(0.113, 6), Some(113_000));
+        assert_eq!(decimal(0.0, 3), Some(0));
+        assert_eq!(decimal(-0.0, 3), Some(0));
+        assert_eq!(decimal(135.04, 6), Some(135_040_000));
+        assert_eq!(decimal(1e9, 6), Some(1_000_000_000_000_000));
+        for refused in [0.0001, 23.6001, -1.0, f64::NAN, f64::INFINITY, 1e13] {
+            assert_eq!(decimal(refused, 3), None, "{refused}");
+        }
+        // 0.001 to 99.999: each is itself in thousandths, though hardly any is a binary fraction.
+        for thousandths in 1..100_000u64 {
+            let text = format!("{}.{:03}", thousandths / 1000, thousandths % 1000);
+            assert_eq!(decimal(text.parse().unwrap(), 3), Some(thousandths), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_presets_hold_what_their_sources_print() {
+        let op = |energy, time| Operation { energy: Femtojoules(energy), time: Picoseconds(time) };
+        let davies = table("davies2018");
+        assert_eq!(davies.synapse_dense, op(23_600, 3_500));
+        assert_eq!(davies.compartment.energy + davies.compartment_active.energy, Femtojoules(81_000));
+        assert_eq!(davies.compartment.time + davies.compartment_active.time, Picoseconds(8_400));
+        assert_eq!(
+            (davies.local_hop, davies.hop_ew, davies.hop_ns),
+            (op(1_700, 2_100), op(3_000, 4_100), op(4_000, 6_500))
+        );
+        let sana = table("sanafe-calibrated");
+        // SANA-FE src/pipeline.hpp adds the costs up: idle 51.2 pJ, updated 72.8 pJ / 9.7 ns, spiking 142.1 pJ / 39.7 ns.
+        assert_eq!(sana.compartment, op(51_200, 6_000));
+        assert_eq!(sana.compartment.energy + sana.compartment_active.energy, Femtojoules(72_800));
+        assert_eq!(sana.compartment.energy + sana.compartment_active.energy + sana.spike.energy, Femtojoules(142_100));
+        assert_eq!(sana.compartment.time + sana.compartment_active.time + sana.spike.time, Picoseconds(39_700));
+        assert_eq!((sana.axon_out, sana.axon_in), (op(111_000, 5_100), op(0, 16_000)));
+    }
+
+    #[test]
+    fn barriers_are_interpolated_between_entries_and_constant_beyond() {
+        let davies = table("davies2018");
+        let at = |tiles| davies.barrier(tiles).0;
+        assert_eq!(
+            (at(0), at(1), at(32), at(8192), at(24_576), at(1 << 40)),
+            (113_000, 113_000, 465_000, 14_300_000, 16_200_000, 16_200_000)
+        );
+        // 113 ns + 352 ns * 1/31 = 124.354... ns
+        assert_eq!(at(2), 124_354);
+        assert_eq!(table("sanafe-calibrated").barrier(3), Picoseconds(1_200_000));
+        for tiles in 0..30_000 {
+            assert!(at(tiles) <= at(tiles + 1));
+        }
+    }
+
+    #[test]
+    fn more_digits_than_a_femtojoule_are_refused_by_name() {
+        let mut constants = preset("davies2018");
+        constants.hop_ew_energy.value = 3.0001.into();
+        let problem = CostTable::new(&constants).unwrap_err();
+        assert_eq!(
+            problem.message,
+            "preset davies2018: hop_ew_energy 3.0001 pJ is not a whole number of fJ from 0 to 10^15"
+        );
+    }
+}

@@ -1,0 +1,125 @@
+//! How many cores a deployment uses, powers and keeps busy.
+//!
+//! Static power is charged for powered cores, which are more than those in use where power comes in tiles or chips.
+
+use std::collections::BTreeSet;
+
+use crate::desc::target::{Chip, PowerUnit};
+use crate::ir::placement::Placement;
+
+/// The numbers of cores that static power, x86 power and the barrier depend on, for all copies together.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Deployment {
+    /// `packed`, `paper`, or the file it came from.
+    pub name: String,
+    /// Copies of the workload that share it.
+    pub copies: u32,
+    /// Neuron cores in use.
+    pub cores_used: u64,
+    /// Neuron cores that draw static power.
+    pub cores_powered: u64,
+    /// Tiles with a core in use: they take part in the barrier.
+    pub tiles_used: u64,
+    /// Chips with a core in use.
+    pub chips_used: u64,
+    /// x86 cores in use.
+    pub x86_cores: u64,
+}
+
+impl Deployment {
+    /// The mapping's own numbers; the placement holds all copies.
+    #[must_use]
+    pub fn of(name: impl Into<String>, placement: &Placement, chip: &Chip, copies: u32) -> Self {
+        let chips_used = u64::from(placement.chips_used());
+        Deployment {
+            name: name.into(),
+            copies,
+            cores_used: placement.len() as u64,
+            cores_powered: powered_cores(placement, chip),
+            tiles_used: tiles_used(placement).len() as u64,
+            chips_used,
+            x86_cores: chips_used * u64::from(chip.x86_cores_in_use),
+        }
+    }
+
+    /// The VT-SNN paper's deployment of 32 copies on Nahuku-32: 594 neuron cores and 5 x86 cores used, 624 neuron cores
+    /// powered for the barrier (appendix, "Power Utilization"). 624 cores are 156 tiles of 4 and 594 cores are 5 chips of
+    /// 128: both are inferences.
+    #[must_use]
+    pub fn paper() -> Self {
+        Deployment {
+            name: "paper".to_string(),
+            copies: 32,
+            cores_used: 594,
+            cores_powered: 624,
+            tiles_used: 156,
+            chips_used: 5,
+            x86_cores: 5,
+        }
+    }
+}
+
+/// The cores that draw static power: all those of each core, tile or chip in use.
+#[must_use]
+pub fn powered_cores(placement: &Placement, chip: &Chip) -> u64 {
+    match chip.power_unit {
+        PowerUnit::Core => placement.len() as u64,
+        PowerUnit::Chip => u64::from(placement.chips_used()) * u64::from(chip.cores),
+        PowerUnit::Tile => tiles_used(placement)
+            .into_iter()
+            .map(|(_, y, x)| {
+                // The last tile of a chip may have cores that cannot be used, and then does not power them.
+                let before = (y * chip.width + x) * chip.cores_per_tile;
+                u64::from(chip.cores.saturating_sub(before).min(chip.cores_per_tile))
+            })
+            .sum(),
+    }
+}
+
+/// Chip, row and column of each tile with a core in use.
+fn tiles_used(placement: &Placement) -> BTreeSet<(u32, u32, u32)> {
+    placement.sites().iter().map(|site| (site.chip, site.y, site.x)).collect()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::base::diagnostic::SourceText;
+    use crate::desc::spanned::parse;
+    use crate::ir::placement::Mesh;
+
+    pub(crate) fn loihi1() -> Chip {
+        let path = format!("{}/mapping/chips/loihi1.ron", env!("CARGO_MANIFEST_DIR"));
+        parse(&SourceText::new("loihi1", std::fs::read_to_string(path).unwrap()), "target.syntax").unwrap()
+    }
+
+    pub(crate) fn sequential(cores: u32) -> Placement {
+        let mesh = Mesh { chips_x: 8, chips_y: 4, width: 8, height: 4, cores_per_tile: 4, cores_per_chip: 128 };
+        let sites = (0..cores).map(|number| mesh.site(number).unwrap()).collect::<Vec<_>>();
+        Placement::new(mesh, sites.into()).unwrap()
+    }
+
+    #[test]
+    fn power_comes_in_cores_tiles_or_chips() {
+        let chip = |power_unit| Chip { power_unit, ..loihi1() };
+        let placement = sequential(129);
+        assert_eq!(powered_cores(&placement, &chip(PowerUnit::Core)), 129);
+        assert_eq!(powered_cores(&placement, &chip(PowerUnit::Tile)), 132);
+        assert_eq!(powered_cores(&placement, &chip(PowerUnit::Chip)), 256);
+        let uneven = Chip { cores: 126, ..chip(PowerUnit::Tile) };
+        let mesh = Mesh { cores_per_chip: 126, ..*placement.mesh() };
+        let last = Placement::new(mesh, vec![mesh.site(125).unwrap()].into()).unwrap();
+        assert_eq!(powered_cores(&last, &uneven), 2);
+    }
+
+    #[test]
+    fn the_paper_s_594_cores_take_5_chips_and_5_x86_cores_when_filled_in_order() {
+        let packed = Deployment::of("packed", &sequential(594), &loihi1(), 32);
+        let paper = Deployment::paper();
+        assert_eq!((packed.cores_used, packed.chips_used, packed.x86_cores), (594, 5, 5));
+        assert_eq!((paper.cores_used, paper.chips_used, paper.x86_cores), (594, 5, 5));
+        // Filled without gaps they would be 149 tiles; the paper's 624 powered cores are 156.
+        assert_eq!((packed.tiles_used, packed.cores_powered), (149, 596));
+        assert_eq!(paper.cores_powered, paper.tiles_used * 4);
+    }
+}

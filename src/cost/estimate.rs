@@ -1,0 +1,553 @@
+//! The rows of the energy table: power, latency, energy and energy-delay product of one copy.
+//!
+//! Goes in: what a run did ([`Activity`], [`StepMeter`]) and where it is deployed. Comes out: rows whose parts add up
+//! (x86 + neuron = total, static + dynamic = total), the breakdown of the dynamic energy, and how it spreads over the
+//! timesteps. Figures that are not known are `None`, and a note says why. Equations are those of `docs/energy.md`.
+
+use serde::Serialize;
+
+use crate::base::units::Picoseconds;
+use crate::cost::constants::CostTable;
+use crate::cost::deployment::Deployment;
+use crate::cost::meter::{Lane, Spread, StepMeter, paced};
+use crate::cost::model::{Breakdown, energy};
+use crate::desc::baseline::Mode;
+use crate::ir::activity::Activity;
+
+/// What "energy per timestep" and "energy-delay product" mean.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Convention {
+    /// Power times time (12), (13).
+    #[default]
+    Physical,
+    /// The VT-SNN paper's arithmetic: the energy of a millisecond divided by the timesteps of a sample (14), (15).
+    Published,
+}
+
+impl Convention {
+    /// As it is typed and printed.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Convention::Physical => "physical",
+            Convention::Published => "published",
+        }
+    }
+
+    /// Energy of a timestep in uJ. `published` needs the timesteps of a sample.
+    #[must_use]
+    pub fn energy_uj(self, total_mw: f64, latency_us: f64, steps_per_sample: Option<u32>) -> Option<f64> {
+        match self {
+            Convention::Physical => Some(total_mw * latency_us / 1e3),
+            Convention::Published => {
+                steps_per_sample.filter(|&steps| steps > 0).map(|steps| total_mw / f64::from(steps))
+            }
+        }
+    }
+}
+
+/// Where a row comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RowSource {
+    /// From the counts of a simulated run.
+    Simulated,
+    /// Measured on this machine.
+    Measured,
+    /// Printed by its source.
+    Published,
+    /// From constants alone.
+    Modelled,
+    /// Chosen.
+    Assumed,
+}
+
+impl RowSource {
+    /// As it is printed.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            RowSource::Simulated => "simulated",
+            RowSource::Measured => "measured",
+            RowSource::Published => "published",
+            RowSource::Modelled => "modelled",
+            RowSource::Assumed => "assumed",
+        }
+    }
+}
+
+/// One end of the range of a row's figures over the presets.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Bound {
+    /// Total power.
+    pub total_mw: Option<f64>,
+    /// Time of a timestep.
+    pub latency_us: Option<f64>,
+    /// Energy of a timestep.
+    pub energy_uj: Option<f64>,
+}
+
+/// A row of the table, for one copy.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// `loihi`, or a baseline's hardware.
+    pub hardware: String,
+    /// `x86`, `neuron` or `total`.
+    pub unit: &'static str,
+    /// What the energy and the energy-delay product mean.
+    pub convention: Convention,
+    /// Power that is drawn whatever happens.
+    pub static_mw: Option<f64>,
+    /// Power on top.
+    pub dynamic_mw: Option<f64>,
+    /// Their sum.
+    pub total_mw: Option<f64>,
+    /// Time of a timestep, the mean over the run.
+    pub latency_us: Option<f64>,
+    /// Energy of a timestep.
+    pub energy_uj: Option<f64>,
+    /// That times the latency, in pJ s.
+    pub edp_pjs: Option<f64>,
+    /// The least of each figure over the presets, each figure on its own.
+    pub low: Option<Bound>,
+    /// The greatest.
+    pub high: Option<Bound>,
+    /// Where it comes from.
+    pub source: RowSource,
+}
+
+/// What is to be estimated.
+#[derive(Debug, Clone, Copy)]
+pub struct Case<'a> {
+    /// Counts of the whole run.
+    pub activity: &'a Activity,
+    /// Its steps, under every preset.
+    pub meter: &'a StepMeter,
+    /// The preset of the figures, an index into the meter's tables; the others give the range.
+    pub preset: usize,
+    /// Copies whose activity was counted: 1 when one copy stands for all, else the copies of the mapping.
+    pub copies_counted: u32,
+    /// Where the copies are.
+    pub deployment: &'a Deployment,
+    /// As fast as possible, or held to the timestep.
+    pub mode: Mode,
+    /// Length of a timestep of the model.
+    pub timestep: Picoseconds,
+    /// What energy means.
+    pub convention: Convention,
+    /// Timesteps of a sample; `None` when samples differ.
+    pub steps_per_sample: Option<u32>,
+}
+
+/// What came out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// `x86`, `neuron`, `total`.
+    pub rows: Vec<Row>,
+    /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without timesteps.
+    pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
+    /// Energy of the timesteps of a copy, all power included, physical: its mean is the energy of the `total` row.
+    pub per_timestep_uj: Option<Spread>,
+    /// Of that, the dynamic energy of the neuron cores.
+    pub per_timestep_dynamic_uj: Option<Spread>,
+    /// Mean of each part of a step's time: injection, slowest core, transport, barrier; `None` without timesteps.
+    pub time_us: Option<[(&'static str, f64); 4]>,
+    /// Why something is not known.
+    pub notes: Vec<String>,
+}
+
+/// Powers of one copy under one preset, in mW.
+#[derive(Debug, Clone, Copy)]
+struct Powers {
+    x86_static: f64,
+    x86_dynamic: f64,
+    neuron_static: f64,
+    /// `None` without timesteps.
+    neuron_dynamic: Option<f64>,
+    latency_us: Option<f64>,
+}
+
+impl Case<'_> {
+    fn bin(&self) -> Option<Picoseconds> {
+        match self.mode {
+            Mode::Offline => None,
+            Mode::Realtime => Some(self.timestep),
+        }
+    }
+
+    fn copies(&self) -> f64 {
+        f64::from(self.deployment.copies.max(1))
+    }
+
+    /// Time of all steps in ps, exact.
+    fn total_time(&self, lane: &Lane) -> u128 {
+        lane.time.iter().map(|time| u128::from(paced(time.total(), self.bin()).0)).sum()
+    }
+
+    /// Energy of a step that powered cores spend alike in every step, for one copy, in fJ: equation (8).
+    fn core_step_fj(&self, table: &CostTable) -> f64 {
+        table.core_step.0 as f64 * self.deployment.cores_powered as f64 / self.copies()
+    }
+
+    /// Dynamic energy of all steps of one copy in fJ.
+    fn dynamic_fj(&self, events: &Breakdown, table: &CostTable) -> f64 {
+        let steps = self.activity.steps() as f64;
+        events.total().0 as f64 / f64::from(self.copies_counted.max(1)) + self.core_step_fj(table) * steps
+    }
+
+    fn powers(&self, table: &CostTable, lane: &Lane) -> Powers {
+        let share = |cores: u64, power: f64| cores as f64 * power / self.copies();
+        let events = energy(self.activity, table, 0);
+        let time = self.total_time(lane);
+        let known = time > 0;
+        Powers {
+            x86_static: share(self.deployment.x86_cores, table.x86_static.milliwatts()),
+            x86_dynamic: share(self.deployment.x86_cores, table.x86_busy.milliwatts()),
+            neuron_static: share(self.deployment.cores_powered, table.core_static.milliwatts()),
+            // 1 fJ in 1 ps is 1 mW.
+            neuron_dynamic: known.then(|| self.dynamic_fj(&events, table) / time as f64),
+            latency_us: known.then(|| time as f64 / 1e6 / lane.time.len() as f64),
+        }
+    }
+
+    fn rows(&self, powers: Powers) -> [Row; 3] {
+        let row = |unit, static_mw: f64, dynamic_mw: Option<f64>, source| {
+            let total_mw = dynamic_mw.map(|dynamic_mw| static_mw + dynamic_mw);
+            let energy_uj = total_mw
+                .zip(powers.latency_us)
+                .and_then(|(total, latency)| self.convention.energy_uj(total, latency, self.steps_per_sample));
+            Row {
+                hardware: "loihi".to_string(),
+                unit,
+                convention: self.convention,
+                static_mw: Some(static_mw),
+                dynamic_mw,
+                total_mw,
+                latency_us: powers.latency_us,
+                energy_uj,
+                // 1 uJ for 1 us is 1 pJ s.
+                edp_pjs: energy_uj.zip(powers.latency_us).map(|(energy, latency)| energy * latency),
+                low: None,
+                high: None,
+                source,
+            }
+        };
+        let Powers { x86_static, x86_dynamic, neuron_static, neuron_dynamic, .. } = powers;
+        [
+            row("x86", x86_static, Some(x86_dynamic), RowSource::Modelled),
+            row("neuron", neuron_static, neuron_dynamic, RowSource::Simulated),
+            row(
+                "total",
+                x86_static + neuron_static,
+                neuron_dynamic.map(|neuron| x86_dynamic + neuron),
+                RowSource::Simulated,
+            ),
+        ]
+    }
+}
+
+/// Power, latency and energy of one copy.
+///
+/// # Panics
+/// When the meter has no such preset or has not seen the steps of the activity: a mistake of the caller.
+#[must_use]
+pub fn estimate(case: &Case<'_>) -> Estimate {
+    assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
+    let presets: Vec<(&CostTable, &Lane)> = case.meter.tables().iter().zip(case.meter.lanes()).collect();
+    let all: Vec<[Row; 3]> = presets.iter().map(|(table, lane)| case.rows(case.powers(table, lane))).collect();
+    let mut rows = all[case.preset].clone();
+    for (i, row) in rows.iter_mut().enumerate() {
+        let bound = |pick: fn(f64, f64) -> f64| {
+            let over = |figure: fn(&Row) -> Option<f64>| all.iter().filter_map(|rows| figure(&rows[i])).reduce(pick);
+            Bound {
+                total_mw: over(|r| r.total_mw),
+                latency_us: over(|r| r.latency_us),
+                energy_uj: over(|r| r.energy_uj),
+            }
+        };
+        row.low = Some(bound(f64::min));
+        row.high = Some(bound(f64::max));
+    }
+    let (table, lane) = presets[case.preset];
+    let steps = case.activity.steps() as f64;
+    let some_steps = case.activity.steps() > 0;
+
+    let mut notes = Vec::new();
+    if !some_steps {
+        notes.push("no timestep was run: dynamic power, latency and energy are not known".to_string());
+    } else if case.total_time(lane) == 0 {
+        notes
+            .push("a timestep takes no time under these constants: dynamic power and energy are not known".to_string());
+    }
+    if case.convention == Convention::Published && case.steps_per_sample.is_none() {
+        notes.push(
+            "samples differ in length: the published convention divides by the timesteps of a sample, so its energy is \
+             not known"
+                .to_string(),
+        );
+    }
+
+    let breakdown_pj = some_steps.then(|| {
+        let events = energy(case.activity, table, 0);
+        let per_step = 1e3 * steps * f64::from(case.copies_counted.max(1));
+        let part = |(name, energy): (&'static str, crate::base::units::Femtojoules)| match name {
+            "core_step" => (name, case.core_step_fj(table) / 1e3),
+            _ => (name, energy.0 as f64 / per_step),
+        };
+        events.parts().into_iter().map(part).collect()
+    });
+    let powers = case.powers(table, lane);
+    let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
+    let dynamic_uj: Vec<f64> = lane
+        .energy
+        .iter()
+        .map(|energy| (energy.0 as f64 / f64::from(case.copies_counted.max(1)) + case.core_step_fj(table)) / 1e9)
+        .collect();
+    let whole_uj = dynamic_uj
+        .iter()
+        .zip(&lane.time)
+        .map(|(dynamic, time)| dynamic + always_mw * paced(time.total(), case.bin()).microseconds() / 1e3)
+        .collect();
+    let mean_us = |part: fn(&crate::cost::model::StepTime) -> Picoseconds| {
+        lane.time.iter().map(|time| u128::from(part(time).0)).sum::<u128>() as f64 / 1e6 / steps
+    };
+    Estimate {
+        rows: rows.into(),
+        breakdown_pj,
+        per_timestep_uj: Spread::of(whole_uj),
+        per_timestep_dynamic_uj: Spread::of(dynamic_uj),
+        time_us: some_steps.then(|| {
+            [
+                ("injection", mean_us(|time| time.injection)),
+                ("slowest core", mean_us(|time| time.slowest_core)),
+                ("transport", mean_us(|time| time.transport)),
+                ("barrier", mean_us(|time| time.barrier)),
+            ]
+        }),
+        notes,
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::cost::constants::tests::{preset, table};
+    use crate::cost::model::tests::any_step;
+    use crate::ir::activity::{CoreCounts, StepActivity};
+
+    pub(crate) const MS: Picoseconds = Picoseconds(1_000_000_000);
+
+    pub(crate) fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles: u64) -> (Activity, StepMeter) {
+        let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
+        let mut meter = StepMeter::new(tables, tiles);
+        for step in steps {
+            activity.add_step(step);
+            meter.add(step);
+        }
+        (activity, meter)
+    }
+
+    pub(crate) fn both() -> Vec<CostTable> {
+        vec![table("sanafe-calibrated"), table("davies2018")]
+    }
+
+    fn case<'a>(run: &'a (Activity, StepMeter), deployment: &'a Deployment) -> Case<'a> {
+        Case {
+            activity: &run.0,
+            meter: &run.1,
+            preset: 0,
+            copies_counted: 1,
+            deployment,
+            mode: Mode::Offline,
+            timestep: MS,
+            convention: Convention::Physical,
+            steps_per_sample: Some(150),
+        }
+    }
+
+    /// A figure of the paper: its value and half a unit of its last digit.
+    fn printed(text: &str) -> (f64, f64) {
+        let decimals = text.split_once('.').map_or(0, |(_, fraction)| fraction.len());
+        (text.parse().unwrap(), 0.5 * 10f64.powi(-(decimals as i32)))
+    }
+
+    #[test]
+    fn the_published_convention_reproduces_the_paper_s_columns_from_its_power_and_latency() {
+        // VT-SNN, appendix, both tables: total power, latency, energy per timestep, energy-delay product.
+        let rows = [
+            ("21.3", None, "0.14", None),
+            ("12.4", None, "0.08", None),
+            ("33.7", Some("231"), "0.22", Some("51.8")),
+            ("59890", Some("21"), "399", Some("8431")),
+            ("20.3", None, "0.14", None),
+            ("12.1", None, "0.08", None),
+            ("32.3", Some("1039.9"), "0.22", Some("224")),
+            ("61930", Some("1045.6"), "412.9", Some("431708")),
+        ];
+        for (power, latency, energy, edp) in rows {
+            let ((power, dp), (energy, de)) = (printed(power), printed(energy));
+            let of = |power| Convention::Published.energy_uj(power, 0.0, Some(150)).unwrap();
+            let (low, high) = (of(power - dp), of(power + dp));
+            assert!(low <= energy + de && energy - de <= high, "{power}: {low}..{high} against {energy}");
+            if let Some(((latency, dl), (edp, dd))) = latency.map(printed).zip(edp.map(printed)) {
+                let (low, high) = (low * (latency - dl), high * (latency + dl));
+                assert!(low <= edp + dd && edp - dd <= high, "{power}: {low}..{high} against {edp}");
+            }
+        }
+        assert!((Convention::Published.energy_uj(33.7, 231.0, Some(150)).unwrap() - 0.2247).abs() < 5e-5);
+        assert!((Convention::Published.energy_uj(33.7, 231.0, Some(150)).unwrap() * 231.0 - 51.9).abs() < 5e-2);
+        // The same rows physically: 33.7 mW * 231 us.
+        assert!((Convention::Physical.energy_uj(33.7, 231.0, None).unwrap() - 7.7847).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_paper_s_deployment_draws_the_paper_s_static_and_x86_power() {
+        let run = run(&[StepActivity::new(1)], both(), 156);
+        let paper = Deployment::paper();
+        let [x86, neuron, _] = estimate(&case(&run, &paper)).rows.try_into().unwrap();
+        let within = |figure: Option<f64>, text: &str| {
+            let (value, half) = printed(text);
+            assert!((figure.unwrap() - value).abs() <= half + 1e-9, "{figure:?} against {text}");
+        };
+        // Calibrated on these three cells of the offline table.
+        within(x86.static_mw, "0.19");
+        within(x86.dynamic_mw, "21.1");
+        within(neuron.static_mw, "11.7");
+        // Predicted for the real-time table: 0.19, 20.1 and 11.9 mW.
+        within(x86.static_mw, "0.19");
+        for (figure, published) in [(x86.dynamic_mw, 20.1), (neuron.static_mw, 11.9)] {
+            assert!((figure.unwrap() / published - 1.0).abs() < 0.06);
+        }
+    }
+
+    #[test]
+    fn hand_computed_rows() {
+        // Two steps of one core: 100 compartments visited; in the second, 10 active ones fire a message each within the
+        // tile, and 50 dense events.
+        let mut quiet = StepActivity::new(1);
+        quiet.cores.as_mut_slice()[0].visited = 100;
+        let mut busy = StepActivity::new(1);
+        busy.cores.as_mut_slice()[0] = CoreCounts {
+            messages_in: 10,
+            events_dense: 50,
+            events_sparse: 0,
+            visited: 100,
+            active: 10,
+            spikes: 10,
+            messages_out: 10,
+        };
+        busy.hops.local = 10;
+        let run = run(&[quiet, busy], vec![table("davies2018")], 1);
+        let deployment = Deployment {
+            name: "packed".to_string(),
+            copies: 2,
+            cores_used: 1,
+            cores_powered: 4,
+            tiles_used: 1,
+            chips_used: 1,
+            x86_cores: 1,
+        };
+        let offline = case(&run, &deployment);
+        let found = estimate(&offline);
+        // ps: 100 * 5300 + 113000; and 50 * 3500 + 100 * 5300 + 10 * 3100 + 2100 + 113000.
+        let (first, second) = (643_000.0, 851_100.0);
+        let latency = (first + second) / 2.0 / 1e6;
+        // fJ: 100 * 52000; and 50 * 23600 + 100 * 52000 + 10 * 29000 + 10 * 1700.
+        let (quiet_fj, busy_fj) = (5_200_000.0, 6_687_000.0);
+        let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * b.abs(), "{a} against {b}");
+        let [x86, neuron, total] = <[Row; 3]>::try_from(found.rows).unwrap();
+        near(neuron.latency_us.unwrap(), latency);
+        near(neuron.static_mw.unwrap(), 4.0 * 0.6 / 2.0);
+        near(neuron.dynamic_mw.unwrap(), (quiet_fj + busy_fj) / (first + second));
+        near(x86.static_mw.unwrap(), 0.6);
+        near(x86.dynamic_mw.unwrap(), 67.5);
+        near(total.total_mw.unwrap(), 1.2 + 0.6 + 67.5 + (quiet_fj + busy_fj) / (first + second));
+        near(total.energy_uj.unwrap(), total.total_mw.unwrap() * latency / 1e3);
+        near(total.edp_pjs.unwrap(), total.energy_uj.unwrap() * latency);
+        let spread = found.per_timestep_dynamic_uj.unwrap();
+        near(spread.min, quiet_fj / 1e9);
+        near(spread.max, busy_fj / 1e9);
+        near(found.per_timestep_uj.unwrap().max, busy_fj / 1e9 + 69.3 * second / 1e9);
+        let parts = found.breakdown_pj.unwrap();
+        assert_eq!(parts[0], ("synapse", 590.0));
+        assert_eq!(parts[2], ("compartment", 5345.0));
+        assert_eq!(parts[6], ("hop", 8.5));
+
+        // Held to 1 ms, the same energy is spread over a longer time.
+        let slow = estimate(&Case { mode: Mode::Realtime, ..offline });
+        near(slow.rows[1].latency_us.unwrap(), 1000.0);
+        near(slow.rows[1].dynamic_mw.unwrap(), (quiet_fj + busy_fj) / 2e9);
+        near(slow.rows[0].dynamic_mw.unwrap(), 67.5);
+        // Counted for both copies at once, one copy is half.
+        let halved = estimate(&Case { copies_counted: 2, ..offline });
+        near(halved.rows[1].dynamic_mw.unwrap(), neuron.dynamic_mw.unwrap() / 2.0);
+    }
+
+    #[test]
+    fn what_was_not_run_is_unknown_and_says_so() {
+        let run = run(&[], both(), 1);
+        let found = estimate(&case(&run, &Deployment::paper()));
+        assert_eq!((found.rows[2].dynamic_mw, found.rows[2].energy_uj, found.rows[2].latency_us), (None, None, None));
+        assert!(found.rows[2].static_mw.is_some());
+        assert_eq!((found.breakdown_pj, found.per_timestep_uj), (None, None));
+        assert_eq!(found.notes.len(), 1);
+    }
+
+    #[test]
+    fn the_published_convention_needs_samples_of_one_length() {
+        let run = run(&[StepActivity::new(1)], both(), 1);
+        let paper = Deployment::paper();
+        let uneven = Case { convention: Convention::Published, steps_per_sample: None, ..case(&run, &paper) };
+        let found = estimate(&uneven);
+        assert_eq!(found.rows[2].energy_uj, None);
+        assert!(found.rows[2].total_mw.is_some());
+        assert!(found.notes[0].contains("published convention"));
+    }
+
+    proptest! {
+        #[test]
+        fn the_parts_of_every_table_add_up(
+            steps in proptest::collection::vec(any_step(2), 1..8),
+            realtime in any::<bool>(), published in any::<bool>(), copies_counted in 1..40u32, copies in 1..40u32,
+            powered in 1..5_000u64, core_step in 0..1_000u32,
+        ) {
+            let mut constants = preset("sanafe-calibrated");
+            constants.core_step_energy.value = f64::from(core_step).into();
+            let run = run(&steps, vec![CostTable::new(&constants).unwrap(), table("davies2018")], 5);
+            let deployment = Deployment { copies, cores_powered: powered, ..Deployment::paper() };
+            let found = estimate(&Case {
+                copies_counted,
+                mode: if realtime { Mode::Realtime } else { Mode::Offline },
+                convention: if published { Convention::Published } else { Convention::Physical },
+                ..case(&run, &deployment)
+            });
+            let near = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
+            let [x86, neuron, total] = <[Row; 3]>::try_from(found.rows).unwrap();
+            for figure in [|r: &Row| r.static_mw, |r: &Row| r.dynamic_mw, |r: &Row| r.total_mw, |r: &Row| r.energy_uj] {
+                prop_assert!(near(figure(&x86).unwrap() + figure(&neuron).unwrap(), figure(&total).unwrap()));
+            }
+            for row in [&x86, &neuron, &total] {
+                prop_assert!(near(row.static_mw.unwrap() + row.dynamic_mw.unwrap(), row.total_mw.unwrap()));
+                for (figure, low, high) in [
+                    (row.total_mw, row.low.unwrap().total_mw, row.high.unwrap().total_mw),
+                    (row.latency_us, row.low.unwrap().latency_us, row.high.unwrap().latency_us),
+                    (row.energy_uj, row.low.unwrap().energy_uj, row.high.unwrap().energy_uj),
+                ] {
+                    prop_assert!(low <= figure && figure <= high);
+                }
+            }
+            // Dynamic power times time is the breakdown, and the spread's mean lies within it.
+            let dynamic_pj = neuron.dynamic_mw.unwrap() * neuron.latency_us.unwrap() * 1e3;
+            let parts: f64 = found.breakdown_pj.unwrap().iter().map(|(_, pj)| pj).sum();
+            prop_assert!(near(parts, dynamic_pj) || parts < 1e-9);
+            if !published {
+                let spread = found.per_timestep_uj.unwrap();
+                let mean = total.energy_uj.unwrap();
+                prop_assert!(spread.min <= mean * (1.0 + 1e-9) && mean <= spread.max * (1.0 + 1e-9));
+            }
+        }
+    }
+}

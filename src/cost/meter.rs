@@ -1,0 +1,154 @@
+//! Energy and time of each step of a run, for every preset at once.
+//!
+//! A run feeds each timestep's counts to a [`StepMeter`]; what comes out are totals, and the least, median, 99th
+//! percentile and greatest step. Meters of samples that ran in parallel are merged in the order of the samples; totals
+//! and order statistics would be the same in any order.
+//!
+//! What powered cores spend in every step alike (equation (8)) is not metered: it depends on the deployment, not on the
+//! activity, and [`crate::cost::estimate`] adds it.
+
+use std::sync::Arc;
+
+use crate::base::units::{Femtojoules, Picoseconds};
+use crate::cost::constants::CostTable;
+use crate::cost::model::{StepTime, step_energy, step_time};
+use crate::ir::activity::StepActivity;
+
+/// The steps of a run under one preset.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Lane {
+    /// Energy of each step's events.
+    pub energy: Vec<Femtojoules>,
+    /// Time of each step.
+    pub time: Vec<StepTime>,
+}
+
+/// Energy and time of each step so far.
+#[derive(Debug, Clone)]
+pub struct StepMeter {
+    tables: Arc<[CostTable]>,
+    tiles_used: u64,
+    lanes: Vec<Lane>,
+}
+
+impl StepMeter {
+    /// A meter for these presets, with so many tiles in the barrier.
+    #[must_use]
+    pub fn new(tables: impl Into<Arc<[CostTable]>>, tiles_used: u64) -> Self {
+        let tables = tables.into();
+        let lanes = vec![Lane::default(); tables.len()];
+        StepMeter { tables, tiles_used, lanes }
+    }
+
+    /// An empty meter of the same kind, for another sample.
+    #[must_use]
+    pub fn fresh(&self) -> Self {
+        StepMeter::new(self.tables.clone(), self.tiles_used)
+    }
+
+    /// Adds one timestep.
+    pub fn add(&mut self, step: &StepActivity) {
+        for (lane, table) in self.lanes.iter_mut().zip(self.tables.iter()) {
+            lane.energy.push(step_energy(step, table, 0).total());
+            lane.time.push(step_time(step, table, self.tiles_used));
+        }
+    }
+
+    /// Adds the steps of the samples that follow.
+    ///
+    /// # Panics
+    /// When the other meter has other presets: a mistake of the caller.
+    pub fn merge(&mut self, later: &StepMeter) {
+        assert!(self.tables == later.tables && self.tiles_used == later.tiles_used, "meters of one kind");
+        for (lane, more) in self.lanes.iter_mut().zip(&later.lanes) {
+            lane.energy.extend_from_slice(&more.energy);
+            lane.time.extend_from_slice(&more.time);
+        }
+    }
+
+    /// The presets.
+    #[must_use]
+    pub fn tables(&self) -> &[CostTable] {
+        &self.tables
+    }
+
+    /// The steps under each preset, in the presets' order.
+    #[must_use]
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
+    }
+
+    /// Number of timesteps.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.lanes.first().map_or(0, |lane| lane.energy.len() as u64)
+    }
+}
+
+/// The least, median, 99th percentile and greatest of a series, by nearest rank.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Spread {
+    /// The least.
+    pub min: f64,
+    /// The least that half of the series does not exceed.
+    pub p50: f64,
+    /// The least that 99 % of the series does not exceed.
+    pub p99: f64,
+    /// The greatest.
+    pub max: f64,
+}
+
+impl Spread {
+    /// Of a series; `None` when it is empty.
+    #[must_use]
+    pub fn of(mut series: Vec<f64>) -> Option<Self> {
+        series.sort_unstable_by(f64::total_cmp);
+        let rank = |percent: usize| series[(series.len() * percent).div_ceil(100).max(1) - 1];
+        (!series.is_empty()).then(|| Spread { min: series[0], p50: rank(50), p99: rank(99), max: rank(100) })
+    }
+}
+
+/// Time of a step in a run that is held to `bin` per step, or free when there is none.
+#[must_use]
+pub fn paced(time: Picoseconds, bin: Option<Picoseconds>) -> Picoseconds {
+    bin.map_or(time, |bin| time.max(bin))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::cost::constants::tests::table;
+    use crate::cost::model::{energy, tests::any_step};
+    use crate::ir::activity::Activity;
+
+    #[test]
+    fn order_statistics_are_by_nearest_rank() {
+        let spread = Spread::of((1..=200).rev().map(f64::from).collect()).unwrap();
+        assert_eq!(spread, Spread { min: 1.0, p50: 100.0, p99: 198.0, max: 200.0 });
+        assert_eq!(Spread::of(vec![3.0]).unwrap(), Spread { min: 3.0, p50: 3.0, p99: 3.0, max: 3.0 });
+        assert_eq!(Spread::of(vec![]), None);
+    }
+
+    proptest! {
+        #[test]
+        fn meters_of_parts_merge_to_the_meter_of_the_whole(
+            steps in proptest::collection::vec(any_step(2), 0..10), cut in 0..10usize,
+        ) {
+            let mut whole = StepMeter::new(vec![table("davies2018"), table("sanafe-calibrated")], 3);
+            let (mut first, mut second) = (whole.fresh(), whole.fresh());
+            let mut activity = Activity::new(2);
+            for (i, step) in steps.iter().enumerate() {
+                whole.add(step);
+                activity.add_step(step);
+                if i < cut { first.add(step) } else { second.add(step) }
+            }
+            first.merge(&second);
+            prop_assert_eq!(first.lanes(), whole.lanes());
+            for (lane, table) in whole.lanes().iter().zip(whole.tables()) {
+                prop_assert_eq!(lane.energy.iter().copied().sum::<Femtojoules>(), energy(&activity, table, 0).total());
+            }
+        }
+    }
+}

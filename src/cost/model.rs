@@ -1,0 +1,332 @@
+//! Energy and time of counts: equations (1) to (11) of `docs/energy.md`.
+//!
+//! Energy is linear in the counts, so the energy of a run is the sum of the energies of its steps, to the femtojoule, and
+//! may be computed from either. Time is not (a step lasts as long as its slowest core) and needs the counts of each step.
+
+use std::ops::{Add, AddAssign};
+
+use crate::base::units::{Femtojoules, Picoseconds};
+use crate::cost::constants::CostTable;
+use crate::ir::activity::{Activity, CoreCounts, HopCounts, StepActivity};
+use crate::ir::placement::Route;
+
+/// Dynamic energy of the neuron cores and their mesh, by what it was spent on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Breakdown {
+    /// (1) Synaptic events.
+    pub synapse: Femtojoules,
+    /// (2) Dendritic accumulators.
+    pub dendrite: Femtojoules,
+    /// (3) Compartments, visited and updated.
+    pub compartment: Femtojoules,
+    /// (4) Spikes.
+    pub spike: Femtojoules,
+    /// (5) Messages sent by cores.
+    pub axon_out: Femtojoules,
+    /// (6) Messages received, those of inputs included.
+    pub axon_in: Femtojoules,
+    /// (7) Messages under way.
+    pub hop: Femtojoules,
+    /// (8) Powered cores, for each step.
+    pub core_step: Femtojoules,
+}
+
+impl Breakdown {
+    /// Name and energy of every part, in a fixed order.
+    #[must_use]
+    pub fn parts(&self) -> [(&'static str, Femtojoules); 8] {
+        [
+            ("synapse", self.synapse),
+            ("dendrite", self.dendrite),
+            ("compartment", self.compartment),
+            ("spike", self.spike),
+            ("axon_out", self.axon_out),
+            ("axon_in", self.axon_in),
+            ("hop", self.hop),
+            ("core_step", self.core_step),
+        ]
+    }
+
+    /// The sum of the parts.
+    #[must_use]
+    pub fn total(&self) -> Femtojoules {
+        self.parts().into_iter().map(|(_, energy)| energy).sum()
+    }
+}
+
+impl Add for Breakdown {
+    type Output = Breakdown;
+    fn add(self, other: Breakdown) -> Breakdown {
+        Breakdown {
+            synapse: self.synapse + other.synapse,
+            dendrite: self.dendrite + other.dendrite,
+            compartment: self.compartment + other.compartment,
+            spike: self.spike + other.spike,
+            axon_out: self.axon_out + other.axon_out,
+            axon_in: self.axon_in + other.axon_in,
+            hop: self.hop + other.hop,
+            core_step: self.core_step + other.core_step,
+        }
+    }
+}
+
+impl AddAssign for Breakdown {
+    fn add_assign(&mut self, other: Breakdown) {
+        *self = *self + other;
+    }
+}
+
+/// Energy of one timestep.
+#[must_use]
+pub fn step_energy(step: &StepActivity, table: &CostTable, cores_powered: u64) -> Breakdown {
+    let mut sum = CoreCounts::default();
+    for core in &step.cores {
+        sum += *core;
+    }
+    of_counts(sum, step.hops, 1, table, cores_powered)
+}
+
+/// Energy of a whole run: equal to the sum over its steps.
+#[must_use]
+pub fn energy(activity: &Activity, table: &CostTable, cores_powered: u64) -> Breakdown {
+    of_counts(activity.sum(), activity.hops(), activity.steps(), table, cores_powered)
+}
+
+fn of_counts(sum: CoreCounts, hops: HopCounts, steps: u64, table: &CostTable, cores_powered: u64) -> Breakdown {
+    Breakdown {
+        synapse: table.synapse_dense.energy * sum.events_dense + table.synapse_sparse.energy * sum.events_sparse,
+        dendrite: table.dendrite * sum.visited,
+        compartment: table.compartment.energy * sum.visited + table.compartment_active.energy * sum.active,
+        spike: table.spike.energy * sum.spikes,
+        axon_out: table.axon_out.energy * sum.messages_out,
+        axon_in: table.axon_in.energy * sum.messages_in,
+        hop: table.local_hop.energy * hops.local
+            + table.hop_ew.energy * hops.east_west
+            + table.hop_ns.energy * hops.north_south
+            + table.hop_chip.energy * hops.chip,
+        core_step: table.core_step * cores_powered * steps,
+    }
+}
+
+/// Where the time of a step goes; the parts follow each other.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StepTime {
+    /// Input spikes handed to the mesh, one after the other.
+    pub injection: Picoseconds,
+    /// The core that takes longest to deliver and update.
+    pub slowest_core: Picoseconds,
+    /// The message that is under way longest.
+    pub transport: Picoseconds,
+    /// The barrier.
+    pub barrier: Picoseconds,
+}
+
+impl StepTime {
+    /// The whole step. A sum beyond the type's range (213 days) stays at its end.
+    #[must_use]
+    pub fn total(&self) -> Picoseconds {
+        let parts = [self.injection, self.slowest_core, self.transport, self.barrier];
+        Picoseconds(parts.into_iter().fold(0, |sum, part| sum.saturating_add(part.0)))
+    }
+}
+
+/// Time of one timestep (11), with so many tiles in the barrier.
+#[must_use]
+pub fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
+    let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.links() > 0;
+    StepTime {
+        injection: times(&[(table.injection, step.spikes_in)]),
+        slowest_core: step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default(),
+        transport: if sent { route_time(step.longest, table) } else { Picoseconds::default() },
+        barrier: table.barrier(tiles_used),
+    }
+}
+
+/// (9) Time of one core's delivery and update in a step; both are serial.
+#[must_use]
+pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
+    times(&[
+        (table.axon_in.time, core.messages_in),
+        (table.synapse_dense.time, core.events_dense),
+        (table.synapse_sparse.time, core.events_sparse),
+        (table.compartment.time, core.visited),
+        (table.compartment_active.time, core.active),
+        (table.spike.time, core.spikes),
+        (table.axon_out.time, core.messages_out),
+    ])
+}
+
+/// Time of a message's way through an empty mesh.
+#[must_use]
+pub fn route_time(route: Route, table: &CostTable) -> Picoseconds {
+    if route.links() == 0 {
+        return table.local_hop.time;
+    }
+    times(&[
+        (table.hop_ew.time, route.east_west.into()),
+        (table.hop_ns.time, route.north_south.into()),
+        (table.hop_chip.time, route.chip.into()),
+    ])
+}
+
+/// A sum of products that stays at the end of the range instead of leaving it.
+fn times(terms: &[(Picoseconds, u64)]) -> Picoseconds {
+    let sum = terms.iter().fold(0u128, |sum, &(time, count)| sum + u128::from(time.0) * u128::from(count));
+    Picoseconds(u64::try_from(sum).unwrap_or(u64::MAX))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::cost::constants::tests::{preset, table};
+
+    /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5 dense events on the other.
+    fn step() -> StepActivity {
+        let mut step = StepActivity::new(2);
+        step.cores.as_mut_slice()[0] =
+            CoreCounts { messages_in: 2, visited: 3, active: 2, spikes: 1, messages_out: 2, ..Default::default() };
+        step.cores.as_mut_slice()[1] =
+            CoreCounts { messages_in: 1, events_dense: 5, events_sparse: 4, visited: 2, ..Default::default() };
+        step.spikes_in = 1;
+        step.messages_from_inputs = 1;
+        step.add_route(Route::default());
+        step.add_route(Route { east_west: 2, north_south: 1, chip: 1 });
+        step.add_route(Route { east_west: 1, north_south: 0, chip: 0 });
+        step
+    }
+
+    #[test]
+    fn hand_computed_energy_with_the_calibrated_preset() {
+        let breakdown = step_energy(&step(), &table("sanafe-calibrated"), 7);
+        assert_eq!(breakdown.synapse, Femtojoules(5 * 35_500 + 4 * 33_600));
+        assert_eq!(breakdown.compartment, Femtojoules(5 * 51_200 + 2 * 21_600));
+        assert_eq!(breakdown.spike, Femtojoules(69_300));
+        assert_eq!(breakdown.axon_out, Femtojoules(2 * 111_000));
+        assert_eq!(breakdown.hop, Femtojoules(3 * 3_000 + 4_200));
+        assert_eq!((breakdown.dendrite, breakdown.axon_in, breakdown.core_step), Default::default());
+        assert_eq!(breakdown.total(), Femtojoules(311_900 + 299_200 + 69_300 + 222_000 + 13_200));
+    }
+
+    #[test]
+    fn hand_computed_energy_with_the_published_preset() {
+        let breakdown = step_energy(&step(), &table("davies2018"), 7);
+        // 9 * 23.6 + (5 * 52 + 2 * 29) + (1.7 + 3 * 3.0 + 4.0) pJ
+        assert_eq!(breakdown.total(), Femtojoules(212_400 + 318_000 + 14_700));
+    }
+
+    #[test]
+    fn constants_that_the_presets_leave_at_zero_are_charged_too() {
+        let mut constants = preset("davies2018");
+        constants.dendrite_energy.value = 1.5.into();
+        constants.axon_in_energy.value = 2.25.into();
+        constants.core_step_energy.value = 10.0.into();
+        constants.hop_chip_energy.value = 100.0.into();
+        constants.hop_chip_time.value = 50.0.into();
+        constants.injection_time.value = 7.0.into();
+        let table = CostTable::new(&constants).unwrap();
+        let breakdown = step_energy(&step(), &table, 7);
+        assert_eq!(breakdown.dendrite, Femtojoules(5 * 1_500));
+        assert_eq!(breakdown.axon_in, Femtojoules(3 * 2_250));
+        assert_eq!(breakdown.core_step, Femtojoules(7 * 10_000));
+        assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
+        let time = step_time(&step(), &table, 1);
+        assert_eq!((time.injection, time.transport), (Picoseconds(7_000), Picoseconds(2 * 4_100 + 6_500 + 50_000)));
+    }
+
+    #[test]
+    fn hand_computed_time() {
+        let time = step_time(&step(), &table("sanafe-calibrated"), 2);
+        let first = 2 * 16_000 + 3 * 6_000 + 2 * 3_700 + 30_000 + 2 * 5_100;
+        let second = 16_000 + 5 * 3_800 + 4 * 4_700 + 2 * 6_000;
+        assert!(first > second);
+        assert_eq!(time.slowest_core, Picoseconds(first));
+        assert_eq!(time.transport, Picoseconds(2 * 4_100 + 6_500));
+        assert_eq!(time.barrier, Picoseconds(1_000_000));
+        assert_eq!(time.total(), Picoseconds(first + 14_700 + 1_000_000));
+    }
+
+    #[test]
+    fn a_silent_step_moves_nothing_and_a_message_within_a_tile_takes_the_local_time() {
+        let davies = table("davies2018");
+        let mut step = StepActivity::new(1);
+        assert_eq!(step_time(&step, &davies, 1), StepTime { barrier: Picoseconds(113_000), ..Default::default() });
+        assert_eq!(step_energy(&step, &davies, 1), Breakdown::default());
+        step.add_route(Route::default());
+        assert_eq!(step_time(&step, &davies, 1).transport, Picoseconds(2_100));
+    }
+
+    #[test]
+    fn times_beyond_the_range_stay_at_its_end() {
+        let mut step = StepActivity::new(1);
+        step.cores.as_mut_slice()[0].visited = u64::MAX;
+        assert_eq!(step_time(&step, &table("davies2018"), 1).total(), Picoseconds(u64::MAX));
+    }
+
+    pub(crate) fn any_step(cores: usize) -> impl Strategy<Value = StepActivity> {
+        let core = proptest::array::uniform6(0..10_000u64);
+        let routes = proptest::collection::vec((0..64u32, 0..64u32, 0..4u32), 0..20);
+        (proptest::collection::vec(core, cores), routes, 0..5_000u64).prop_map(move |(cores, routes, spikes_in)| {
+            let mut step = StepActivity::new(cores.len());
+            for (counts, [dense, sparse, visited, active, spikes, sent]) in step.cores.iter_mut().zip(cores) {
+                // Each core sends to itself, so that copies sent equal copies received.
+                *counts = CoreCounts {
+                    messages_in: sent,
+                    events_dense: dense,
+                    events_sparse: sparse,
+                    visited,
+                    active: active.min(visited),
+                    spikes: spikes.min(active).min(visited),
+                    messages_out: sent,
+                };
+            }
+            for (east_west, north_south, chip) in routes {
+                step.add_route(Route { east_west, north_south, chip: chip.min(east_west + north_south) });
+            }
+            step.spikes_in = spikes_in;
+            step
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn the_energy_of_a_run_is_the_sum_of_its_steps(
+            steps in proptest::collection::vec(any_step(3), 0..12), powered in 0..5_000u64,
+        ) {
+            for name in ["davies2018", "sanafe-calibrated"] {
+                let mut constants = preset(name);
+                constants.core_step_energy.value = 12.345.into();
+                let table = CostTable::new(&constants).unwrap();
+                let mut activity = Activity::new(3);
+                let mut sum = Breakdown::default();
+                for step in &steps {
+                    activity.add_step(step);
+                    sum += step_energy(step, &table, powered);
+                }
+                prop_assert_eq!(energy(&activity, &table, powered), sum);
+            }
+        }
+
+        #[test]
+        fn more_of_anything_never_costs_less(step in any_step(2), which in 0..7usize, more in 1..1_000u64) {
+            for name in ["davies2018", "sanafe-calibrated"] {
+                let table = table(name);
+                let mut greater = step.clone();
+                let core = &mut greater.cores.as_mut_slice()[1];
+                let counts = [
+                    &mut core.messages_in, &mut core.events_dense, &mut core.events_sparse, &mut core.visited,
+                    &mut core.active, &mut core.spikes, &mut core.messages_out,
+                ];
+                *counts.into_iter().nth(which).unwrap() += more;
+                let (less_energy, more_energy) = (step_energy(&step, &table, 4), step_energy(&greater, &table, 4));
+                for ((_, less), (_, more)) in less_energy.parts().into_iter().zip(more_energy.parts()) {
+                    prop_assert!(less <= more);
+                }
+                prop_assert!(step_time(&step, &table, 5).total() <= step_time(&greater, &table, 5).total());
+                prop_assert!(step_time(&step, &table, 5).total() <= step_time(&step, &table, 6).total());
+                prop_assert!(step_energy(&step, &table, 4).total() <= step_energy(&step, &table, 5).total());
+            }
+        }
+    }
+}

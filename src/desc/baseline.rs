@@ -1,0 +1,92 @@
+//! The mirror of baseline files (`mapping/baselines`): what other hardware was measured to need for a network.
+
+use serde::{Deserialize, Serialize};
+
+use super::spanned::Spanned;
+use super::target::Status;
+
+/// Whether samples are passed as fast as possible or at the pace of their timesteps.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// As fast as possible.
+    #[default]
+    Offline,
+    /// A step lasts at least as long as its time bin.
+    Realtime,
+}
+
+impl Mode {
+    /// As it is typed and printed.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Mode::Offline => "offline",
+            Mode::Realtime => "realtime",
+        }
+    }
+}
+
+/// All-to-all synapses between two populations, by their sizes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DenseLayer {
+    /// Size of the source.
+    pub from: u32,
+    /// Size of the target.
+    pub to: u32,
+}
+
+/// The workload that a baseline was measured on.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeasuredOn {
+    /// Sizes of the input populations.
+    pub inputs: Vec<u32>,
+    /// Its projections.
+    pub layers: Vec<DenseLayer>,
+    /// Timesteps of a sample.
+    pub steps: u32,
+    /// Length of a timestep.
+    pub timestep_ms: f64,
+}
+
+/// One printed row.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BaselineRow {
+    /// What was done.
+    pub mode: Mode,
+    /// Power at idle.
+    pub static_mw: Spanned<f64>,
+    /// Power on top.
+    pub dynamic_mw: Spanned<f64>,
+    /// Their sum, as printed.
+    pub total_mw: Spanned<f64>,
+    /// Time of a timestep.
+    pub latency_us: Spanned<f64>,
+    /// Energy of a timestep as the source prints it.
+    pub printed_energy_uj: Spanned<f64>,
+    /// Energy-delay product as the source prints it, in pJ s whatever unit the source names.
+    pub printed_edp: Spanned<f64>,
+}
+
+/// A baseline file.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Baseline")]
+pub struct BaselineFile {
+    /// Its name on the command line.
+    pub name: String,
+    /// The hardware as tables call it.
+    pub hardware: String,
+    /// Paper and table.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+    /// How it was measured.
+    pub notes: String,
+    /// The only workload it holds for.
+    pub measured_on: MeasuredOn,
+    /// Its rows.
+    pub rows: Vec<BaselineRow>,
+}

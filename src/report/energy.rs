@@ -1,0 +1,391 @@
+//! The energy table as text, JSON (`nsim.energy/1`) and CSV.
+//!
+//! JSON and CSV hold full precision. In the text, the x86 and neuron rows are rounded and the total is the sum of what is
+//! printed, so that a reader can add up the columns; it may differ from the exact total by one in the last digit.
+
+use std::fmt::Write;
+
+use comfy_table::{CellAlignment, ContentArrangement, Table};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::cost::deployment::Deployment;
+use crate::cost::estimate::{Estimate, Row};
+use crate::desc::baseline::Mode;
+use crate::desc::target::{Constants, Status, Unit};
+
+/// What leaving off early saved.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct EarlyExit {
+    /// Timesteps that were not needed.
+    pub steps_saved: u64,
+    /// Energy of one copy that they would have cost.
+    pub energy_saved_uj: f64,
+}
+
+/// A constant of the report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ConstantEntry {
+    /// Its name; barriers carry their number of tiles.
+    pub name: String,
+    /// The number.
+    pub value: f64,
+    /// Its unit.
+    pub unit: Unit,
+    /// Where it comes from.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+}
+
+/// The constants of a preset, barriers last.
+#[must_use]
+pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
+    let barriers = constants.barrier.iter().map(|entry| (format!("barrier_time_{}_tiles", entry.tiles), &entry.time));
+    let singles = constants.list().into_iter().map(|(name, constant)| (name.to_string(), constant));
+    singles
+        .chain(barriers)
+        .map(|(name, constant)| ConstantEntry {
+            name,
+            value: constant.value.value,
+            unit: constant.unit,
+            source: constant.source.clone(),
+            status: constant.status,
+        })
+        .collect()
+}
+
+/// A finished energy report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EnergyReport {
+    /// The model's name.
+    pub model: String,
+    /// The target's name.
+    pub target: String,
+    /// Numbers of cores.
+    pub deployment: Deployment,
+    /// Offline or real time.
+    pub mode: Mode,
+    /// Name of the preset of the figures.
+    pub preset: String,
+    /// Names of all presets, whose range low and high are.
+    pub presets: Vec<String>,
+    /// The seed of the input, if one was used.
+    pub seed: Option<u64>,
+    /// Samples of the run.
+    pub samples: u64,
+    /// Timesteps of all samples.
+    pub timesteps: u64,
+    /// Rows of the simulated chip, breakdown, spread.
+    pub estimate: Estimate,
+    /// Rows of other hardware, with their sources.
+    pub baselines: Vec<(Row, String)>,
+    /// What leaving off early saved.
+    pub early_exit: Option<EarlyExit>,
+    /// The constants of the preset.
+    pub constants: Vec<ConstantEntry>,
+    /// What is not known and why, for people; also on stderr when the output is for programs.
+    pub notes: Vec<String>,
+}
+
+impl EnergyReport {
+    fn rows(&self) -> impl Iterator<Item = &Row> {
+        self.estimate.rows.iter().chain(self.baselines.iter().map(|(row, _)| row))
+    }
+
+    fn convention(&self) -> &'static str {
+        self.estimate.rows.first().map_or("physical", |row| row.convention.name())
+    }
+
+    /// The object of `nsim.energy/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
+            parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj))).collect::<serde_json::Map<_, _>>()
+        });
+        json!({
+            "schema": "nsim.energy/1",
+            "model": self.model,
+            "target": self.target,
+            "copies": self.deployment.copies,
+            "deployment": self.deployment.name,
+            "mode": self.mode.name(),
+            "convention": self.convention(),
+            "preset": self.preset,
+            "range_over": self.presets,
+            "seed": self.seed,
+            "samples": self.samples,
+            "timesteps": self.timesteps,
+            "rows": self.rows().collect::<Vec<_>>(),
+            "cores_powered": self.deployment.cores_powered,
+            "cores_used": self.deployment.cores_used,
+            "tiles_used": self.deployment.tiles_used,
+            "chips_used": self.deployment.chips_used,
+            "x86_cores": self.deployment.x86_cores,
+            "breakdown_pj_per_timestep": breakdown,
+            "per_timestep_uj": self.estimate.per_timestep_uj,
+            "per_timestep_dynamic_uj": self.estimate.per_timestep_dynamic_uj,
+            "early_exit": self.early_exit,
+            "constants": self.constants,
+            "notes": self.notes,
+        })
+    }
+
+    /// The rows as comma-separated values with a header; unknown figures are empty.
+    ///
+    /// # Errors
+    /// When the writer fails, which for one in memory it does not.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.write_record([
+            "hardware",
+            "unit",
+            "convention",
+            "static_mw",
+            "dynamic_mw",
+            "total_mw",
+            "latency_us",
+            "energy_uj",
+            "edp_pjs",
+            "total_mw_low",
+            "latency_us_low",
+            "energy_uj_low",
+            "total_mw_high",
+            "latency_us_high",
+            "energy_uj_high",
+            "source",
+        ])?;
+        for row in self.rows() {
+            let (low, high) = (row.low, row.high);
+            let figures = [
+                row.static_mw,
+                row.dynamic_mw,
+                row.total_mw,
+                row.latency_us,
+                row.energy_uj,
+                row.edp_pjs,
+                low.and_then(|b| b.total_mw),
+                low.and_then(|b| b.latency_us),
+                low.and_then(|b| b.energy_uj),
+                high.and_then(|b| b.total_mw),
+                high.and_then(|b| b.latency_us),
+                high.and_then(|b| b.energy_uj),
+            ];
+            let mut record = vec![row.hardware.clone(), row.unit.to_string(), row.convention.name().to_string()];
+            record.extend(figures.map(|figure| figure.map_or_else(String::new, |x| x.to_string())));
+            record.push(row.source.name().to_string());
+            writer.write_record(record)?;
+        }
+        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    /// The report for people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let Deployment { name, copies, cores_used, cores_powered, tiles_used, chips_used, x86_cores } =
+            &self.deployment;
+        let convention = self.convention();
+        let mut out = format!(
+            "{} on {}: one of {copies} copies, deployment {name}, {}, constants {}\n",
+            self.model,
+            self.target,
+            self.mode.name(),
+            self.preset
+        );
+        let _ = writeln!(
+            out,
+            "{cores_used} neuron cores used, {cores_powered} powered, {x86_cores} x86 cores, {tiles_used} tiles on \
+             {chips_used} chips; {} samples, {} timesteps\n",
+            self.samples, self.timesteps
+        );
+        let energy_header = format!("Energy per timestep\n(uJ, {convention})");
+        let edp_header = format!("Energy-delay product\n(pJ s, {convention})");
+        let mut table = plain(&[
+            "Hardware",
+            "Unit",
+            "Static\n(mW)",
+            "Dynamic\n(mW)",
+            "Total\n(mW)",
+            "Latency per timestep\n(us)",
+            &energy_header,
+            &edp_header,
+            "Source",
+        ]);
+        for cells in self.printed_rows() {
+            table.add_row(cells);
+        }
+        let _ = writeln!(out, "{table}\n");
+        out.push_str(&self.ranges());
+        out.push_str(&self.breakdown());
+        if let Some(saved) = self.early_exit {
+            let _ = writeln!(
+                out,
+                "Early exit saved {} timesteps and {} uJ a copy.\n",
+                saved.steps_saved,
+                short(saved.energy_saved_uj)
+            );
+        }
+        out.push_str(match convention {
+            "published" => {
+                "Convention published: energy is total power in mW divided by the timesteps of a sample, as the VT-SNN paper \
+                 computes it; it is not power times latency.\n"
+            }
+            _ => "Convention physical: energy is power times latency, the energy-delay product energy times latency.\n",
+        });
+        for (row, source) in &self.baselines {
+            let _ = writeln!(out, "{}: {source}", row.hardware);
+        }
+        out.push_str(&self.sources());
+        for note in &self.notes {
+            let _ = writeln!(out, "Note: {note}");
+        }
+        out
+    }
+
+    /// Cells of the main table. The loihi `total` row is the sum of what is printed above it.
+    fn printed_rows(&self) -> Vec<Vec<String>> {
+        let columns: [(fn(&Row) -> Option<f64>, usize, bool); 6] = [
+            (|row| row.static_mw, 4, true),
+            (|row| row.dynamic_mw, 4, true),
+            (|row| row.total_mw, 4, true),
+            (|row| row.latency_us, 4, false),
+            (|row| row.energy_uj, 6, true),
+            (|row| row.edp_pjs, 6, true),
+        ];
+        let parts: Vec<&Row> = self.estimate.rows.iter().filter(|row| row.unit != "total").collect();
+        let rounded = |row: &Row, column: usize| -> Option<i128> {
+            let (figure, digits, _) = columns[column];
+            let units = |x: f64| (x * 10f64.powi(digits as i32)).round() as i128;
+            match column {
+                // Total power is the sum of the two columns to its left.
+                2 => Some(units(row.static_mw?) + units(row.dynamic_mw?)),
+                _ => figure(row).map(units),
+            }
+        };
+        let mut rows = Vec::new();
+        for row in &self.estimate.rows {
+            let mut cells = vec![row.hardware.clone(), row.unit.to_string()];
+            for (column, &(_, digits, adds_up)) in columns.iter().enumerate() {
+                let units = match row.unit {
+                    "total" if adds_up => parts.iter().map(|part| rounded(part, column)).sum::<Option<i128>>(),
+                    _ => rounded(row, column),
+                };
+                cells.push(units.map_or_else(unknown, |units| fixed(units, digits)));
+            }
+            cells.push(row.source.name().to_string());
+            rows.push(cells);
+        }
+        for (row, _) in &self.baselines {
+            let mut cells = vec![row.hardware.clone(), row.unit.to_string()];
+            cells.extend(columns.iter().map(|(figure, ..)| figure(row).map_or_else(unknown, short)));
+            cells.push(row.source.name().to_string());
+            rows.push(cells);
+        }
+        rows
+    }
+
+    fn ranges(&self) -> String {
+        if self.presets.len() < 2 {
+            return String::new();
+        }
+        let mut table = plain(&["Hardware", "Unit", "Total (mW)", "Latency (us)", "Energy (uJ)"]);
+        for row in &self.estimate.rows {
+            let (Some(low), Some(high)) = (row.low, row.high) else { continue };
+            let range = |low: Option<f64>, high: Option<f64>| match (low, high) {
+                (Some(low), Some(high)) => format!("{} to {}", short(low), short(high)),
+                _ => unknown(),
+            };
+            table.add_row([
+                row.hardware.clone(),
+                row.unit.to_string(),
+                range(low.total_mw, high.total_mw),
+                range(low.latency_us, high.latency_us),
+                range(low.energy_uj, high.energy_uj),
+            ]);
+        }
+        format!("Range over the presets {}, each figure on its own:\n{table}\n\n", self.presets.join(", "))
+    }
+
+    fn breakdown(&self) -> String {
+        let mut out = String::new();
+        let Some(parts) = &self.estimate.breakdown_pj else { return out };
+        let total: f64 = parts.iter().map(|(_, pj)| pj).sum();
+        let mut table = plain(&["Dynamic energy of the neuron cores", "pJ per timestep", "Share"]);
+        for &(name, pj) in parts {
+            let share = if total > 0.0 { format!("{:.1} %", 100.0 * pj / total) } else { unknown() };
+            table.add_row([name.to_string(), short(pj), share]);
+        }
+        table.add_row(["sum".to_string(), short(total), String::new()]);
+        let _ = writeln!(out, "{table}\n");
+        if let Some(times) = self.estimate.time_us {
+            let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", short(*us))).collect();
+            let _ = writeln!(out, "Work of a timestep, mean in us: {}.", listed.join(", "));
+        }
+        for (what, spread) in [
+            ("Energy of a timestep, all power included (uJ, physical)", self.estimate.per_timestep_uj),
+            ("Dynamic energy of the neuron cores in a timestep (uJ)", self.estimate.per_timestep_dynamic_uj),
+        ] {
+            if let Some(s) = spread {
+                let [min, p50, p99, max] = [s.min, s.p50, s.p99, s.max].map(short);
+                let _ = writeln!(out, "{what}: least {min}, median {p50}, 99th percentile {p99}, greatest {max}.");
+            }
+        }
+        out.push('\n');
+        out
+    }
+
+    /// How many constants are published, calibrated and assumed, and the assumed ones by name.
+    fn sources(&self) -> String {
+        let of = |status| self.constants.iter().filter(move |entry| entry.status == status);
+        let assumed: Vec<&str> = of(Status::Assumed).map(|entry| entry.name.as_str()).collect();
+        let mut out = format!(
+            "Constants {}: {} published, {} calibrated, {} assumed",
+            self.preset,
+            of(Status::Published).count(),
+            of(Status::Calibrated).count(),
+            assumed.len()
+        );
+        if !assumed.is_empty() {
+            let _ = write!(out, " ({})", assumed.join(", "));
+        }
+        out.push_str(". --format json lists each with its source.\n");
+        out
+    }
+}
+
+fn plain(header: &[&str]) -> Table {
+    let mut table = Table::new();
+    table.set_content_arrangement(ContentArrangement::Disabled);
+    table.set_header(header);
+    for (i, column) in table.column_iter_mut().enumerate() {
+        let text = i == 0 || matches!(header[i], "Unit" | "Source");
+        column.set_cell_alignment(if text { CellAlignment::Left } else { CellAlignment::Right });
+    }
+    table
+}
+
+fn unknown() -> String {
+    "unknown".to_string()
+}
+
+/// An integer count of `10^-digits` as a decimal.
+fn fixed(units: i128, digits: usize) -> String {
+    let scale = 10i128.pow(digits as u32);
+    let sign = if units < 0 { "-" } else { "" };
+    format!("{sign}{}.{:0digits$}", units.abs() / scale, units.abs() % scale)
+}
+
+/// A figure with at least five significant digits and no more than six decimals, without trailing zeros.
+fn short(x: f64) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return format!("{x}");
+    }
+    let magnitude = x.abs().log10().floor() as i32;
+    if magnitude < -6 {
+        return format!("{x:.4e}");
+    }
+    let decimals = (5 - magnitude).clamp(0, 10) as usize;
+    let text = format!("{x:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }
+}
