@@ -15,7 +15,7 @@ use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
 use crate::desc::spanned::parse;
-use crate::desc::target::{Chip, Constants, Limits, Target};
+use crate::desc::target::{Chip, Constants, Target};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
 use crate::io::shipped::{self, Origin};
@@ -128,7 +128,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
     match root_name(source.text()) {
         "Network" => Ok(of_network(&model::network(source, origin)?)),
         "Target" => Ok(of_target(&target::target(&source, origin)?)),
-        "Chip" => Ok(of_chip(&parse::<Chip>(&source, "chip.syntax")?)),
+        "Chip" => Ok(of_chip(&target::parse_chip(&source)?)),
         "Constants" => Ok(of_constants(&target::parse_constants(&source)?)),
         "Mapping" => Ok(of_mapping(&parse(&source, "mapping.syntax")?)),
         "DataSet" => Ok(of_dataset(&dataset::manifest(source)?)),
@@ -285,12 +285,17 @@ fn of_network(network: &Network) -> Findings {
     }
 }
 
-fn limits_table(limits: &Limits) -> Rows {
-    let rows = match json!(limits) {
-        Value::Object(map) => map.into_iter().map(|(name, value)| vec![json!(name), value]).collect(),
+fn limits_table(chip: &Chip) -> Rows {
+    let row = |(name, value): (String, Value)| {
+        let origin = chip.limit_sources.iter().find(|entry| entry.limit.value == name);
+        let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
+        vec![json!(name), value, json!(status), json!(source)]
+    };
+    let rows = match json!(chip.limits) {
+        Value::Object(map) => map.into_iter().map(row).collect(),
         _ => Vec::new(),
     };
-    Rows { key: "limits", columns: &["limit", "value"], rows }
+    Rows { key: "limits", columns: &["limit", "value", "status", "source"], rows }
 }
 
 fn constants_table(presets: &[Constants]) -> Rows {
@@ -336,13 +341,13 @@ fn of_target(target: &Target) -> Findings {
         ("cores", json!(target.cores())),
     ];
     facts.extend(chip_facts(target.chip()));
-    Findings { kind: "target", facts, tables: vec![constants_table(target.constants()), limits_table(target.limits())] }
+    Findings { kind: "target", facts, tables: vec![constants_table(target.constants()), limits_table(target.chip())] }
 }
 
 fn of_chip(chip: &Chip) -> Findings {
     let mut facts = vec![("name", json!(chip.name))];
     facts.extend(chip_facts(chip));
-    Findings { kind: "chip", facts, tables: vec![limits_table(&chip.limits)] }
+    Findings { kind: "chip", facts, tables: vec![limits_table(chip)] }
 }
 
 fn of_constants(constants: &Constants) -> Findings {
@@ -662,6 +667,22 @@ Network(name: "m", timestep_ms: 1.0,
             (&folder["density"], &folder["labels"]),
             (&json!(0.5), &json!([{"label": 1, "class": null, "samples": 2}]))
         );
+    }
+
+    #[test]
+    fn a_shipped_target_shows_each_constant_with_unit_source_and_status() {
+        let object = object(&inspect("nahuku-32").unwrap());
+        assert_eq!((&object["kind"], &object["chips"], &object["cores"]), (&json!("target"), &json!(32), &json!(4096)));
+        let constants = object["constants"].as_array().unwrap();
+        for preset in ["davies2018", "sanafe-calibrated"] {
+            let of = constants.iter().filter(|constant| constant["preset"] == preset);
+            // 28 fields, and at least one barrier time.
+            assert!(of.clone().count() > 28, "{preset}");
+            assert!(
+                of.into_iter().all(|c| c["unit"].is_string() && c["source"].is_string() && c["status"].is_string())
+            );
+        }
+        assert_eq!(object["limits"].as_array().unwrap().len(), 14);
     }
 
     #[test]

@@ -165,7 +165,7 @@ Network(
         assert_eq!(network.array(reference).numbers(), &Numbers::Integers(vec![80, 90]));
         let PopulationDesc::Loihi(b) = &file.populations[2].value else { panic!() };
         let tau = &b.tau_v_ms.as_ref().unwrap();
-        assert!(matches!(tau.value, ParameterValue::Each(Source::Uniform { low: 1.0, high: 2.5, seed: 7 })));
+        assert!(matches!(tau.value, ParameterValue::Each(Source::Uniform { low: 1.0, high: 2.5, seed: 7, .. })));
         assert_eq!(text_of(tau.span), "Uniform(low: 1, high: 2.5, seed: 7)");
         let ProjectionDesc::Dense(first) = &file.projections[0].value else { panic!() };
         let Source::File(reference) = &first.weights.source else { panic!() };

@@ -29,13 +29,14 @@ macro_rules! shipped {
 }
 
 /// Shipped models.
-pub const MODELS: &[Shipped] = shipped!("models":);
+pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "vtsnn-slip");
 /// Shipped targets.
-pub const TARGETS: &[Shipped] = shipped!("mapping/targets":);
+pub const TARGETS: &[Shipped] =
+    shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");
 /// Shipped chips.
-pub const CHIPS: &[Shipped] = shipped!("mapping/chips":);
+pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "tiny");
 /// Shipped presets of constants.
-pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants":);
+pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "sanafe-calibrated");
 
 /// The arrays that shipped models refer to: path within `models/`, content.
 pub const ARRAYS: &[(&str, &[u8])] = &[];

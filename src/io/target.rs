@@ -29,7 +29,7 @@ pub fn load_target(argument: &str) -> Result<Target, Diagnostic> {
 pub fn target(source: &SourceText, origin: Origin) -> Result<Target, Diagnostic> {
     let file: TargetFile = parse(source, "target.syntax")?;
     let chip_source = part(source, origin, &file.chip, "chips", "chip", shipped::CHIPS)?;
-    let chip: Chip = parse(&chip_source, "chip.syntax")?;
+    let chip = parse_chip(&chip_source)?;
     let mut constants = Vec::with_capacity(file.constants.len());
     for name in &file.constants {
         let text = part(source, origin, name, "constants", "preset of constants", shipped::CONSTANTS)?;
@@ -40,6 +40,16 @@ pub fn target(source: &SourceText, origin: Origin) -> Result<Target, Diagnostic>
         Some(_) => problem,
         None => problem.in_file(chip_source.path()),
     })
+}
+
+/// A chip from its text.
+///
+/// # Errors
+/// `chip.syntax`, and what [`Chip::check`] says.
+pub fn parse_chip(source: &SourceText) -> Result<Chip, Diagnostic> {
+    let chip: Chip = parse(source, "chip.syntax")?;
+    chip.check(source)?;
+    Ok(chip)
 }
 
 /// A preset of constants from its text.
@@ -166,6 +176,10 @@ pub(crate) mod tests {
         for target in shipped::TARGETS {
             load_target(target.name).unwrap_or_else(|error| panic!("{error}"));
         }
+        for chip in shipped::CHIPS {
+            parse_chip(&chip.source()).unwrap_or_else(|error| panic!("{error}"));
+        }
+        assert_eq!(load_target("pohoiki-springs").unwrap().chips(), 768);
         for preset in shipped::CONSTANTS {
             parse_constants(&preset.source()).unwrap_or_else(|error| panic!("{error}"));
         }

@@ -9,9 +9,9 @@ use std::path::Path;
 
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 
-/// The most bytes of a RON file. A list of `0,` costs twelve times its text once parsed; larger arrays belong beside the
+/// The most bytes of a RON file. A list of one-digit numbers costs up to twenty times its text; larger arrays belong beside the
 /// file.
-pub const MOST_TEXT: u64 = 64 << 20;
+pub const MOST_TEXT: u64 = 32 << 20;
 /// The most bytes of an event list in text.
 pub const MOST_EVENT_TEXT: u64 = 256 << 20;
 /// The most bytes of an array file.

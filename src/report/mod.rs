@@ -5,3 +5,4 @@
 
 pub mod energy;
 pub mod map;
+pub mod run;

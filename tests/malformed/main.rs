@@ -1,0 +1,106 @@
+//! Files that are damaged, hostile or wrong: each is refused with the code, the words and the line that tell its user
+//! what to mend; none panics, none takes more memory than a small multiple of what it is.
+
+mod cases;
+
+use std::path::{Path, PathBuf};
+
+use cases::{Case, Through, cases};
+use nsim::base::diagnostic::Diagnostic;
+use nsim::compile::{lower::lower, quantise::quantise};
+use nsim::io::{model::load_model, stimulus::read_source, target::load_target};
+
+/// Channels of the population that spike files are read for.
+const UNITS: u64 = 4;
+
+fn lay_out(folder: &Path, case: &Case) -> PathBuf {
+    for (name, bytes) in &case.beside {
+        std::fs::write(folder.join(name), bytes).unwrap();
+    }
+    let path = folder.join(case.file);
+    std::fs::write(&path, &case.bytes).unwrap();
+    path
+}
+
+fn through_the_library(case: &Case, path: &Path) -> Result<(), Diagnostic> {
+    let argument = path.to_str().unwrap();
+    match case.through {
+        Through::Model => quantise(&lower(&load_model(argument)?)?).map(drop),
+        Through::Target => load_target(argument).map(drop),
+        Through::Spikes => read_source(path, UNITS).map(drop),
+    }
+}
+
+#[test]
+fn each_is_refused_by_name_and_place() {
+    let cases = cases();
+    assert!(cases.len() >= 45, "{} cases", cases.len());
+    let mut wrong = Vec::new();
+    for case in &cases {
+        let folder = tempfile::tempdir().unwrap();
+        let path = lay_out(folder.path(), case);
+        let Err(problem) = through_the_library(case, &path) else {
+            wrong.push(format!("{}: accepted", case.name));
+            continue;
+        };
+        let line = problem.position().map(|position| position.line);
+        let said = format!("{problem} {}", problem.help.as_deref().unwrap_or_default());
+        if problem.code != case.code || line != case.line || !said.contains(case.says) {
+            wrong.push(format!(
+                "{}: {} at {line:?}: {said}\n    expected {} at {:?}: {}",
+                case.name, problem.code, case.code, case.line, case.says
+            ));
+        }
+        if problem.file().is_none() {
+            wrong.push(format!("{}: no file is named: {problem}", case.name));
+        }
+    }
+    assert!(wrong.is_empty(), "{} of {}:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
+    if let Some(peak) = peak_kib() {
+        assert!(peak < 1 << 20, "{peak} KiB at the peak");
+    }
+}
+
+/// The most memory that this process ever held.
+fn peak_kib() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse().ok()
+}
+
+#[test]
+fn what_they_were_made_from_is_accepted() {
+    let folder = tempfile::tempdir().unwrap();
+    for case in cases::sound() {
+        let path = lay_out(folder.path(), &case);
+        through_the_library(&case, &path).unwrap_or_else(|problem| panic!("{}: {problem}", case.name));
+    }
+}
+
+/// Small changes anywhere in a sound file are accepted or refused, and never bring anything down.
+#[test]
+fn random_damage_never_panics() {
+    let sound = cases::sound();
+    let model = &sound[0];
+    let folder = tempfile::tempdir().unwrap();
+    let draw = |round: u64, which: u64, n: usize| (nsim::base::rng::unit(11, round, which) * n as f64) as usize;
+    let mut refused = 0;
+    for round in 0..3000 {
+        let mut bytes = model.bytes.clone();
+        for change in 0..=draw(round, 0, 3) as u64 {
+            let (at, from) = (draw(round, 4 * change + 1, bytes.len()), draw(round, 4 * change + 2, bytes.len()));
+            match draw(round, 4 * change + 3, 4) {
+                0 => bytes[at] = draw(round, 4 * change + 4, 256) as u8,
+                1 => bytes.truncate(at.max(1)),
+                2 => drop(bytes.remove(at)),
+                _ => bytes.insert(at, bytes[from.min(bytes.len() - 1)]),
+            }
+            if bytes.len() < 2 {
+                break;
+            }
+        }
+        let case = Case { bytes, ..model.clone() };
+        refused += u32::from(through_the_library(&case, &lay_out(folder.path(), &case)).is_err());
+    }
+    assert!((1500..3000).contains(&refused), "{refused} of 3000 refused");
+}
