@@ -40,8 +40,10 @@ Examples:
 #[command(after_help = EXAMPLES)]
 pub struct EnergyArgs {
     #[command(flatten)]
+    /// Model, target and engine.
     pub job: JobArgs,
     #[command(flatten)]
+    /// What the network is shown.
     pub input: InputArgs,
     /// Copies of the model on the target; figures are of one
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..))]

@@ -63,7 +63,7 @@ fn named<T: Copy>(name: &str, all: &[T], name_of: fn(T) -> &'static str) -> Resu
 ///
 /// # Errors
 /// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
-pub fn run(args: &MapArgs, context: &Context) -> Result<Answer, Error> {
+pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     if let Some(output) = &args.output {
         io::write::check_free(output, context.force)?;
     }

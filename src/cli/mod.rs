@@ -90,6 +90,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Map a network onto a target and say how it fits, or every reason why it does not
+    Map(map::MapArgs),
     Run(run::Args),
     /// Report power, latency and energy of a network, beside other hardware
     Energy(energy::EnergyArgs),
@@ -105,6 +107,7 @@ enum Command {
 
 fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
     match command {
+        Command::Map(args) => map::run(args, context),
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),

@@ -181,7 +181,11 @@ impl Draw {
 
     fn each<T: Copy>(&mut self, n: u32, values: &[T]) -> PerCompartment<T> {
         let mut pick = || values[self.below(values.len() as u64) as usize];
-        if n % 2 == 0 { PerCompartment::Same(pick()) } else { PerCompartment::Each((0..n).map(|_| pick()).collect()) }
+        if n.is_multiple_of(2) {
+            PerCompartment::Same(pick())
+        } else {
+            PerCompartment::Each((0..n).map(|_| pick()).collect())
+        }
     }
 }
 

@@ -70,12 +70,14 @@ pub fn traffic(program: &Program, rate: f64) -> Traffic {
     let (mut east, mut west) = (Lines::new(rows, columns), Lines::new(rows, columns));
     let (mut south, mut north) = (Lines::new(columns, rows), Lines::new(columns, rows));
     let mut add = |(fx, fy): (u32, u32), (tx, ty): (u32, u32)| {
-        if fx <= tx {
-            east.add(fy, fx, tx)
-        } else {
-            west.add(fy, tx, fx)
+        match fx <= tx {
+            true => east.add(fy, fx, tx),
+            false => west.add(fy, tx, fx),
         }
-        if fy <= ty { south.add(tx, fy, ty) } else { north.add(tx, ty, fy) }
+        match fy <= ty {
+            true => south.add(tx, fy, ty),
+            false => north.add(tx, ty, fy),
+        }
     };
     let tile = |core: CoreId| mesh.tile(program.cores()[core].site);
     let mut cut = 0u64;
@@ -119,7 +121,8 @@ mod tests {
     /// The same by walking every message link by link.
     fn walked(program: &Program) -> (u64, u64, u64) {
         let mesh = program.mesh();
-        let mut links: HashMap<((u32, u32), (u32, u32)), u64> = HashMap::new();
+        type Tile = (u32, u32);
+        let mut links: HashMap<(Tile, Tile), u64> = HashMap::new();
         let (mut cut, mut hops) = (0, 0);
         let mut walk = |mut at: (u32, u32), to: (u32, u32)| {
             while at != to {

@@ -202,7 +202,7 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             text += &table(compiled, target);
             let _ = writeln!(
                 text,
-                "\ntraffic at an assumed {DEFAULT_RATE} spikes a source and step: {:.2} spikes between cores, {:.2} hops; \
+                "\ntraffic at an assumed {DEFAULT_RATE} spikes a source and step: {:.2} spikes to other cores (inputs' included), {:.2} hops; \
                  links carry {:.5} messages a step on average, {:.2} at most",
                 traffic.cut_spikes_per_step, traffic.hops_per_step, traffic.mean_link_load, traffic.max_link_load
             );
