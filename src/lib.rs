@@ -17,5 +17,5 @@ pub mod golden;
 pub mod io;
 pub mod ir;
 pub mod machine;
-pub mod scene;
 pub mod report;
+pub mod scene;

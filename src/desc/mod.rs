@@ -3,8 +3,8 @@
 //! Values here are parsed and know where they stood in their file, so that any later stage can point at them. Whether
 //! they make sense together is for `compile::lower` to find out.
 
-pub mod dataset;
 pub mod baseline;
+pub mod dataset;
 pub mod mapping;
 pub mod network;
 pub mod spanned;
