@@ -76,13 +76,28 @@ impl Outcome {
     }
 }
 
-/// Runs one sample; `after_step` sees the engine after each step.
-pub fn run_sample<E: Engine>(engine: &mut E, sample: &Sample, keep: &Keep, mut after_step: impl FnMut(&E)) -> Outcome {
+/// Runs one sample; `after_step` sees the engine after each step, or after so many steps in which nothing happened.
+pub fn run_sample<E: Engine>(
+    engine: &mut E,
+    sample: &Sample,
+    keep: &Keep,
+    mut after_step: impl FnMut(&E, u32),
+) -> Outcome {
     let (first, size) = keep.output;
     let mut outcome = Outcome { counts: vec![0; size as usize], steps: sample.steps(), ..Outcome::default() };
     outcome.probes = keep.probes.iter().map(|probe| vec![0; probe.count as usize * sample.steps() as usize]).collect();
     engine.begin(sample.steps());
-    for step in 0..sample.steps() {
+    let mut step = 0;
+    while step < sample.steps() {
+        if sample.at(step).is_empty() {
+            let next = sample.next_spike(step);
+            if engine.rest(next - step) {
+                outcome.skipped_steps += u64::from(next - step);
+                after_step(engine, next - step);
+                step = next;
+                continue;
+            }
+        }
         engine.step(sample.at(step));
         for &compartment in engine.spikes() {
             if let Some(output) = compartment.0.checked_sub(first.0).filter(|&output| output < size) {
@@ -93,7 +108,8 @@ pub fn run_sample<E: Engine>(engine: &mut E, sample: &Sample, keep: &Keep, mut a
         for (probe, kept) in keep.probes.iter().zip(&mut outcome.probes) {
             record(engine, probe, step as usize, sample.steps() as usize, kept);
         }
-        after_step(engine);
+        after_step(engine, 1);
+        step += 1;
     }
     outcome.totals = engine.totals();
     outcome.overflow = engine.overflow();

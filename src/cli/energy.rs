@@ -7,6 +7,10 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use crate::cli::jobs::{self, JobArgs, Prepared};
+use crate::cli::run::{InputArgs, Switch, select};
+use crate::cli::{Answer, Context, Format, common, inputs, simulate};
+
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::base::units::Picoseconds;
 use crate::cost::baseline::{Baseline, NetworkShape, SHIPPED};
@@ -16,9 +20,11 @@ use crate::desc::baseline::Mode;
 use crate::desc::mapping::MappingFile;
 use crate::desc::spanned::parse;
 use crate::desc::target::Target;
+use crate::drive::Keep;
 use crate::error::Error;
-use crate::ir::activity::Activity;
+use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::placement::{Mesh, Placement, Site};
+use crate::ir::spikes::Sample;
 use crate::report::energy::{EarlyExit, EnergyReport, constant_entries};
 
 const EXAMPLES: &str = "\
@@ -33,24 +39,10 @@ Examples:
 #[derive(Debug, Clone, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct EnergyArgs {
-    /// Model file, or the name of a shipped model
-    #[arg(default_value = "vtsnn-slip")]
-    pub model: String,
-    /// Target file, or the name of a shipped target
-    #[arg(long, default_value = "nahuku-32")]
-    pub target: String,
-    /// A saved mapping instead of a new one
-    #[arg(long, value_name = "FILE")]
-    pub mapping: Option<PathBuf>,
-    /// Spikes: POPULATION=SOURCE, or SOURCE alone (a file, a folder, or scene:NAME?samples=N&seed=S)
-    #[arg(long, value_name = "[POPULATION=]SOURCE")]
-    pub input: Vec<String>,
-    /// Only these samples: from A up to, not including, B
-    #[arg(long, value_name = "A..B", value_parser = sample_range)]
-    pub samples: Option<std::ops::Range<usize>>,
-    /// Run everything so many times
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
-    pub repeat: u32,
+    #[command(flatten)]
+    pub job: JobArgs,
+    #[command(flatten)]
+    pub input: InputArgs,
     /// Copies of the model on the target; figures are of one
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: u32,
@@ -71,7 +63,7 @@ pub struct EnergyArgs {
     pub constants: Option<String>,
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
     #[arg(long, default_value = "on")]
-    pub skip: SkipArg,
+    pub skip: Switch,
 }
 
 /// `--deployment`
@@ -128,24 +120,6 @@ impl From<ConventionArg> for Convention {
             ConventionArg::Physical => Convention::Physical,
             ConventionArg::Published => Convention::Published,
         }
-    }
-}
-
-/// `--skip`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum SkipArg {
-    /// Skip.
-    On,
-    /// Do all the work.
-    Off,
-}
-
-/// Parses `A..B`.
-fn sample_range(text: &str) -> Result<std::ops::Range<usize>, String> {
-    let ends = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
-    match ends {
-        Some((first, end)) if first < end => Ok(first..end),
-        _ => Err("expected A..B with A less than B, for example 0..20".to_string()),
     }
 }
 
@@ -260,6 +234,61 @@ pub struct EnergyJob<'a> {
     pub early_exit: Option<EarlyExit>,
 }
 
+/// The command.
+///
+/// # Errors
+/// [`Error`] when an input cannot be used.
+pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
+    let baselines = baselines(args.baseline.as_deref())?;
+    let Prepared::Ready(job) = jobs::prepare(&args.job, true, args.copies, context)? else { return Ok(Answer::No) };
+    let Some((compiled, target)) = job.mapped() else {
+        return Err(Error::Fault("energy needs a mapped job".to_string()));
+    };
+    let (tables, preset) = tables(target, args.constants.as_deref())?;
+    let deployment = deployment(&args.deployment, args.copies, &compiled.placement, target)?;
+    let stimulus = inputs::stimulus(&compiled.one, &args.input.input, job.scene(), args.input.seed)?;
+    let samples = select(&stimulus.samples, &args.input)?;
+    // Copies share nothing, input channels included: each sees the whole sample.
+    let copied: Vec<Sample> =
+        samples.iter().map(|sample| sample.copies(args.copies, compiled.one.channels())).collect();
+    let copied: Vec<&Sample> = copied.iter().collect();
+    let prototype = StepMeter::new(tables, deployment.tiles_used);
+    let skip = args.skip == Switch::On;
+    let add = |meter: &mut StepMeter, step: &StepActivity, times: u32| (0..times).for_each(|_| meter.add(step));
+    let keep = Keep { output: compiled.program.output(), probes: Vec::new() };
+    let run = simulate::fast(&compiled.program, &copied, &keep, skip, context, || prototype.fresh(), add)?;
+    let mut meter = prototype.fresh();
+    run.meters.iter().for_each(|sample| meter.merge(sample));
+    let same = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
+    let energy = report(&EnergyJob {
+        model: &compiled.one.parts().name,
+        target,
+        shape: &NetworkShape::of(&compiled.one),
+        preset,
+        activity: &run.activity,
+        meter: &meter,
+        copies_counted: args.copies,
+        deployment: &deployment,
+        mode: args.mode.into(),
+        convention: args.convention.into(),
+        timestep: Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64),
+        steps_per_sample: samples.first().filter(|_| same).map(|sample| sample.steps()),
+        samples: samples.len() as u64,
+        seed: stimulus.seed,
+        baselines: &baselines,
+        early_exit: None,
+    });
+    match context.format {
+        Format::Text => common::print(&energy.text())?,
+        Format::Json => common::print_json(&energy.json())?,
+        Format::Csv => common::print(&energy.csv().map_err(|e| Error::Fault(e.to_string()))?)?,
+    }
+    if context.format != Format::Text {
+        energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
+    }
+    Ok(Answer::Yes)
+}
+
 /// From a finished run to its report. Its notes belong on stderr when the output is for programs.
 #[must_use]
 pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
@@ -316,6 +345,7 @@ mod tests {
     use clap::Parser;
 
     use super::*;
+    use crate::cli::common::SampleRange;
     use crate::cost::baseline::tests::vtsnn;
     use crate::cost::estimate::tests::{MS, run};
     use crate::desc::target::{Chip, Constants, TargetFile};
@@ -395,7 +425,7 @@ mod tests {
     fn defaults_are_those_of_the_contract() {
         let args = args(&[]).unwrap();
         assert_eq!(
-            (args.model.as_str(), args.target.as_str(), args.copies, args.repeat),
+            (args.job.model.as_str(), args.job.target.as_str(), args.copies, args.input.repeat),
             ("vtsnn-slip", "nahuku-32", 32, 1)
         );
         assert_eq!(
@@ -407,7 +437,10 @@ mod tests {
     #[test]
     fn arguments_parse_or_are_refused() {
         let given = args(&["m.ron", "--samples", "3..5", "--deployment", "saved.ron", "--baseline", "a,b"]).unwrap();
-        assert_eq!((given.samples, given.deployment), (Some(3..5), DeploymentArg::File("saved.ron".into())));
+        assert_eq!(
+            (given.input.samples, given.deployment),
+            (Some(SampleRange(3..5)), DeploymentArg::File("saved.ron".into()))
+        );
         assert_eq!(given.baseline, Some(vec!["a".to_string(), "b".to_string()]));
         assert_eq!(args(&["--baseline"]).unwrap().baseline, Some(vec![]));
         for wrong in

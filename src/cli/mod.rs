@@ -1,7 +1,25 @@
 //! The command line: one file a subcommand turns what was typed into a validated job, calls the library, and writes.
+//!
+//! stdout carries the result, stderr everything else. Exit status: 0 done; 1 the answer is no; 2 wrong usage; 3 an input
+//! cannot be read or is not supported; 4 a fault of nsim itself.
 
+pub mod common;
+pub mod complain;
 pub mod energy;
+pub mod inputs;
 pub mod inspect;
+pub mod jobs;
+pub mod run;
+pub mod simulate;
+
+use std::io::IsTerminal;
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+
+use crate::error::Error;
+
+pub mod map;
 
 /// How results are printed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -24,6 +42,8 @@ pub struct Context {
     pub force: bool,
     /// Whether stderr is a terminal that shows progress bars.
     pub progress: bool,
+    /// Threads in use.
+    pub threads: usize,
 }
 
 /// What a command found out: the exit status is 0 or 1.
@@ -33,4 +53,136 @@ pub enum Answer {
     Yes,
     /// Does not fit, does not agree, misses its bound.
     No,
+}
+
+const AFTER_HELP: &str = "\
+EXAMPLES:
+  nsim energy                          the shipped network on its shipped scene, beside the paper's GPU
+  nsim map --target loihi1-chip        how the shipped network fits onto one chip
+  nsim run model.ron --input spikes.npy --format json
+  nsim inspect model.ron
+
+EXIT STATUS:
+  0 done   1 the answer is no   2 wrong usage   3 an input cannot be used   4 a fault of nsim";
+
+/// Maps trained spiking networks onto simulated Loihi cores, runs them bit for bit, and reports energy and latency.
+#[derive(Debug, Parser)]
+#[command(name = "nsim", version, about, after_help = AFTER_HELP)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// How to print the result
+    #[arg(long, global = true, value_enum, default_value_t)]
+    format: Format,
+    /// Threads to use, which never changes a result [default: all cores]
+    #[arg(long, global = true, value_name = "N")]
+    threads: Option<usize>,
+    /// Replace existing files
+    #[arg(long, global = true)]
+    force: bool,
+    /// Say more on stderr (-v, -vv)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+    /// Say nothing on stderr but errors
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Run(run::Args),
+    /// Report power, latency and energy of a network, beside other hardware
+    Energy(energy::EnergyArgs),
+    /// Say what a file holds
+    Inspect(inspect::Args),
+    /// Print shell completions
+    #[command(after_help = "EXAMPLES:\n  nsim completions bash > ~/.local/share/bash-completion/completions/nsim")]
+    Completions {
+        /// Which shell
+        shell: clap_complete::Shell,
+    },
+}
+
+fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
+    match command {
+        Command::Run(args) => run::run(args, context),
+        Command::Energy(args) => energy::run(args, context),
+        Command::Inspect(args) => inspect::run(args, context),
+        Command::Completions { shell } => {
+            let mut command = Cli::command();
+            let mut script = Vec::new();
+            clap_complete::generate(*shell, &mut command, "nsim", &mut script);
+            common::print(&String::from_utf8_lossy(&script))?;
+            Ok(Answer::Yes)
+        }
+    }
+}
+
+/// Runs the command line and returns its exit status.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version are answers; anything else is wrong usage.
+            let status = if error.use_stderr() { 2 } else { 0 };
+            return match error.print() {
+                Ok(()) => ExitCode::from(status),
+                Err(_) => ExitCode::from(4),
+            };
+        }
+    };
+    start_log(cli.verbose, cli.quiet);
+    let threads = match cli.threads {
+        Some(0) => {
+            return complain::report(&Error::Usage("--threads 0: at least one thread is needed".into()), cli.format);
+        }
+        Some(threads) => threads.min(1024),
+        None => std::thread::available_parallelism().map_or(1, usize::from),
+    };
+    if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
+        return complain::report(&Error::Fault(format!("threads cannot be started: {error}")), cli.format);
+    }
+    let context = Context {
+        format: cli.format,
+        force: cli.force,
+        progress: std::io::stderr().is_terminal() && !cli.quiet,
+        threads,
+    };
+    match dispatch(&cli.command, context) {
+        Ok(Answer::Yes) => ExitCode::SUCCESS,
+        Ok(Answer::No) => ExitCode::from(1),
+        Err(error) => complain::report(&error, cli.format),
+    }
+}
+
+fn start_log(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => "error",
+        (false, 0) => "warn",
+        (false, 1) => "info",
+        (false, _) => "debug",
+    };
+    let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    tracing_subscriber::fmt()
+        .with_env_filter(tracing_subscriber::EnvFilter::new(level))
+        .with_writer(std::io::stderr)
+        .with_ansi(colour)
+        .without_time()
+        .with_target(false)
+        .init();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed_and_every_command_has_examples() {
+        Cli::command().debug_assert();
+        for command in Cli::command().get_subcommands() {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.contains("EXAMPLES"), "{} has no examples", command.get_name());
+        }
+    }
 }

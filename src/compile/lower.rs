@@ -250,20 +250,20 @@ impl Lowering<'_> {
         match source {
             Source::InPlace(tensor, _) => Ok(Arc::new(tensor.clone())),
             Source::File(reference) => Ok(Arc::new(self.network.array(reference).clone())),
-            Source::Uniform { low, high, seed } => {
+            Source::Uniform { low, high, step, seed } => {
                 let length = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
                 let length = length.filter(|&n| n <= MOST_UNIFORM).ok_or_else(|| {
                     self.error("model.too-large", format!("Uniform would make more than {MOST_UNIFORM} numbers"), span)
                         .help("use a Random projection, whose synapses are never expanded")
                 })?;
-                if !(low.is_finite() && high.is_finite() && low <= high) {
-                    return Err(self.error("model.uniform", format!("Uniform from {low} to {high} is no range"), span));
+                let levels = step.map_or(1.0, |step| ((high - low) / step).floor() + 1.0);
+                if !(low.is_finite() && high.is_finite() && low <= high && (1.0..1e15).contains(&levels)) {
+                    let message = format!("Uniform from {low} to {high} in steps of {step:?} is no range");
+                    return Err(self.error("model.uniform", message, span));
                 }
-                let whole = low.fract() == 0.0 && high.fract() == 0.0 && (high - low) < 1e9;
-                let levels = if whole { (high - low) as u64 + 1 } else { 1 };
-                let draw = |i: u64| match whole {
-                    true => low + rng::below(levels, *seed, i, 0) as f64,
-                    false => low + (high - low) * rng::unit(*seed, i, 0),
+                let draw = |i: u64| match step {
+                    Some(step) => low + step * rng::below(levels as u64, *seed, i, 0) as f64,
+                    None => low + (high - low) * rng::unit(*seed, i, 0),
                 };
                 let numbers = Numbers::Reals((0..length).map(draw).collect());
                 let tensor = Tensor::new(shape.iter().map(|&axis| axis as usize).collect(), numbers);

@@ -18,7 +18,7 @@ pub mod reason;
 pub mod route;
 pub mod saved;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 pub mod traffic;
@@ -112,6 +112,8 @@ impl From<partition::Failure> for CompileError {
 /// A program and the stages that led to it.
 #[derive(Debug, Clone)]
 pub struct Compiled {
+    /// The network, one copy.
+    pub one: Quantised,
     /// The network, all copies.
     pub quantised: Quantised,
     /// Compartments on cores.
@@ -215,7 +217,7 @@ fn mapped(one: Quantised, target: &Target, options: &Options, mut clock: Clock) 
     let all = clock.stage("copies", || all_copies(&one, options))?;
     let partition = clock.stage("partition", || partition::partition(&one, &all, target, options.strategy))?;
     let placement = clock.stage("place", || place::place(&partition, target)).map_err(does_not_fit)?;
-    finished(all, partition, placement, place::NAME, target, options, clock)
+    finished(one, all, partition, placement, place::NAME, target, options, clock)
 }
 
 fn remapped(
@@ -232,11 +234,13 @@ fn remapped(
     clock.stage("bounds", || within_bounds(&one, target, options))?;
     let all = clock.stage("copies", || all_copies(&one, options))?;
     let (partition, placement) = clock.stage("mapping", || from_file(&all, target, file))?;
-    finished(all, partition, placement, "saved", target, options, clock)
+    finished(one, all, partition, placement, "saved", target, options, clock)
 }
 
 /// From places to a program that is known to be right.
+#[allow(clippy::too_many_arguments)]
 fn finished(
+    one: Quantised,
     quantised: Quantised,
     partition: Partition,
     placement: Placement,
@@ -251,7 +255,7 @@ fn finished(
     clock.stage("verify", || verify::verify(&program, target)).map_err(|e| fault(e.to_string()))?;
     clock.stage("check", || check::check(&quantised, &program)).map_err(|e| fault(e.to_string()))?;
     let (seconds, target) = (clock.0, target.name().to_string());
-    Ok(Compiled { quantised, partition, placement, program, seconds, target, options: *options, placed })
+    Ok(Compiled { one, quantised, partition, placement, program, seconds, target, options: *options, placed })
 }
 
 fn does_not_fit(reason: Reason) -> CompileError {

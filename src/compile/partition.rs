@@ -294,12 +294,27 @@ impl<'a> Sequential<'a> {
             if !again {
                 return Ok(members);
             }
-            for (estimate, &slots) in estimate.iter_mut().zip(&sent.slots) {
-                let margin = (u64::from(slots) << round) >> FIRST_MARGIN;
-                *estimate = (*estimate).max(u32::try_from(u64::from(slots) + margin).unwrap_or(u32::MAX));
-            }
+            self.raise(&mut estimate, &sent.slots, round);
         }
         unreachable!("the last round gives reasons or members")
+    }
+
+    /// Raises each estimate to what was sent and a margin, though never above what every synapse on a core of its own sends.
+    fn raise(&self, estimate: &mut [u32], slots: &[u32], round: u32) {
+        let limits = self.target.limits();
+        let dearest = u64::from(limits.axon_out_slots.max(limits.axon_out_slots_off_chip));
+        for (population, description) in self.network.populations().enumerate() {
+            let Some(first) = description.first_compartment() else { continue };
+            for index in 0..description.shape.len() {
+                let at = first.index() + index as usize;
+                let margin = (u64::from(slots[at]) << round) >> FIRST_MARGIN;
+                let outgoing = self.network.outgoing(population).iter();
+                let synapses: u64 =
+                    outgoing.map(|&id| self.network.projections()[id].connectivity.count_from(index)).sum();
+                let raised = (u64::from(slots[at]) + margin).min(synapses.saturating_mul(dearest));
+                estimate[at] = estimate[at].max(u32::try_from(raised).unwrap_or(u32::MAX));
+            }
+        }
     }
 
     /// Fills cores in order, with these estimates of output axon slots.

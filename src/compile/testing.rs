@@ -47,6 +47,8 @@ pub fn target(chips_x: u32, chips_y: u32, limits: Limits) -> Target {
         x86_cores_in_use: 1,
         power_unit: PowerUnit::Core,
         limits,
+        limit_sources: Vec::new(),
+        alternatives: Vec::new(),
     };
     let file = TargetFile {
         name: "test-board".to_string(),

@@ -163,7 +163,7 @@ impl Baseline {
         };
         let (total, latency) = (row.total_mw.value, row.latency_us.value);
         let (energy, edp) = match convention {
-            // (12), (13) of docs/energy.md, from the printed power and latency.
+            // (13) of docs/energy.md, from the printed power and latency.
             Convention::Physical => (total * latency / 1e3, total * latency / 1e3 * latency),
             Convention::Published => (row.printed_energy_uj.value, row.printed_edp.value),
         };

@@ -253,4 +253,26 @@ pub(crate) mod tests {
             "preset davies2018: hop_ew_energy 3.0001 pJ is not a whole number of fJ from 0 to 10^15"
         );
     }
+
+    #[test]
+    fn the_page_on_energy_repeats_the_files() {
+        let page = std::fs::read_to_string(format!("{}/docs/energy.md", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        let (davies, sana) = (preset("davies2018"), preset("sanafe-calibrated"));
+        let cell = |constant: &Constant| format!("{} {}", constant.value.value, &format!("{:?}", constant.status)[..1]);
+        for ((name, ours), (_, theirs)) in davies.list().into_iter().zip(sana.list()) {
+            let end = format!("| {:?} | {} | {} |", ours.unit, cell(ours), cell(theirs));
+            let start = format!("| `{name}` | ");
+            assert!(page.lines().any(|line| line.starts_with(&start) && line.ends_with(&end)), "{start} ... {end}");
+        }
+        for constants in [&davies, &sana] {
+            let listed: Vec<String> =
+                constants.barrier.iter().map(|e| format!("{}: {}", e.tiles, format_time(e.time.value.value))).collect();
+            assert!(page.contains(&format!("{}: {}.", constants.name, listed.join(", "))), "{listed:?}");
+        }
+    }
+
+    /// As files write it: with a decimal point.
+    fn format_time(us: f64) -> String {
+        format!("{us:?}")
+    }
 }

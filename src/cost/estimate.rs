@@ -18,7 +18,7 @@ use crate::ir::activity::Activity;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Convention {
-    /// Power times time (12), (13).
+    /// Power times time (13).
     #[default]
     Physical,
     /// The VT-SNN paper's arithmetic: the energy of a millisecond divided by the timesteps of a sample (14), (15).
@@ -344,7 +344,7 @@ pub(crate) mod tests {
         let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
         let mut meter = StepMeter::new(tables, tiles);
         for step in steps {
-            activity.add_step(step);
+            activity.add_steps(step, 1);
             meter.add(step);
         }
         (activity, meter)

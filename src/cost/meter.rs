@@ -141,7 +141,7 @@ mod tests {
             let mut activity = Activity::new(2);
             for (i, step) in steps.iter().enumerate() {
                 whole.add(step);
-                activity.add_step(step);
+                activity.add_steps(step, 1);
                 if i < cut { first.add(step) } else { second.add(step) }
             }
             first.merge(&second);

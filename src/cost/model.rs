@@ -301,7 +301,7 @@ pub(crate) mod tests {
                 let mut activity = Activity::new(3);
                 let mut sum = Breakdown::default();
                 for step in &steps {
-                    activity.add_step(step);
+                    activity.add_steps(step, 1);
                     sum += step_energy(step, &table, powered);
                 }
                 prop_assert_eq!(energy(&activity, &table, powered), sum);

@@ -33,12 +33,15 @@ pub enum Source {
     InPlace(Tensor, Vec<Span>),
     /// An array in another file.
     File(ArrayRef),
-    /// Seeded uniform numbers in `low..=high`: integers when both bounds are, for untrained networks and benches.
+    /// Seeded uniform numbers in `low..=high`, for untrained networks and benches: `low`, `low + step`, .. with a `step`,
+    /// any real number without.
     Uniform {
         /// The least value.
         low: f64,
         /// The greatest value.
         high: f64,
+        /// Distance of neighbouring numbers.
+        step: Option<f64>,
         /// The seed.
         seed: u64,
     },
@@ -49,7 +52,13 @@ pub enum Source {
 enum NamedSource {
     Npy(String),
     Safetensors(String, String),
-    Uniform { low: f64, high: f64, seed: u64 },
+    Uniform {
+        low: f64,
+        high: f64,
+        #[serde(default)]
+        step: Option<f64>,
+        seed: u64,
+    },
 }
 
 impl From<NamedSource> for Source {
@@ -57,7 +66,7 @@ impl From<NamedSource> for Source {
         match named {
             NamedSource::Npy(file) => Source::File(ArrayRef::Npy(file)),
             NamedSource::Safetensors(file, key) => Source::File(ArrayRef::Safetensors(file, key)),
-            NamedSource::Uniform { low, high, seed } => Source::Uniform { low, high, seed },
+            NamedSource::Uniform { low, high, step, seed } => Source::Uniform { low, high, step, seed },
         }
     }
 }

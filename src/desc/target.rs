@@ -586,7 +586,7 @@ mod tests {
         let (_, chip) = read::<Chip>("chips/loihi1.ron");
         let (_, constants) = read::<Constants>("constants/davies2018.ron");
         assert_eq!(
-            Target::new(&file, &source, chip.clone(), vec![constants.clone()]).unwrap().cores() as u64,
+            u64::from(Target::new(&file, &source, chip.clone(), vec![constants.clone()]).unwrap().cores()),
             MOST_CORES
         );
         let chip = Chip { width: 64, height: 64, cores_per_tile: 64, cores: 262_144, ..chip };

@@ -29,7 +29,7 @@ macro_rules! shipped {
 }
 
 /// Shipped models.
-pub const MODELS: &[Shipped] = shipped!("models":);
+pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "vtsnn-slip");
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
     shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");

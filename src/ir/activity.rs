@@ -97,6 +97,22 @@ impl CoreCounts {
     }
 }
 
+impl CoreCounts {
+    /// The same, so many times over.
+    #[must_use]
+    pub fn times(self, times: u64) -> CoreCounts {
+        CoreCounts {
+            messages_in: self.messages_in * times,
+            events_dense: self.events_dense * times,
+            events_sparse: self.events_sparse * times,
+            visited: self.visited * times,
+            active: self.active * times,
+            spikes: self.spikes * times,
+            messages_out: self.messages_out * times,
+        }
+    }
+}
+
 impl AddAssign for CoreCounts {
     fn add_assign(&mut self, other: CoreCounts) {
         self.messages_in += other.messages_in;
@@ -127,6 +143,17 @@ impl HopCounts {
     #[must_use]
     pub fn links(&self) -> u64 {
         self.east_west + self.north_south
+    }
+
+    /// The same, so many times over.
+    #[must_use]
+    pub fn times(self, times: u64) -> HopCounts {
+        HopCounts {
+            local: self.local * times,
+            east_west: self.east_west * times,
+            north_south: self.north_south * times,
+            chip: self.chip * times,
+        }
     }
 
     /// Adds one message's way.
@@ -202,24 +229,24 @@ impl Activity {
         Activity { cores: vec![CoreCounts::default(); cores].into(), ..Default::default() }
     }
 
-    /// Adds one timestep.
+    /// Adds a timestep that happened `times` times over.
     ///
     /// # Panics
     /// When the step is of a program with another number of cores, or when messages sent and received differ: a fault of
     /// the machine.
-    pub fn add_step(&mut self, step: &StepActivity) {
+    pub fn add_steps(&mut self, step: &StepActivity, times: u64) {
         assert_eq!(self.cores.len(), step.cores.len(), "a step of another program");
         let (mut sent, mut received) = (step.messages_from_inputs, 0);
         for (sum, core) in self.cores.iter_mut().zip(&step.cores) {
-            *sum += *core;
+            *sum += core.times(times);
             sent += core.messages_out;
             received += core.messages_in;
         }
         assert_eq!(sent, received, "copies sent equal copies received");
-        self.hops += step.hops;
-        self.spikes_in += step.spikes_in;
-        self.messages_from_inputs += step.messages_from_inputs;
-        self.steps += 1;
+        self.hops += step.hops.times(times);
+        self.spikes_in += step.spikes_in * times;
+        self.messages_from_inputs += step.messages_from_inputs * times;
+        self.steps += times;
     }
 
     /// Adds another run of the same program.

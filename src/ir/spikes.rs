@@ -52,6 +52,18 @@ impl Sample {
         Ok(Sample { label, first, channels: events.into_iter().map(|(_, channel)| channel).collect() })
     }
 
+    /// The same spikes on the channels of so many copies of a network, one after the other.
+    #[must_use]
+    pub fn copies(&self, copies: u32, channels: u32) -> Sample {
+        let spikes =
+            |step| (0..copies).flat_map(move |k| self.at(step).iter().map(move |c| ChannelId(c.0 + k * channels)));
+        Sample {
+            label: self.label,
+            first: self.first.iter().map(|&first| first * copies).collect(),
+            channels: (0..self.steps()).flat_map(spikes).collect(),
+        }
+    }
+
     /// Number of timesteps.
     #[must_use]
     pub fn steps(&self) -> u32 {
@@ -69,6 +81,13 @@ impl Sample {
     #[must_use]
     pub fn at(&self, step: u32) -> &[ChannelId] {
         &self.channels[self.first[step as usize] as usize..self.first[step as usize + 1] as usize]
+    }
+
+    /// The first step from this one on that has a spike, or the end.
+    #[must_use]
+    pub fn next_spike(&self, step: u32) -> u32 {
+        let passed = self.first[step as usize];
+        self.first.partition_point(|&first| first <= passed).saturating_sub(1).max(step as usize) as u32
     }
 
     /// All spikes.
@@ -95,6 +114,12 @@ pub trait Engine {
     fn begin(&mut self, steps: u32);
     /// One timestep with these input channels spiking (ascending, each once).
     fn step(&mut self, channels: &[ChannelId]);
+    /// Passes over this many steps without input, if nothing at all would happen in them: then every register is and stays
+    /// zero, and counts are as if they had been computed. Otherwise does nothing and returns false.
+    fn rest(&mut self, steps: u32) -> bool {
+        let _ = steps;
+        false
+    }
     /// Compartments that spiked in the last step, ascending.
     fn spikes(&self) -> &[CompartmentId];
     /// The current register after the last step.
@@ -121,6 +146,8 @@ mod tests {
         assert_eq!(sample.at(0), [ChannelId(5)]);
         assert_eq!(sample.at(2), [ChannelId(0), ChannelId(1)]);
         assert_eq!((sample.at(3).len(), sample.steps(), sample.spikes()), (0, 4, 3));
+        let next: Vec<u32> = (0..4).map(|step| sample.next_spike(step)).collect();
+        assert_eq!(next, [0, 2, 2, 4]);
         let late = Sample::new(4, vec![(4, ChannelId(0))], None);
         assert_eq!(late, Err(SampleError::Step { step: 4, steps: 4 }));
     }

@@ -20,6 +20,7 @@ pub mod tally;
 use rayon::prelude::*;
 
 use crate::base::id::{ChannelId, CompartmentId};
+use crate::desc::network::Semantics;
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
 use crate::ir::program::Program;
 use crate::ir::spikes::Engine;
@@ -56,7 +57,6 @@ pub struct Machine<'p> {
     spikes: Vec<CompartmentId>,
     last: StepActivity,
     activity: Activity,
-    skipped_updates: u64,
 }
 
 impl<'p> Machine<'p> {
@@ -81,7 +81,6 @@ impl<'p> Machine<'p> {
             spikes: Vec::new(),
             last: StepActivity::new(cores),
             activity: Activity::new(cores),
-            skipped_updates: 0,
         })
     }
 
@@ -100,7 +99,8 @@ impl<'p> Machine<'p> {
     /// Compartment updates since `begin` that were left out because the compartment was at rest.
     #[must_use]
     pub fn skipped_updates(&self) -> u64 {
-        self.skipped_updates
+        let computed: u64 = self.shards.iter().map(Shard::visited).sum();
+        u64::from(self.step) * u64::from(self.program.compartments()) - computed
     }
 
     /// Whether nothing will happen until the next input spike.
@@ -137,7 +137,6 @@ impl Engine for Machine<'_> {
         self.spikes.clear();
         self.last.clear();
         self.activity = Activity::new(self.program.cores().len());
-        self.skipped_updates = 0;
     }
 
     fn step(&mut self, channels: &[ChannelId]) {
@@ -168,10 +167,19 @@ impl Engine for Machine<'_> {
         self.tally.add_visits(self.program, &mut self.last);
         self.tally.add_inputs(self.program, channels, left, &mut self.last);
         self.tally.add_spikes(self.program, &self.spikes, left.saturating_sub(1), &mut self.last);
-        self.activity.add_step(&self.last);
+        self.activity.add_steps(&self.last, 1);
         self.step += 1;
-        let computed: u64 = self.shards.iter().map(Shard::visited).sum();
-        self.skipped_updates = u64::from(self.step) * u64::from(self.program.compartments()) - computed;
+    }
+
+    fn rest(&mut self, steps: u32) -> bool {
+        if !self.settings.skip || !self.at_rest() {
+            return false;
+        }
+        self.last.clear();
+        self.tally.add_visits(self.program, &mut self.last);
+        self.activity.add_steps(&self.last, u64::from(steps));
+        self.step += steps;
+        true
     }
 
     fn spikes(&self) -> &[CompartmentId] {
@@ -188,9 +196,13 @@ impl Engine for Machine<'_> {
 
     fn v_register(&self, compartment: CompartmentId) -> i32 {
         let (registers, fields) = self.registers(compartment);
-        match registers.hold {
-            0 => registers.v,
-            hold => (i32::from(fields.refractory) << 7) + i32::from(fields.refractory - hold),
+        match self.program.parts().semantics {
+            // Equation (8): the register doubles as the counter of the refractory period.
+            Semantics::Hardware if registers.hold > 0 => {
+                (i32::from(fields.refractory) << 7) + i32::from(fields.refractory - registers.hold)
+            }
+            Semantics::Slayer if self.spikes.binary_search(&compartment).is_ok() => i32::from(fields.neuron.dv.get()),
+            _ => registers.v,
         }
     }
 

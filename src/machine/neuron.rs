@@ -23,10 +23,12 @@ pub struct Fields {
     pub vmin: i32,
     /// Upper clip of v.
     pub vmax: i32,
-    /// Steps from one spike to the next possible one, at least 1.
+    /// Steps from one spike to the next possible one; 0 only in SLAYER's semantics, where it means never.
     pub refractory: u8,
     /// The step before which the compartment is held at zero.
     pub start_step: u32,
+    /// The step that periodic resets are counted from.
+    pub resets_from: u32,
 }
 
 impl Fields {
@@ -44,10 +46,27 @@ impl Fields {
             },
             vmin: 1 - (1 << neuron.vmin.get()),
             vmax: (1 << (9 + 2 * u32::from(neuron.vmax.get()))) - 1,
-            refractory: neuron.refractory.get().max(1),
+            refractory: match semantics {
+                Semantics::Hardware | Semantics::Lava => neuron.refractory.get().max(1),
+                Semantics::Slayer => neuron.refractory.get(),
+            },
             // SLAYER's loop starts at step 1; what enters step 0 is lost.
             start_step: if semantics == Semantics::Slayer { start_step.max(1) } else { start_step },
+            resets_from: start_step,
         }
+    }
+
+    /// Whether v is held in the coming step.
+    #[inline]
+    #[must_use]
+    pub fn holds(&self, r: &Registers) -> bool {
+        self.remaining(r.hold) > 0
+    }
+
+    /// What is left of a refractory period in the coming step.
+    #[inline]
+    fn remaining(&self, hold: u8) -> u8 {
+        if self.refractory == 0 { hold } else { hold.saturating_sub(1) }
     }
 }
 
@@ -108,7 +127,7 @@ fn hardware(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
 }
 
 /// lava's fixed-point LIF (`proc/lif/models.py`): no wrap of the accumulator, u wrapped once into (-2^23, 2^23], no wrap of
-/// u + bias, no refractory period.
+/// u + bias, v clipped to the whole field, no refractory period.
 fn lava(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     let limit = 1i64 << UV_BITS;
     let activation = (i64::from(arrived) << WEIGHT_SHIFT) as i32;
@@ -120,14 +139,14 @@ fn lava(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     if u <= -limit {
         u = i64::from(sum) + 2 * limit;
     }
-    let free = decay(i64::from(r.v), f.neuron.dv) + u + i64::from(f.bias);
-    let v = clip(free, i64::from(f.vmin), i64::from(f.vmax));
+    let free = decay(i64::from(r.v), f.neuron.dv) + u + i64::from(f.bias); // below 2^25, far within lava's 32 bits
+    let v = clip(free, 1 - limit, limit - 1);
     let spiked = v >= i64::from(f.fires_from);
     let effect = Effect { spiked, q_wrapped: false, u_wrapped: u != i64::from(sum), v_clipped: v != free };
     (Registers { u: u as i32, v: if spiked { 0 } else { v as i32 }, hold: 0 }, effect)
 }
 
-/// SLAYER's Loihi kernel: 32-bit products and sums, v reads the voltage decay while it is held.
+/// SLAYER's Loihi kernel: the magnitude of a product keeps its low 32 bits, sums are of 32 bits.
 fn slayer(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     let product = |x: i32, d: u16| {
         let kept = (x.unsigned_abs().wrapping_mul(4096 - u32::from(d)) >> 12) as i32;
@@ -135,8 +154,10 @@ fn slayer(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     };
     let u = product(r.u, f.neuron.du.get()).wrapping_add(arrived << WEIGHT_SHIFT);
     let v = product(r.v, f.neuron.dv.get()).wrapping_add(u);
-    let hold = r.hold.saturating_sub(1);
+    let hold = f.remaining(r.hold);
     let spiked = hold == 0 && v >= f.fires_from;
     let v = if hold > 0 || spiked { 0 } else { v };
-    (Registers { u, v, hold: if spiked { f.refractory } else { hold } }, Effect { spiked, ..Effect::default() })
+    // A period of 0 is never counted down: the compartment is silent after its first spike.
+    let hold = if spiked { f.refractory.max(1) } else { hold };
+    (Registers { u, v, hold }, Effect { spiked, ..Effect::default() })
 }

@@ -169,7 +169,9 @@ impl Shard {
         shard.busy = vec![0; words];
         shard.driven = vec![0; words];
         for block in &shard.blocks {
-            if shard.fields[block.fields as usize].bias != 0 {
+            let fields = &shard.fields[block.fields as usize];
+            // A threshold of 0 that may be met spikes at rest.
+            if fields.bias != 0 || fields.fires_from <= 0 {
                 let granule = block.start >> GRANULE_BITS;
                 shard.driven[granule as usize / 64] |= 1 << (granule % 64);
             }
@@ -386,13 +388,13 @@ impl Shard {
             sums.fill(0);
             return false;
         }
-        if self.reset.is_some_and(|reset| reset.falls_on(step, fields.start_step)) {
+        if self.reset.is_some_and(|reset| reset.falls_on(step, fields.resets_from)) {
             registers.fill(Registers::default());
         }
         let (mut active, mut busy) = (0, false);
         for ((sum, r), &id) in sums.iter_mut().zip(registers).zip(&self.ids[range]) {
             let arrived = std::mem::take(sum);
-            active += u32::from(r.u != 0 || r.v != 0 || r.hold > 1 || arrived != 0 || fields.bias != 0);
+            active += u32::from(r.u != 0 || r.v != 0 || fields.holds(r) || arrived != 0 || fields.bias != 0);
             let (new, effect) = update(*r, arrived, &fields, self.semantics);
             *r = new;
             busy |= new != Registers::default();

@@ -245,7 +245,7 @@ impl EnergyReport {
 
     /// Cells of the main table. The loihi `total` row is the sum of what is printed above it.
     fn printed_rows(&self) -> Vec<Vec<String>> {
-        let columns: [(fn(&Row) -> Option<f64>, usize, bool); 6] = [
+        let columns: [(Figure, usize, bool); 6] = [
             (|row| row.static_mw, 4, true),
             (|row| row.dynamic_mw, 4, true),
             (|row| row.total_mw, 4, true),
@@ -353,6 +353,9 @@ impl EnergyReport {
         out
     }
 }
+
+/// A column of a row.
+type Figure = fn(&Row) -> Option<f64>;
 
 fn plain(header: &[&str]) -> Table {
     let mut table = Table::new();

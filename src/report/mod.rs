@@ -4,3 +4,5 @@
 //! rounding of what is printed.
 
 pub mod energy;
+pub mod map;
+pub mod run;

@@ -4,6 +4,7 @@
 #![allow(dead_code, clippy::unwrap_used)]
 
 pub mod drive;
+pub mod random;
 
 use std::fs::File;
 use std::io::BufReader;

@@ -1,0 +1,168 @@
+//! `nsim map`: compiles a model for a target and says how it fits, or every reason why it does not.
+
+use std::path::{Path, PathBuf};
+
+use crate::cli::{Answer, Context, Format};
+use crate::compile::{
+    CompileError, Compiled, Objective, Options, Strategy, compile, compile_network_with_mapping, traffic,
+};
+use crate::desc::mapping::MappingFile;
+use crate::desc::network::Network;
+use crate::desc::target::Target;
+use crate::error::Error;
+use crate::io;
+use crate::report::map::{self as report, Outcome, Question};
+
+/// What is typed after `nsim map`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct MapArgs {
+    /// Model: a path or the name of a shipped one.
+    #[arg(default_value = "vtsnn-slip")]
+    pub model: String,
+    /// Target: a path or the name of a shipped one.
+    #[arg(long, default_value = "nahuku-32")]
+    pub target: String,
+    /// Copies of the model; 1 unless a mapping says otherwise.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    pub copies: Option<u32>,
+    /// What the mapping is to be good for: cores, energy or latency.
+    #[arg(long, default_value = "cores", value_parser = objective)]
+    pub objective: Objective,
+    /// How compartments are gathered on cores: sequential.
+    #[arg(long, default_value = "sequential", value_parser = strategy)]
+    pub strategy: Strategy,
+    /// A saved mapping to use instead of making one.
+    #[arg(long)]
+    pub mapping: Option<PathBuf>,
+    /// Seed of strategies that draw.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Where to save the mapping.
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
+}
+
+fn objective(name: &str) -> Result<Objective, String> {
+    named(name, &Objective::ALL, Objective::name)
+}
+
+fn strategy(name: &str) -> Result<Strategy, String> {
+    named(name, &Strategy::ALL, Strategy::name)
+}
+
+/// The value of this name, or the names that there are.
+fn named<T: Copy>(name: &str, all: &[T], name_of: fn(T) -> &'static str) -> Result<T, String> {
+    let found = all.iter().find(|&&value| name_of(value) == name);
+    found.copied().ok_or_else(|| {
+        let names: Vec<&str> = all.iter().map(|&value| name_of(value)).collect();
+        format!("it is one of {}", names.join(", "))
+    })
+}
+
+/// Runs `nsim map`.
+///
+/// # Errors
+/// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
+pub fn run(args: &MapArgs, context: &Context) -> Result<Answer, Error> {
+    if let Some(output) = &args.output {
+        io::write::check_free(output, context.force)?;
+    }
+    let network = io::model::load_model(&args.model)?;
+    let target = io::target::load_target(&args.target)?;
+    let mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    let options = options(args, mapping.as_ref());
+    let compiled = fit(&network, &target, &options, mapping.as_ref())?;
+    let question = Question { model: &network.file().name, target: &target, options: &options };
+    let outcome = match &compiled {
+        Ok(compiled) => Outcome::Fits(compiled, traffic::traffic(&compiled.program, traffic::DEFAULT_RATE)),
+        Err(reasons) => Outcome::DoesNotFit(reasons),
+    };
+    // A mapping that goes to stdout goes there alone.
+    if args.output.as_deref() != Some(Path::new("-")) || compiled.is_err() {
+        io::write::stdout(&printed(question, outcome, context.format))?;
+    }
+    if let (Some(output), Ok(compiled)) = (&args.output, &compiled) {
+        io::write::text(output, context.force, &io::mapping::mapping_text(&compiled.mapping_file())?)?;
+    }
+    Ok(if compiled.is_ok() { Answer::Yes } else { Answer::No })
+}
+
+/// How to compile; what a mapping was made with counts unless it is said otherwise.
+fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
+    Options {
+        copies: args.copies.or(mapping.map(|file| file.copies)).unwrap_or(1),
+        strategy: args.strategy,
+        objective: args.objective,
+        seed: mapping.map_or(args.seed, |file| file.seed),
+    }
+}
+
+/// A compiled program or the reasons why there is none.
+fn fit(
+    network: &Network,
+    target: &Target,
+    options: &Options,
+    mapping: Option<&MappingFile>,
+) -> Result<Result<Compiled, Vec<crate::compile::Reason>>, Error> {
+    let compiled = match mapping {
+        Some(file) => compile_network_with_mapping(network, target, options, file),
+        None => compile(network, target, options),
+    };
+    match compiled {
+        Ok(compiled) => Ok(Ok(compiled)),
+        Err(CompileError::DoesNotFit(reasons)) => Ok(Err(reasons)),
+        Err(CompileError::Input(diagnostic)) => Err(diagnostic.into()),
+        Err(CompileError::Fault(message)) => Err(Error::Fault(message)),
+    }
+}
+
+fn printed(question: Question<'_>, outcome: Outcome<'_>, format: Format) -> String {
+    match format {
+        Format::Text => report::text(question, outcome),
+        Format::Json => format!("{:#}\n", report::json(question, outcome)),
+        Format::Csv => report::csv(outcome),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::compile::compile_quantised;
+    use crate::compile::testing::{limits, slip, target};
+
+    #[derive(Parser)]
+    struct Typed {
+        #[command(flatten)]
+        map: MapArgs,
+    }
+
+    fn typed(words: &[&str]) -> Result<MapArgs, clap::Error> {
+        Typed::try_parse_from([&["map"], words].concat()).map(|typed| typed.map)
+    }
+
+    #[test]
+    fn what_is_typed_becomes_options() {
+        let args = typed(&[]).unwrap();
+        assert_eq!((args.model.as_str(), args.target.as_str()), ("vtsnn-slip", "nahuku-32"));
+        assert_eq!(options(&args, None), Options::default());
+        let args = typed(&["m.ron", "--copies", "7", "--objective", "latency", "--seed", "5"]).unwrap();
+        let expected = Options { copies: 7, objective: Objective::Latency, seed: 5, ..Options::default() };
+        assert_eq!(options(&args, None), expected);
+        for wrong in [["--copies", "0"], ["--objective", "speed"], ["--strategy", "best"], ["--seed", "x"]] {
+            assert!(typed(&wrong).is_err(), "{wrong:?}");
+        }
+        let said = typed(&["--objective", "speed"]).unwrap_err().to_string();
+        assert!(said.contains("cores, energy, latency"), "{said}");
+    }
+
+    #[test]
+    fn a_mapping_brings_its_copies() {
+        let made = Options { copies: 2, seed: 9, ..Options::default() };
+        let compiled = compile_quantised(slip(20), &target(1, 1, limits()), &made).unwrap();
+        let file = compiled.mapping_file();
+        assert_eq!(options(&typed(&[]).unwrap(), Some(&file)), made);
+        assert_eq!(options(&typed(&["--copies", "3"]).unwrap(), Some(&file)).copies, 3);
+    }
+}

@@ -1,0 +1,222 @@
+//! `nsim run`: simulates a network and says what came out.
+
+use std::path::{Path, PathBuf};
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::Id;
+use crate::cli::common::SampleRange;
+use crate::cli::{Answer, Context, Format, common, inputs, jobs, simulate};
+use crate::drive::{Keep, Outcome, Probe, Quantity};
+use crate::error::Error;
+use crate::io;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
+use crate::report::run::RunReport;
+
+/// Which engine runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum EngineChoice {
+    /// The mapped program on simulated cores.
+    Fast,
+    /// The slow, obvious interpreter of the quantised network.
+    Golden,
+}
+
+/// On or off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Switch {
+    /// Yes.
+    On,
+    /// No.
+    Off,
+}
+
+/// Where the spikes of a run come from.
+#[derive(Debug, Clone, clap::Args)]
+pub struct InputArgs {
+    /// Spikes: POPULATION=SOURCE, or SOURCE when it is clear for which [default: the model's scene]
+    #[arg(long, value_name = "SOURCE")]
+    pub input: Vec<String>,
+    /// Only these samples, such as 0..20
+    #[arg(long, value_name = "A..B")]
+    pub samples: Option<SampleRange>,
+    /// Run everything so many times; nothing is remembered
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub repeat: u32,
+    /// Seed of a synthetic scene
+    #[arg(long)]
+    pub seed: Option<u64>,
+}
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim run                                             the shipped network on its shipped scene
+  nsim run model.ron --input spikes.npy                one array of spikes, [channels.., T] or [samples, channels.., T]
+  nsim run --input tactile=t.npy --input vision=v.npy --samples 0..20
+  nsim run --input 'scene:noise?samples=5&seed=7&rate=0.02'
+  nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
+  nsim run --engine golden --format json";
+
+/// Simulate a network: spikes in, decisions out.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(flatten)]
+    job: jobs::JobArgs,
+    #[command(flatten)]
+    input: InputArgs,
+    /// Which engine
+    #[arg(long, value_enum, default_value = "fast")]
+    engine: EngineChoice,
+    /// Leave out work that cannot change anything
+    #[arg(long, value_enum, default_value = "on")]
+    skip: Switch,
+    /// Record POPULATION.spikes, .u, .v or .v_register into -o
+    #[arg(long, value_name = "POP.WHAT", requires = "output")]
+    probe: Vec<String>,
+    /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T]
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+}
+
+struct NamedProbe {
+    name: String,
+    probe: Probe,
+}
+
+fn probe(network: &Quantised, text: &str) -> Result<NamedProbe, Error> {
+    let wrong = |why: String| Error::Usage(format!("--probe {text}: {why}"));
+    let (population, what) =
+        text.rsplit_once('.').ok_or_else(|| wrong("write POPULATION.spikes, .u, .v or .v_register".into()))?;
+    let quantity = Quantity::ALL.iter().find(|(_, name)| *name == what).map(|(quantity, _)| *quantity);
+    let quantity = quantity.ok_or_else(|| wrong(format!("'{what}' is none of spikes, u, v, v_register")))?;
+    let id = network.population_named(population);
+    let found = id.map(|id| &network.populations()[id]);
+    match found.and_then(|p| Some((p.first_compartment()?, p.shape.len()))) {
+        Some((first, count)) => Ok(NamedProbe { name: text.to_string(), probe: Probe { first, count, quantity } }),
+        None => {
+            let names: Vec<&str> = network
+                .populations()
+                .iter()
+                .filter(|p| p.first_compartment().is_some())
+                .map(|p| p.name.as_str())
+                .collect();
+            Err(wrong(format!("populations with compartments are: {}", names.join(", "))))
+        }
+    }
+}
+
+/// Takes the samples that a run asks for, as often as it asks.
+///
+/// # Errors
+/// [`Error::Usage`] when the range holds no sample.
+pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sample>, Error> {
+    let range = args.samples.as_ref().map_or(0..usize::MAX, |range| range.0.clone());
+    let end = range.end.min(samples.len());
+    let chosen = samples.get(range.start..end).filter(|chosen| !chosen.is_empty());
+    let chosen = chosen
+        .ok_or_else(|| Error::Usage(format!("--samples {}..: there are {} samples", range.start, samples.len())))?;
+    Ok((0..args.repeat).flat_map(|_| chosen.iter()).collect())
+}
+
+/// The command.
+///
+/// # Errors
+/// [`Error`] when an input cannot be used.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let job = match jobs::prepare(&args.job, args.engine == EngineChoice::Fast, 1, context)? {
+        jobs::Prepared::Ready(job) => job,
+        jobs::Prepared::DoesNotFit(answer) => return Ok(answer),
+    };
+    let network = job.quantised();
+    let stimulus = inputs::stimulus(network, &args.input.input, job.scene(), args.input.seed)?;
+    let samples = select(&stimulus.samples, &args.input)?;
+    let probes = args.probe.iter().map(|text| probe(network, text)).collect::<Result<Vec<_>, _>>()?;
+    let output = &network.populations()[network.parts().output];
+    let first = output.first_compartment().unwrap_or_else(|| Id::new(0));
+    let keep = Keep { output: (first, output.shape.len()), probes: probes.iter().map(|p| p.probe).collect() };
+    check_room(&keep, &samples)?;
+    for named in &probes {
+        io::write::check_free(&probe_path(args, named), context.force)?;
+    }
+    let (outcomes, activity, skipped_updates, wall_s) = match job.program() {
+        Some(program) => {
+            let skip = args.skip == Switch::On;
+            let run = simulate::fast(program, &samples, &keep, skip, context, || (), |(), _, _| ())?;
+            (run.outcomes, Some(run.activity), run.skipped_updates, run.wall_s)
+        }
+        None => {
+            let (outcomes, wall_s) = simulate::golden(network, &samples, &keep, context);
+            (outcomes, None, 0, wall_s)
+        }
+    };
+    let files = write_probes(args, &probes, &outcomes, context)?;
+    let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
+    let report = RunReport {
+        network,
+        target: job.program().map(|_| job.target_name()),
+        engine: if job.program().is_some() { "fast" } else { "golden" },
+        input: &stimulus.origin,
+        seed: stimulus.seed,
+        outcomes: &outcomes,
+        labels: &labels,
+        activity: activity.as_ref(),
+        skipped_updates,
+        wall_s,
+        files: &files,
+    };
+    if let Some(warning) = report.warning() {
+        tracing::warn!("{warning}");
+    }
+    match context.format {
+        Format::Text => common::print(&report.text())?,
+        Format::Json => common::print_json(&report.json())?,
+        Format::Csv => common::print(&report.csv().map_err(|e| Error::Fault(e.to_string()))?)?,
+    }
+    Ok(Answer::Yes)
+}
+
+/// Probes are kept in memory until they are written: at most this many numbers.
+const MOST_PROBED: u64 = 1 << 30;
+
+fn check_room(keep: &Keep, samples: &[&Sample]) -> Result<(), Error> {
+    let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+    let rows: u64 = keep.probes.iter().map(|probe| u64::from(probe.count)).sum();
+    if rows.saturating_mul(steps) > MOST_PROBED {
+        return Err(Error::Usage(format!(
+            "the probes would record {rows} compartments over {steps} steps, more than {MOST_PROBED} numbers; choose fewer --samples"
+        )));
+    }
+    let equal = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
+    if !keep.probes.is_empty() && !equal {
+        let message = "samples have different numbers of steps, so probes do not fill [samples, compartments, T]";
+        return Err(Diagnostic::new("run.probe-shape", message).help("choose one sample with --samples").into());
+    }
+    Ok(())
+}
+
+fn probe_path(args: &Args, named: &NamedProbe) -> PathBuf {
+    let folder = args.output.as_deref().unwrap_or(Path::new("."));
+    folder.join(format!("{}.npy", named.name))
+}
+
+fn write_probes(
+    args: &Args,
+    probes: &[NamedProbe],
+    outcomes: &[Outcome],
+    context: Context,
+) -> Result<Vec<String>, Error> {
+    let mut files = Vec::new();
+    for (index, named) in probes.iter().enumerate() {
+        let path = probe_path(args, named);
+        let steps = outcomes.first().map_or(0, |outcome| outcome.steps);
+        let shape = [outcomes.len() as u64, u64::from(named.probe.count), u64::from(steps)];
+        let numbers = outcomes.iter().flat_map(|outcome| outcome.probes[index].iter().copied());
+        io::write::file(&path, context.force, |out| match named.probe.quantity {
+            Quantity::Spikes => io::npy::write_u8(out, &shape, numbers.map(|number| number as u8)),
+            _ => io::npy::write_i32(out, &shape, numbers),
+        })?;
+        files.push(path.display().to_string());
+    }
+    Ok(files)
+}

@@ -1,0 +1,115 @@
+//! Runs all samples of a job on an engine, in parallel where that pays, with results in run order.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use crate::cli::{Context, common};
+use crate::drive::{Keep, Outcome, run_sample};
+use crate::error::Error;
+use crate::ir::activity::{Activity, StepActivity};
+use crate::ir::program::Program;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
+use crate::machine::{Machine, Settings};
+
+/// Synapses above which the cores of one sample are shared out over threads instead of samples, so that one flattened
+/// copy serves all.
+const LARGE: u64 = 4_000_000;
+
+/// What a run of the fast engine yields.
+#[derive(Debug)]
+pub struct Run<M> {
+    /// In run order.
+    pub outcomes: Vec<Outcome>,
+    /// Of all samples.
+    pub activity: Activity,
+    /// One meter a sample, in run order.
+    pub meters: Vec<M>,
+    /// Compartment updates that were left out because the compartment was at rest.
+    pub skipped_updates: u64,
+    /// Seconds spent.
+    pub wall_s: f64,
+}
+
+/// Runs samples on the fast engine; a meter is made for each sample and sees each step and how often
+/// it happened in a row.
+///
+/// # Errors
+/// [`Error::Input`] when the program's sums could not be exact.
+pub fn fast<M: Send>(
+    program: &Program,
+    samples: &[&Sample],
+    keep: &Keep,
+    skip: bool,
+    context: Context,
+    new_meter: impl Fn() -> M + Sync,
+    meter: impl Fn(&mut M, &StepActivity, u32) + Sync,
+) -> Result<Run<M>, Error> {
+    let synapses: u64 = program.cores().iter().map(|image| image.synapses.items().len() as u64).sum();
+    let large = synapses > LARGE || samples.len() == 1;
+    let shards = if large && synapses > 100_000 { context.threads } else { 1 };
+    let settings = Settings { skip, shards };
+    let bar = common::progress(context, samples.len() as u64, "samples");
+    let begin = Instant::now();
+    let one = |machine: &mut Machine, sample: &&Sample| {
+        let mut seen = new_meter();
+        let outcome = run_sample(machine, sample, keep, |machine, times| meter(&mut seen, machine.last_step(), times));
+        bar.inc(1);
+        (outcome, machine.activity().clone(), seen, machine.skipped_updates())
+    };
+    let new = || Machine::new(program, settings).map_err(unsuitable);
+    let run = |part: &[&Sample]| -> Result<Vec<_>, Error> {
+        let mut machine = new()?;
+        Ok(part.iter().map(|sample| one(&mut machine, sample)).collect())
+    };
+    let parts: Vec<Vec<_>> = if large {
+        vec![run(samples)?]
+    } else {
+        let size = samples.len().div_ceil(context.threads * 4).max(1);
+        samples.par_chunks(size).map(run).collect::<Result<_, _>>()?
+    };
+    let mut result = Run {
+        outcomes: Vec::with_capacity(samples.len()),
+        activity: Activity::new(program.cores().len()),
+        meters: Vec::with_capacity(samples.len()),
+        skipped_updates: 0,
+        wall_s: 0.0,
+    };
+    for (outcome, activity, meter, skipped) in parts.into_iter().flatten() {
+        result.outcomes.push(outcome);
+        result.activity.merge(&activity);
+        result.meters.push(meter);
+        result.skipped_updates += skipped;
+    }
+    bar.finish_and_clear();
+    result.wall_s = begin.elapsed().as_secs_f64();
+    Ok(result)
+}
+
+fn unsuitable(error: crate::machine::shard::ShardError) -> Error {
+    crate::base::diagnostic::Diagnostic::new("run.too-large", error.to_string()).into()
+}
+
+/// Runs samples on the golden engine.
+#[must_use]
+pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, context: Context) -> (Vec<Outcome>, f64) {
+    let bar = common::progress(context, samples.len() as u64, "samples");
+    let begin = Instant::now();
+    let size = samples.len().div_ceil(context.threads * 4).max(1);
+    let outcomes = samples
+        .par_chunks(size)
+        .flat_map_iter(|part| {
+            let mut engine = crate::golden::Golden::new(network);
+            part.iter()
+                .map(|sample| {
+                    let outcome = run_sample(&mut engine, sample, keep, |_, _| ());
+                    bar.inc(1);
+                    outcome
+                })
+                .collect::<Vec<_>>()
+        })
+        .collect();
+    bar.finish_and_clear();
+    (outcomes, begin.elapsed().as_secs_f64())
+}

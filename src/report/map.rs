@@ -1,0 +1,371 @@
+//! The result of `nsim map`: whether and how a network fits its target.
+//!
+//! In comes a compiled program with its traffic, or the reasons why there is none; out goes the result object
+//! `nsim.map/1`, a table of cores, or text. The object of a network that does not fit has the same keys: what nothing is
+//! known of is null.
+
+use std::fmt::Write;
+
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use crate::compile::traffic::{DEFAULT_RATE, Traffic};
+use crate::compile::{Compiled, Options, Reason, place};
+use crate::desc::target::Target;
+use crate::ir::partition::Resource;
+
+/// Cores that a table shows before it is shortened, and the number shown at its beginning then.
+const LONGEST_TABLE: usize = 40;
+const SHORT_TABLE: usize = 20;
+
+/// What was asked.
+#[derive(Debug, Clone, Copy)]
+pub struct Question<'a> {
+    /// The model's name.
+    pub model: &'a str,
+    /// The target.
+    pub target: &'a Target,
+    /// How to compile.
+    pub options: &'a Options,
+}
+
+/// What came out.
+#[derive(Debug, Clone, Copy)]
+pub enum Outcome<'a> {
+    /// It fits.
+    Fits(&'a Compiled, Traffic),
+    /// It does not, for all of these reasons.
+    DoesNotFit(&'a [Reason]),
+}
+
+/// The object `nsim.map/1`.
+#[must_use]
+pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
+    let Question { model, target, options } = question;
+    let mut object = json!({
+        "schema": "nsim.map/1",
+        "model": model,
+        "target": target.name(),
+        "copies": options.copies,
+        "objective": options.objective.name(),
+        "strategy": options.strategy.name(),
+        "placed": place::NAME,
+        "seed": options.seed,
+        "fits": false,
+        "cores_used": null,
+        "chips_used": null,
+        "cores_per_copy": null,
+        "checked": false,
+        "cores": [],
+        "limits": target.limits(),
+        "traffic": null,
+        "seconds": {},
+        "reasons": [],
+    });
+    match outcome {
+        Outcome::Fits(compiled, traffic) => {
+            object["placed"] = compiled.placed.into();
+            object["fits"] = true.into();
+            object["cores_used"] = compiled.partition.cores().into();
+            object["chips_used"] = compiled.placement.chips_used().into();
+            object["cores_per_copy"] = cores_per_copy(compiled).into();
+            object["checked"] = true.into();
+            object["cores"] = rows(compiled).map(|row| row.json()).collect();
+            object["traffic"] = json!(traffic);
+            let seconds = compiled.seconds.iter().map(|&(stage, seconds)| (stage.to_string(), seconds.into()));
+            object["seconds"] = Value::Object(seconds.collect());
+        }
+        Outcome::DoesNotFit(reasons) => object["reasons"] = reasons.iter().map(reason_json).collect(),
+    }
+    object
+}
+
+fn cores_per_copy(compiled: &Compiled) -> f64 {
+    compiled.partition.cores() as f64 / f64::from(compiled.options.copies)
+}
+
+fn reason_json(reason: &Reason) -> Value {
+    json!({
+        "code": reason.code,
+        "population": reason.population,
+        "core": reason.core.map(|core| core.0),
+        "resource": reason.resource.name(),
+        "need": reason.need,
+        "limit": reason.limit,
+        "help": reason.help,
+    })
+}
+
+/// A core of the result.
+struct Row {
+    core: u32,
+    chip: u32,
+    x: u32,
+    y: u32,
+    compartments: u32,
+    axons_in: u32,
+    axons_out: u32,
+    synapses: u64,
+    synapse_words: u64,
+}
+
+impl Row {
+    fn json(&self) -> Value {
+        json!({
+            "core": self.core, "chip": self.chip, "x": self.x, "y": self.y,
+            "compartments": self.compartments, "axons_in": self.axons_in, "axons_out": self.axons_out,
+            "synapses": self.synapses, "synapse_words": self.synapse_words,
+        })
+    }
+}
+
+fn rows(compiled: &Compiled) -> impl Iterator<Item = Row> + '_ {
+    compiled.partition.usage().enumerate().map(|(core, used)| {
+        let site = compiled.placement.site(core);
+        Row {
+            core: core.0,
+            chip: site.chip,
+            x: site.x,
+            y: site.y,
+            compartments: used.compartments,
+            axons_in: used.axons_in,
+            axons_out: used.axons_out,
+            synapses: used.synapses,
+            synapse_words: used.synapse_words,
+        }
+    })
+}
+
+/// Cores as CSV; the reasons instead when it does not fit.
+#[must_use]
+pub fn csv(outcome: Outcome<'_>) -> String {
+    let mut text = String::new();
+    match outcome {
+        Outcome::Fits(compiled, _) => {
+            text += "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words\n";
+            for Row { core, chip, x, y, compartments, axons_in, axons_out, synapses, synapse_words } in rows(compiled) {
+                let _ = writeln!(
+                    text,
+                    "{core},{chip},{x},{y},{compartments},{axons_in},{axons_out},{synapses},{synapse_words}"
+                );
+            }
+        }
+        Outcome::DoesNotFit(reasons) => {
+            text += "code,population,core,resource,need,limit,help\n";
+            for reason in reasons {
+                let population = quoted(reason.population.as_deref().unwrap_or_default());
+                let core = reason.core.map(|core| core.0.to_string()).unwrap_or_default();
+                let (code, resource, help) = (reason.code, reason.resource.name(), quoted(&reason.help));
+                let _ = writeln!(text, "{code},{population},{core},{resource},{},{},{help}", reason.need, reason.limit);
+            }
+        }
+    }
+    text
+}
+
+/// A CSV field that may hold anything (RFC 4180).
+fn quoted(field: &str) -> String {
+    format!("\"{}\"", field.replace('"', "\"\""))
+}
+
+/// The result for people.
+#[must_use]
+pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
+    let Question { model, target, options } = question;
+    let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
+    let mut text =
+        format!("{model}, {copies}, onto {} ({} cores on {} chips): ", target.name(), target.cores(), target.chips());
+    match outcome {
+        Outcome::DoesNotFit(reasons) => {
+            text += "does not fit\n";
+            for reason in reasons {
+                let _ = writeln!(text, "  - {reason}");
+            }
+        }
+        Outcome::Fits(compiled, traffic) => {
+            let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
+            let _ = writeln!(
+                text,
+                "fits on {cores} core{} of {chips} chip{}, {:.4} cores a copy; checked against its network",
+                if cores == 1 { "" } else { "s" },
+                if chips == 1 { "" } else { "s" },
+                cores_per_copy(compiled)
+            );
+            let _ = writeln!(
+                text,
+                "strategy {}, objective {}, placed {}, seed {}\n",
+                options.strategy.name(),
+                options.objective.name(),
+                compiled.placed,
+                options.seed
+            );
+            text += &table(compiled, target);
+            let _ = writeln!(
+                text,
+                "\ntraffic at an assumed {DEFAULT_RATE} spikes a source and step: {:.2} spikes between cores, {:.2} hops; \
+                 links carry {:.5} messages a step on average, {:.2} at most",
+                traffic.cut_spikes_per_step, traffic.hops_per_step, traffic.mean_link_load, traffic.max_link_load
+            );
+            let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1} ms", seconds * 1e3);
+            let _ = writeln!(text, "{}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", "));
+        }
+    }
+    text
+}
+
+/// A table of every core's use of its resources, in numbers and in hundredths of what there is.
+fn table(compiled: &Compiled, target: &Target) -> String {
+    let limits = target.limits();
+    let mut table = Table::new();
+    table.load_style(comfy_table::presets::NOTHING);
+    let resources = [
+        (Resource::Compartments, "compartments"),
+        (Resource::AxonsIn, "axons in"),
+        (Resource::AxonsOut, "axon slots out"),
+        (Resource::SynapseWords, "synapse words"),
+        (Resource::SynapseFormats, "formats"),
+        (Resource::CompartmentProfiles, "profiles"),
+        (Resource::ThresholdProfiles, "thresholds"),
+        (Resource::Accumulators, "accumulators"),
+    ];
+    let mut header = vec!["core".to_string(), "chip".to_string(), "tile".to_string(), "synapses".to_string()];
+    header.extend(resources.iter().map(|(_, name)| name.to_string()));
+    table.set_header(header);
+    let (cores, usage) = (compiled.partition.cores(), compiled.partition.usage());
+    let shown = if cores > LONGEST_TABLE { SHORT_TABLE } else { cores };
+    let cell = |need: u64, limit: u64| format!("{need} {:>3.0}%", 100.0 * need as f64 / limit.max(1) as f64);
+    for (core, used) in usage.enumerate().take(shown) {
+        let site = compiled.placement.site(core);
+        let mut row = vec![
+            core.0.to_string(),
+            site.chip.to_string(),
+            format!("{},{}", site.x, site.y),
+            used.synapses.to_string(),
+        ];
+        let pairs = used.against(limits);
+        row.extend(resources.iter().filter_map(|(resource, _)| {
+            let &(_, need, limit) = pairs.iter().find(|pair| pair.0 == *resource)?;
+            Some(cell(need, limit))
+        }));
+        table.add_row(row);
+    }
+    if cores > shown {
+        let rest = format!("and {} more", cores - shown);
+        table.add_row(vec![rest]);
+        let mut row = vec!["most".to_string(), String::new(), String::new()];
+        row.push(usage.iter().map(|used| used.synapses).max().unwrap_or(0).to_string());
+        row.extend(resources.iter().map(|(resource, _)| {
+            let of =
+                |used: &crate::ir::partition::CoreUsage| used.against(limits).into_iter().find(|p| p.0 == *resource);
+            let most = usage.iter().filter_map(of).max_by_key(|&(_, need, _)| need);
+            most.map_or(String::new(), |(_, need, limit)| cell(need, limit))
+        }));
+        table.add_row(row);
+    }
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table.trim_fmt() + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::diagnostic::SourceText;
+    use crate::compile::testing::{limits, slip, target};
+    use crate::compile::traffic::traffic;
+    use crate::compile::{CompileError, compile, compile_quantised};
+    use crate::desc::target::Limits;
+
+    const KEYS: [&str; 18] = [
+        "schema",
+        "model",
+        "target",
+        "copies",
+        "objective",
+        "strategy",
+        "placed",
+        "seed",
+        "fits",
+        "cores_used",
+        "chips_used",
+        "cores_per_copy",
+        "checked",
+        "cores",
+        "limits",
+        "traffic",
+        "seconds",
+        "reasons",
+    ];
+
+    fn keys(value: &Value) -> Vec<&str> {
+        value.as_object().unwrap().keys().map(String::as_str).collect()
+    }
+
+    #[test]
+    fn both_answers_have_the_same_keys() {
+        let options = Options { copies: 3, ..Options::default() };
+        let board = target(2, 1, limits());
+        let question = Question { model: "slip", target: &board, options: &options };
+        let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
+        let outcome = Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE));
+        let fits = json(question, outcome);
+        assert_eq!(keys(&fits), KEYS);
+        assert_eq!(
+            (&fits["fits"], &fits["checked"], &fits["cores_per_copy"]),
+            (&json!(true), &json!(true), &json!(1.0))
+        );
+        let core = json!({
+            "core": 2, "chip": 0, "x": 0, "y": 0, "compartments": 62, "axons_in": 3366, "axons_out": 60,
+            "synapses": 39_420, "synapse_words": 7_452,
+        });
+        assert_eq!(fits["cores"][2], core);
+        assert_eq!(keys(&fits["traffic"]), ["cut_spikes_per_step", "hops_per_step", "mean_link_load", "max_link_load"]);
+        assert_eq!(fits["limits"]["axons_in"], 4096);
+        assert!(fits["seconds"]["partition"].is_f64());
+        assert_eq!(csv(outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
+        let spoken = text(question, outcome);
+        assert!(spoken.contains("fits on 3 cores of 1 chip,") && spoken.contains("7452  45%"), "{spoken}");
+
+        let small = target(1, 1, Limits { axons_in: 1000, ..limits() });
+        let question = Question { target: &small, ..question };
+        let Err(CompileError::DoesNotFit(reasons)) = compile_quantised(slip(3150), &small, &options) else { panic!() };
+        let refused = json(question, Outcome::DoesNotFit(&reasons));
+        assert_eq!(keys(&refused), KEYS);
+        assert_eq!((&refused["fits"], &refused["cores_used"]), (&json!(false), &Value::Null));
+        let reason = &refused["reasons"][0];
+        assert_eq!(keys(reason), ["code", "population", "core", "resource", "need", "limit", "help"]);
+        assert_eq!((&reason["population"], &reason["resource"]), (&json!("sight"), &json!("axons_in")));
+        let spoken = text(question, Outcome::DoesNotFit(&reasons));
+        assert!(
+            spoken.contains("does not fit") && spoken.contains("population sight: one of its compartments"),
+            "{spoken}"
+        );
+        assert_eq!(csv(Outcome::DoesNotFit(&reasons)).lines().count(), 1 + reasons.len());
+    }
+
+    #[test]
+    fn a_long_table_is_shortened() {
+        let board = target(1, 1, Limits { compartments: 1, ..limits() });
+        let options = Options::default();
+        let compiled = compile_quantised(slip(100), &board, &options).unwrap();
+        assert_eq!(compiled.partition.cores(), 62);
+        let question = Question { model: "slip", target: &board, options: &options };
+        let spoken = text(question, Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE)));
+        assert!(spoken.contains("and 42 more") && spoken.lines().count() < 32, "{spoken}");
+    }
+
+    #[test]
+    fn a_model_s_text_compiles_the_whole_way() {
+        let model = r#"Network(name: "x", timestep_ms: 1.0,
+            populations: [Input(name: "in", shape: [4]), Loihi(name: "o", shape: [2], du: 1024, dv: 128, vth_mant: 80)],
+            projections: [Dense(from: ["in"], to: "o", weights: [[2, 2, 2, 2], [4, 4, 4, 4]])], output: "o")"#;
+        let network =
+            crate::io::model::network(SourceText::new("x.ron", model), crate::io::shipped::Origin::File).unwrap();
+        let compiled = compile(&network, &target(1, 1, limits()), &Options::default()).unwrap();
+        let stages: Vec<&str> = compiled.seconds.iter().map(|&(stage, _)| stage).collect();
+        let all = ["lower", "quantise", "bounds", "copies", "partition", "place", "route", "verify", "check"];
+        assert_eq!(stages, all);
+        assert_eq!(compiled.partition.usage().as_slice()[0].synapses, 8);
+    }
+}

@@ -1,0 +1,229 @@
+//! The result of `nsim run` as text, JSON and CSV.
+
+use serde_json::{Value, json};
+
+use crate::drive::{Outcome, digest};
+use crate::ir::activity::{Activity, Overflow, Totals};
+use crate::ir::quantised::Quantised;
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct RunReport<'a> {
+    /// The network that ran.
+    pub network: &'a Quantised,
+    /// The target it is mapped onto; none for the golden engine.
+    pub target: Option<&'a str>,
+    /// `fast` or `golden`.
+    pub engine: &'static str,
+    /// The arguments that say where the input came from.
+    pub input: &'a [String],
+    /// The seed of the input, when it had one.
+    pub seed: Option<u64>,
+    /// Samples, in run order.
+    pub outcomes: &'a [Outcome],
+    /// Their classes, when known.
+    pub labels: &'a [Option<u32>],
+    /// Counts of the mapped program; none for the golden engine.
+    pub activity: Option<&'a Activity>,
+    /// Compartment updates that were left out.
+    pub skipped_updates: u64,
+    /// Seconds spent simulating.
+    pub wall_s: f64,
+    /// Files that probes were written to.
+    pub files: &'a [String],
+}
+
+impl RunReport<'_> {
+    fn labels(&self) -> Option<Vec<u32>> {
+        self.labels.iter().copied().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())
+    }
+
+    fn accuracy(&self) -> Option<f64> {
+        let labels = self.labels()?;
+        let right = self.outcomes.iter().zip(&labels).filter(|(outcome, label)| outcome.class() == Some(**label));
+        Some(right.count() as f64 / labels.len() as f64)
+    }
+
+    fn timesteps(&self) -> u64 {
+        self.outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum()
+    }
+
+    fn totals(&self) -> Totals {
+        let mut sum = Totals::default();
+        for outcome in self.outcomes {
+            sum += outcome.totals;
+        }
+        sum
+    }
+
+    fn us_per_timestep(&self) -> f64 {
+        self.wall_s * 1e6 / self.timesteps().max(1) as f64
+    }
+
+    /// Overflow of all samples, with the first sample that has any.
+    fn overflow(&self) -> (Overflow, Option<usize>) {
+        let mut sum = Overflow::default();
+        let first = self.outcomes.iter().position(|outcome| outcome.overflow.any());
+        for outcome in self.outcomes {
+            sum.q_wrapped += outcome.overflow.q_wrapped;
+            sum.u_wrapped += outcome.overflow.u_wrapped;
+            sum.v_clipped += outcome.overflow.v_clipped;
+        }
+        sum.first = first.and_then(|sample| self.outcomes[sample].overflow.first);
+        (sum, first)
+    }
+
+    fn overflow_json(&self) -> Value {
+        let (overflow, sample) = self.overflow();
+        let first = overflow.first.map(|(step, compartment)| {
+            let (population, index) = self.network.population_of(compartment);
+            json!({
+                "population": self.network.populations()[population].name,
+                "compartment": index, "sample": sample, "step": step,
+            })
+        });
+        json!({
+            "q_wrapped": overflow.q_wrapped, "u_wrapped": overflow.u_wrapped, "v_clipped": overflow.v_clipped,
+            "first": first,
+        })
+    }
+
+    /// `nsim.run/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let totals = self.totals();
+        json!({
+            "schema": "nsim.run/1",
+            "model": self.network.parts().name,
+            "target": self.target,
+            "engine": self.engine,
+            "input": self.input,
+            "seed": self.seed,
+            "samples": self.outcomes.len(),
+            "timesteps": self.timesteps(),
+            "predicted": self.outcomes.iter().map(Outcome::class).collect::<Vec<_>>(),
+            "labels": self.labels(),
+            "accuracy": self.accuracy(),
+            "output_counts": self.outcomes.iter().map(|outcome| &outcome.counts).collect::<Vec<_>>(),
+            "digest": digest(self.outcomes),
+            "activity": {
+                "spikes_in": totals.spikes_in,
+                "spikes": totals.spikes,
+                "synaptic_events": totals.synaptic_events,
+                "compartment_updates": totals.compartment_updates,
+                "active_updates": totals.active_updates,
+                "messages": self.activity.map(Activity::messages),
+                "hops": self.activity.map(|activity| activity.hops().links()),
+            },
+            "skipped": {
+                "timesteps": self.outcomes.iter().map(|outcome| outcome.skipped_steps).sum::<u64>(),
+                "compartment_updates": self.skipped_updates,
+            },
+            "overflow": self.overflow_json(),
+            "decided_at": self.outcomes.iter().map(|_| Value::Null).collect::<Vec<_>>(),
+            "wall_s": self.wall_s,
+            "us_per_timestep": self.us_per_timestep(),
+            "notes": self.network.parts().notes.iter()
+                .map(|note| format!("{}: {}", note.entity, note.message)).collect::<Vec<_>>(),
+            "files": self.files,
+        })
+    }
+
+    /// One row a sample.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let outputs = self.outcomes.first().map_or(0, |outcome| outcome.counts.len());
+        let mut out = csv::Writer::from_writer(Vec::new());
+        let mut head = ["sample", "label", "predicted", "steps", "spikes_in", "spikes", "synaptic_events"]
+            .map(String::from)
+            .to_vec();
+        head.extend((0..outputs).map(|output| format!("output_{output}")));
+        out.write_record(&head)?;
+        let optional = |class: Option<u32>| class.map_or(String::new(), |class| class.to_string());
+        for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).enumerate() {
+            let mut row =
+                vec![sample.to_string(), optional(label), optional(outcome.class()), outcome.steps.to_string()];
+            let totals = outcome.totals;
+            row.extend([totals.spikes_in, totals.spikes, totals.synaptic_events].map(|count| count.to_string()));
+            row.extend(outcome.counts.iter().map(ToString::to_string));
+            out.write_record(&row)?;
+        }
+        let bytes = out.into_inner().map_err(|e| e.into_error())?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    fn class_name(&self, class: Option<u32>) -> String {
+        let Some(class) = class else { return "none".to_string() };
+        self.network.parts().classes.get(class as usize).cloned().unwrap_or_else(|| class.to_string())
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let (parts, totals, steps) = (self.network.parts(), self.totals(), self.timesteps());
+        let per_step = |count: u64| format!("{count:>14} {:>14.2}", count as f64 / steps.max(1) as f64);
+        let mut out = match self.target {
+            Some(target) => format!("{} simulated on {target}, engine {}\n", parts.name, self.engine),
+            None => format!("{} interpreted without cores, engine {}\n", parts.name, self.engine),
+        };
+        out += &format!("input: {}", self.input.join(" "));
+        if let Some(seed) = self.seed {
+            out += &format!("  (seed {seed})");
+        }
+        out += &format!("\n{} samples, {steps} timesteps\n\n", self.outcomes.len());
+        const SHOWN: usize = 12;
+        out += &format!("{:>7} {:>12} {:>12}  spikes of outputs\n", "sample", "label", "predicted");
+        for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).take(SHOWN).enumerate() {
+            let label = if label.is_some() { self.class_name(label) } else { "-".to_string() };
+            let counts: Vec<String> = outcome.counts.iter().take(24).map(ToString::to_string).collect();
+            let more = if outcome.counts.len() > 24 { " .." } else { "" };
+            out += &format!(
+                "{sample:>7} {label:>12} {:>12}  {}{more}\n",
+                self.class_name(outcome.class()),
+                counts.join(" ")
+            );
+        }
+        if self.outcomes.len() > SHOWN {
+            out +=
+                &format!("{:>7} {} more; all of them with --format csv or json\n", "..", self.outcomes.len() - SHOWN);
+        }
+        if let Some(accuracy) = self.accuracy() {
+            out += &format!("\naccuracy {:.4} over {} samples\n", accuracy, self.outcomes.len());
+        }
+        out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");
+        out += &format!("{:<24} {}\n", "input spikes", per_step(totals.spikes_in));
+        out += &format!("{:<24} {}\n", "spikes", per_step(totals.spikes));
+        out += &format!("{:<24} {}\n", "synaptic events", per_step(totals.synaptic_events));
+        out += &format!("{:<24} {}\n", "compartment updates", per_step(totals.compartment_updates));
+        out += &format!("{:<24} {}\n", "  of them not at rest", per_step(totals.active_updates));
+        if let Some(activity) = self.activity {
+            out += &format!("{:<24} {}\n", "messages", per_step(activity.messages()));
+            out += &format!("{:<24} {}\n", "hops", per_step(activity.hops().links()));
+        }
+        out += &format!("\noutput spikes {}\n", digest(self.outcomes));
+        out += &format!("{:.3} s, {:.3} us a timestep\n", self.wall_s, self.us_per_timestep());
+        for file in self.files {
+            out += &format!("wrote {file}\n");
+        }
+        out
+    }
+
+    /// What the user should be warned of, if anything left its field.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let (overflow, sample) = self.overflow();
+        let (step, compartment) = overflow.first?;
+        let (population, index) = self.network.population_of(compartment);
+        Some(format!(
+            "values left their fields: {} accumulators and {} currents wrapped, {} voltages clipped; first at '{}' compartment \
+             {index}, sample {}, step {step}",
+            overflow.q_wrapped,
+            overflow.u_wrapped,
+            overflow.v_clipped,
+            self.network.populations()[population].name,
+            sample.unwrap_or(0),
+        ))
+    }
+}

@@ -1,0 +1,248 @@
+//! Random small networks over the whole language: every kind of projection, sign, exponent, delay, field and semantics.
+
+use nsim::base::fixed::{SignMode, VmaxExponent, VminExponent, WeightBits, WeightExponent};
+use nsim::base::id::{ChannelId, PopulationId};
+use nsim::base::rng;
+use nsim::desc::mapping::{MappedCore, MappingFile, Run};
+use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::ir::graph::{Shape, Window};
+use nsim::ir::placement::Mesh;
+use nsim::ir::quantised::{Connectivity, Neuron, Quantised, SynapseFormat};
+use nsim::ir::spikes::Sample;
+
+use super::{Net, biased, neuron};
+
+/// A stream of draws from a seed.
+pub struct Draw {
+    seed: u64,
+    drawn: u64,
+}
+
+impl Draw {
+    pub fn new(seed: u64) -> Draw {
+        Draw { seed, drawn: 0 }
+    }
+
+    /// A number in `low..=high`.
+    pub fn from(&mut self, low: i64, high: i64) -> i64 {
+        self.drawn += 1;
+        low + rng::below((high - low + 1) as u64, self.seed, 0, self.drawn) as i64
+    }
+
+    pub fn chance(&mut self, percent: i64) -> bool {
+        self.from(0, 99) < percent
+    }
+
+    pub fn one_of<T: Copy>(&mut self, items: &[T]) -> T {
+        items[self.from(0, items.len() as i64 - 1) as usize]
+    }
+}
+
+fn random_neuron(draw: &mut Draw) -> Neuron {
+    let decay = |draw: &mut Draw| match draw.from(0, 5) {
+        0 => draw.one_of(&[0, 1, 2, 4095, 4096]),
+        _ => draw.from(0, 4096),
+    };
+    let (du, dv) = (decay(draw), decay(draw));
+    let vth = match draw.from(0, 9) {
+        0 => draw.from(0, 2),
+        1 => draw.from(0, 131_071),
+        _ => draw.from(10, 400),
+    };
+    let refractory = match draw.from(0, 3) {
+        0 => draw.one_of(&[0, 2, 5, 63]),
+        _ => 1,
+    };
+    let mut neuron = neuron(du, dv, vth, refractory);
+    if draw.chance(25) {
+        neuron = biased(neuron, draw.from(-4096, 4095), draw.from(0, 7));
+    }
+    if draw.chance(15) {
+        neuron.vmin = VminExponent::new(draw.from(0, 23)).unwrap();
+        neuron.vmax = VmaxExponent::new(draw.from(0, 7)).unwrap();
+    }
+    neuron
+}
+
+fn random_shape(draw: &mut Draw) -> Shape {
+    match draw.from(0, 2) {
+        0 => Shape::Volume(draw.from(1, 3) as u32, draw.from(1, 6) as u32, draw.from(1, 6) as u32),
+        _ => Shape::Line(draw.from(1, 40) as u32),
+    }
+}
+
+fn random_format(draw: &mut Draw) -> SynapseFormat {
+    let sign = draw.one_of(&[SignMode::Mixed, SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory]);
+    let exponent = if draw.chance(60) { 0 } else { draw.from(-8, 7) };
+    let bits = if draw.chance(70) { 8 } else { draw.one_of(&[2, 3, 4, 5, 6]) };
+    SynapseFormat { exponent: WeightExponent::new(exponent).unwrap(), sign, bits: WeightBits::new(bits).unwrap() }
+}
+
+fn weight(draw: &mut Draw, format: SynapseFormat) -> i16 {
+    let (low, high) = format.sign.range(format.bits);
+    let step = i64::from(format.sign.step(format.bits));
+    (draw.from(i64::from(low) / step, i64::from(high) / step) * step) as i16
+}
+
+/// Geometries for which the window makes the target of the source, if any is found.
+fn window(draw: &mut Draw, source: Shape, target: Shape, pool: bool) -> Option<Window> {
+    let (source, target) = (source.volume()?, target.volume()?);
+    let mut fitting = Vec::new();
+    let size =
+        |s: u32, k: u32, stride: u32, p: u32, d: u32| (s + 2 * p).checked_sub(d * (k - 1) + 1).map(|r| r / stride + 1);
+    for kernel in 1..=3 {
+        for stride in 1..=3 {
+            for padding in 0..=2 {
+                for dilation in 1..=if pool { 1 } else { 2 } {
+                    let side = |s| size(s, kernel, stride, padding, dilation);
+                    if side(source.1) == Some(target.1) && side(source.2) == Some(target.2) {
+                        fitting.push((kernel, stride, padding, dilation));
+                    }
+                }
+            }
+        }
+    }
+    if fitting.is_empty() || (pool && source.0 != target.0) {
+        return None;
+    }
+    let (k, s, p, d) = draw.one_of(&fitting);
+    let groups = match pool {
+        true => source.0,
+        false => {
+            let dividing: Vec<u32> = (1..=3).filter(|g| source.0 % g == 0 && target.0 % g == 0).collect();
+            draw.one_of(&dividing)
+        }
+    };
+    Some(Window { source, target, kernel: (k, k), stride: (s, s), padding: (p, p), dilation: (d, d), groups })
+}
+
+fn connectivity(draw: &mut Draw, format: SynapseFormat, source: Shape, target: Shape) -> Connectivity {
+    let (sources, targets) = (source.len(), target.len());
+    if let Some(window) = window(draw, source, target, false).filter(|_| draw.chance(60)) {
+        let size = window.target.0 * window.source.0 / window.groups * window.kernel.0 * window.kernel.1;
+        return Connectivity::Conv2d { window, kernel: (0..size).map(|_| weight(draw, format)).collect() };
+    }
+    if let Some(window) = window(draw, source, target, true).filter(|_| draw.chance(80)) {
+        return Connectivity::SumPool2d { window, weight: weight(draw, format) };
+    }
+    match draw.from(0, 2) {
+        0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| weight(draw, format)).collect() },
+        1 => {
+            let (mut first, mut to, mut weights) = (vec![0u64], Vec::new(), Vec::new());
+            for _ in 0..sources {
+                let mut reached: Vec<u32> =
+                    (0..draw.from(0, 6)).map(|_| draw.from(0, i64::from(targets) - 1) as u32).collect();
+                reached.sort_unstable();
+                weights.extend(reached.iter().map(|_| weight(draw, format)));
+                to.extend(reached);
+                first.push(to.len() as u64);
+            }
+            Connectivity::Sparse { first: first.into(), targets: to.into(), weights: weights.into() }
+        }
+        _ => {
+            let (a, b) = (weight(draw, format), weight(draw, format));
+            Connectivity::Random {
+                targets,
+                fan_out: draw.from(0, 8) as u32,
+                low: a.min(b),
+                high: a.max(b),
+                step: format.sign.step(format.bits),
+                seed: draw.from(0, 1 << 40) as u64,
+                first_source: draw.from(0, 50) as u32,
+            }
+        }
+    }
+}
+
+/// A network that depends on the seed only.
+pub fn network(seed: u64) -> Quantised {
+    let draw = &mut Draw::new(seed);
+    let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
+    let mut net = Net::with(semantics);
+    if draw.chance(20) {
+        net.parts.threshold = ThresholdTest::Inclusive;
+    }
+    if draw.chance(20) {
+        net.reset(draw.from(1, 20) as u32, draw.from(0, 5) as u32);
+    }
+    let mut shapes = Vec::new();
+    let mut ids: Vec<PopulationId> = Vec::new();
+    for _ in 0..draw.from(1, 2) {
+        let shape = random_shape(draw);
+        ids.push(net.input(shape));
+        shapes.push(shape);
+    }
+    let inputs = ids.len();
+    for _ in 0..draw.from(1, 4) {
+        let shape = random_shape(draw);
+        let same = draw.chance(60).then(|| random_neuron(draw));
+        let neurons: Vec<Neuron> = (0..shape.len()).map(|_| same.unwrap_or_else(|| random_neuron(draw))).collect();
+        let start = if draw.chance(20) { draw.from(0, 12) as u32 } else { 0 };
+        ids.push(net.loihi(shape, &neurons, start));
+        shapes.push(shape);
+    }
+    // Every population of compartments is reached; some twice, some by themselves or by later ones.
+    for target in inputs..ids.len() {
+        for count in 0..draw.from(1, 3) {
+            let source = match count {
+                0 => draw.from(0, target as i64 - 1),
+                _ => draw.from(0, ids.len() as i64 - 1),
+            } as usize;
+            let format = random_format(draw);
+            let delay = match draw.from(0, 3) {
+                0 => draw.one_of(&[1, 7, 8, 62]),
+                _ => 0,
+            };
+            let connectivity = connectivity(draw, format, shapes[source], shapes[target]);
+            net.project(ids[source], ids[target], format, delay, connectivity);
+        }
+    }
+    net.build()
+}
+
+/// A sample for a network: bursts and silences.
+pub fn sample(network: &Quantised, seed: u64) -> Sample {
+    let draw = &mut Draw::new(seed ^ 0x5eed);
+    let steps = draw.from(1, 90) as u32;
+    let mut events = Vec::new();
+    let mut percent = 20;
+    for step in 0..steps {
+        if draw.chance(15) {
+            percent = draw.one_of(&[0, 0, 2, 20, 60, 100]);
+        }
+        events
+            .extend((0..network.channels()).filter(|_| draw.chance(percent)).map(|channel| (step, ChannelId(channel))));
+    }
+    Sample::new(steps, events, None).unwrap()
+}
+
+/// A mapping that deals the compartments out to random cores in random order.
+pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
+    let draw = &mut Draw::new(seed ^ 0x3a99);
+    let mut all: Vec<Run> = network
+        .populations()
+        .iter()
+        .filter(|population| population.first_compartment().is_some())
+        .flat_map(|p| (0..p.shape.len()).map(|first| Run { population: p.name.clone(), first, count: 1 }))
+        .collect();
+    for i in (1..all.len()).rev() {
+        all.swap(i, draw.from(0, i as i64) as usize);
+    }
+    let cores = draw.from(1, 9.min(all.len() as i64)) as usize;
+    let mut free: Vec<u32> = (0..mesh.cores()).collect();
+    let cores = (0..cores)
+        .map(|core| {
+            let site = mesh.site(free.swap_remove(draw.from(0, free.len() as i64 - 1) as usize)).unwrap();
+            let holds = all.iter().skip(core).step_by(cores).cloned().collect();
+            MappedCore { chip: site.chip, x: site.x, y: site.y, core: site.core, holds }
+        })
+        .collect();
+    MappingFile {
+        model: network.parts().name.clone(),
+        target: String::new(),
+        copies: 1,
+        strategy: "random".to_string(),
+        seed,
+        cores,
+    }
+}
