@@ -9,6 +9,7 @@ pub mod energy;
 pub mod inputs;
 pub mod inspect;
 pub mod jobs;
+pub mod map;
 pub mod run;
 pub mod simulate;
 
@@ -18,8 +19,6 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::error::Error;
-
-pub mod map;
 
 /// How results are printed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]

@@ -261,7 +261,7 @@ pub enum PopulationDesc {
 
 /// Compartments of a Loihi core: integer fields as the hardware has them, or real ones to be quantised.
 #[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, rename = "Loihi")]
 pub struct LoihiDesc {
     /// Its name.
     pub name: Spanned<String>,
@@ -298,10 +298,10 @@ pub struct LoihiDesc {
 /// A projection's mirror: the fields that every kind has, and its own. (`serde(flatten)` would buffer the values and lose
 /// their places.)
 macro_rules! projection_desc {
-    ($(#[$doc:meta])* $name:ident { $($own:tt)* }) => {
+    ($(#[$doc:meta])* $name:ident, $written:literal { $($own:tt)* }) => {
         $(#[$doc])*
         #[derive(Debug, Clone, Deserialize)]
-        #[serde(deny_unknown_fields)]
+        #[serde(deny_unknown_fields, rename = $written)]
         pub struct $name {
             /// Source populations; several are concatenated.
             pub from: Vec<Spanned<String>>,
@@ -344,14 +344,14 @@ macro_rules! projection_desc {
 
 projection_desc!(
     /// Every source reaches every target.
-    DenseDesc {
+    DenseDesc, "Dense" {
         /// `[target][source]`.
         pub weights: Weights,
     }
 );
 projection_desc!(
     /// Listed synapses.
-    SparseDesc {
+    SparseDesc, "Sparse" {
         /// (source, target, weight) each.
         pub synapses: Vec<Spanned<(u64, u64, f64)>>,
     }
@@ -359,7 +359,7 @@ projection_desc!(
 projection_desc!(
     /// A two-dimensional convolution (cross-correlation with the kernel as stored) from one population `[C, H, W]` to one
     /// `[C', H', W']`.
-    Conv2dDesc {
+    Conv2dDesc, "Conv2d" {
         /// `[C'][C / groups][kh][kw]`.
         pub weights: Weights,
         /// (y, x), default (1, 1).
@@ -379,7 +379,7 @@ projection_desc!(
 projection_desc!(
     /// Sum pooling from one population `[C, H, W]` to one `[C, H', W']`: each position of a window reaches its channel's
     /// compartment with the same weight.
-    SumPool2dDesc {
+    SumPool2dDesc, "SumPool2d" {
         /// Window (y, x).
         pub kernel: Spanned<(u64, u64)>,
         /// (y, x), default: the window.
@@ -395,7 +395,7 @@ projection_desc!(
 projection_desc!(
     /// Random synapses: each source reaches `fan_out` targets, drawn independently (a target may be drawn twice), with
     /// weights drawn from the multiples of the least step in `low..=high`.
-    RandomDesc {
+    RandomDesc, "Random" {
         /// Synapses of each source.
         pub fan_out: Spanned<u64>,
         /// The least weight.

@@ -112,7 +112,7 @@ pub fn cases() -> Vec<Case> {
     // Model files: what replaces what, and what is said where (line 0: the file as a whole).
     let syntax = "model.syntax";
     let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 49] = [
-        ("unknown field", "dv: 128", "dw: 128", syntax, 6, "dw"),
+        ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`dw` in `Loihi`"),
         ("unknown kind of population", "Loihi(", "Loki(", syntax, 6, "Loki"),
         ("unknown kind of projection", "Dense(", "Dence(", syntax, 9, "Dence"),
         ("unknown kind of file", "Network(", "Netwerk(", syntax, 1, "Network"),
