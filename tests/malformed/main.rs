@@ -15,15 +15,15 @@ const UNITS: u64 = 4;
 
 fn lay_out(folder: &Path, case: &Case) -> PathBuf {
     for (name, bytes) in &case.beside {
-        std::fs::write(folder.join(name), bytes).unwrap();
+        std::fs::write(folder.join(name), bytes).expect("a temporary folder takes files");
     }
     let path = folder.join(case.file);
-    std::fs::write(&path, &case.bytes).unwrap();
+    std::fs::write(&path, &case.bytes).expect("a temporary folder takes files");
     path
 }
 
 fn through_the_library(case: &Case, path: &Path) -> Result<(), Diagnostic> {
-    let argument = path.to_str().unwrap();
+    let argument = path.to_str().expect("a plain path");
     match case.through {
         Through::Model => quantise(&lower(&load_model(argument)?)?).map(drop),
         Through::Target => load_target(argument).map(drop),
