@@ -68,6 +68,7 @@ fn partitions(network: &Quantised, chip: &Target, seed: u64) -> Vec<(&'static st
     let mut limits = *chip.limits();
     // Mixed parameters and long delays are not what this test is about: let them share a core.
     (limits.compartment_profiles, limits.threshold_profiles, limits.accumulators) = (1024, 1024, 1 << 16);
+    limits.synapse_formats = 64;
     let roomy = chip.clone().with_limits(limits);
     compiled.push(("sequential", compile_quantised(network.clone(), &roomy, &options)));
     limits.compartments = 5;

@@ -28,7 +28,7 @@ use crate::ir::spikes::Sample;
 use crate::report::energy::{EarlyExit, EnergyReport, constant_entries};
 
 const EXAMPLES: &str = "\
-Examples:
+EXAMPLES:
   nsim energy                                     the default model, 32 copies packed on nahuku-32
   nsim energy --deployment paper --mode realtime  with the published numbers of cores, held to 1 ms steps
   nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
@@ -39,8 +39,10 @@ Examples:
 #[derive(Debug, Clone, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct EnergyArgs {
+    /// The network and the hardware.
     #[command(flatten)]
     pub job: JobArgs,
+    /// The spikes.
     #[command(flatten)]
     pub input: InputArgs,
     /// Copies of the model on the target; figures are of one

@@ -165,4 +165,19 @@ mod tests {
         assert_eq!(options(&typed(&[]).unwrap(), Some(&file)), made);
         assert_eq!(options(&typed(&["--copies", "3"]).unwrap(), Some(&file)).copies, 3);
     }
+
+    #[test]
+    fn the_shipped_model_fits_a_core_and_too_many_copies_say_why_not() {
+        let network = io::model::load_model("vtsnn-slip").unwrap();
+        let asked = |target: &str, copies| {
+            let target = io::target::load_target(target).unwrap();
+            fit(&network, &target, &Options { copies, ..Options::default() }, None).unwrap()
+        };
+        let compiled = asked("nahuku-32", 1).unwrap();
+        let used = compiled.partition.usage().as_slice();
+        assert_eq!((used.len(), used[0].axons_in, used[0].synapse_words), (1, 3_366, 7_452));
+        assert_eq!(asked("nahuku-32", 32).unwrap().partition.cores(), 32);
+        let reasons = asked("tiny", 4096).unwrap_err();
+        assert!(reasons.iter().any(|r| r.population.is_some()) && reasons.iter().any(|r| r.population.is_none()));
+    }
 }

@@ -9,6 +9,7 @@ pub mod energy;
 pub mod inputs;
 pub mod inspect;
 pub mod jobs;
+pub mod map;
 pub mod run;
 pub mod simulate;
 
@@ -18,8 +19,6 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::error::Error;
-
-pub mod map;
 
 /// How results are printed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -90,6 +89,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Map(map::MapArgs),
     Run(run::Args),
     /// Report power, latency and energy of a network, beside other hardware
     Energy(energy::EnergyArgs),
@@ -105,6 +105,7 @@ enum Command {
 
 fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
     match command {
+        Command::Map(args) => map::run(args, &context),
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),

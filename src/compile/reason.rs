@@ -180,3 +180,15 @@ fn larger(copies: u32, need: u64, limit: u64) -> String {
         format!("{board}, or a smaller network")
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_boards_that_are_recommended_are_shipped_with_so_many_cores() {
+        for (name, cores) in BOARDS {
+            assert_eq!(u64::from(crate::io::target::load_target(name).unwrap().cores()), cores, "{name}");
+        }
+    }
+}

@@ -10,7 +10,7 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
-use crate::desc::target::{Chip, Limits, Packing, PowerUnit, Target, TargetFile};
+use crate::desc::target::{Chip, Limits, Packing, Target, TargetFile};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::quantised::{Connectivity, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units};
 
@@ -36,55 +36,17 @@ pub fn limits() -> Limits {
 
 /// A board of Loihi chips with these limits.
 pub fn target(chips_x: u32, chips_y: u32, limits: Limits) -> Target {
-    let chip = Chip {
-        name: "test".to_string(),
-        notes: String::new(),
-        width: 8,
-        height: 4,
-        cores_per_tile: 4,
-        cores: 128,
-        x86_cores: 3,
-        x86_cores_in_use: 1,
-        power_unit: PowerUnit::Core,
-        limits,
-        limit_sources: Vec::new(),
-        alternatives: Vec::new(),
-    };
+    let shipped = crate::io::target::load_target("loihi1-chip").unwrap();
+    let chip = Chip { limits, ..shipped.chip().clone() };
     let file = TargetFile {
         name: "test-board".to_string(),
         notes: String::new(),
-        chip: "test".to_string().into(),
+        chip: chip.name.clone().into(),
         chips_x: chips_x.into(),
         chips_y: chips_y.into(),
         constants: Vec::new(),
     };
-    Target::new(&file, &SourceText::new("test.ron", ""), chip, vec![constants()]).unwrap()
-}
-
-/// A preset of constants that no test of the compiler looks at.
-fn constants() -> crate::desc::target::Constants {
-    let names = [
-        (
-            "pJ",
-            "synapse_dense_energy synapse_sparse_energy dendrite_energy compartment_energy compartment_active_energy",
-        ),
-        ("pJ", "spike_energy axon_out_energy axon_in_energy local_hop_energy hop_ew_energy hop_ns_energy"),
-        ("pJ", "hop_chip_energy core_step_energy"),
-        (
-            "ns",
-            "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time axon_out_time",
-        ),
-        ("ns", "axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time injection_time"),
-        ("mW", "core_static_power x86_static_power x86_busy_power"),
-    ];
-    let one = |unit: &str| format!("(value: 1.0, unit: {unit}, source: \"test\", status: assumed)");
-    let mut text = format!("Constants(name: \"test\", notes: \"\", barrier: [(tiles: 1, time: {})]", one("us"));
-    for (unit, list) in names {
-        for name in list.split(' ') {
-            text += &format!(", {name}: {}", one(unit));
-        }
-    }
-    ron::from_str(&(text + ")")).unwrap()
+    Target::new(&file, &SourceText::new("test.ron", ""), chip, shipped.constants().to_vec()).unwrap()
 }
 
 /// The format of 8-bit mixed weights.

@@ -430,7 +430,9 @@ fn a_random_network_of_6_4_million_synapses_keeps_every_limit_of_768_chips() {
     let (input, all) = (builder.input("in", 100), builder.loihi("all", 100_000));
     builder.random(input, all, 8, 1);
     builder.random(all, all, 64, 2);
-    let compiled = compile_quantised(builder.build(), &target(12, 64, limits()), &Options::default()).unwrap();
+    let board = crate::io::target::load_target("pohoiki-springs").unwrap();
+    assert_eq!((board.limits().axons_in, board.limits().axons_out), (4096, 4096));
+    let compiled = compile_quantised(builder.build(), &board, &Options::default()).unwrap();
     let most = compiled.partition.usage().iter().map(|used| used.axons_out).max().unwrap();
     let cores = compiled.partition.cores();
     println!("{cores} cores, {:?}", compiled.seconds);

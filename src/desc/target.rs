@@ -455,6 +455,13 @@ impl Target {
         })
     }
 
+    /// The same board with other limits of a core, for tests and for asking what if.
+    #[must_use]
+    pub fn with_limits(mut self, limits: Limits) -> Self {
+        self.chip.limits = limits;
+        self
+    }
+
     /// The target's name.
     #[must_use]
     pub fn name(&self) -> &str {

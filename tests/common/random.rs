@@ -239,7 +239,7 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
         .collect();
     MappingFile {
         model: network.parts().name.clone(),
-        target: String::new(),
+        target: "loihi1-chip".to_string(),
         copies: 1,
         strategy: "random".to_string(),
         seed,
