@@ -273,7 +273,7 @@ pub fn cases() -> Vec<Case> {
         (
             "manifest of absent files",
             "s.ron",
-            b"DataSet(name: \"\", populations: {\"a\": \"a\"},\nsamples: [(files: {\"a\": \"x.npy\"})])".to_vec(),
+            b"DataSet(name: \"\", populations: {\"a\": \"in\"},\nsamples: [(files: {\"a\": \"x.npy\"})])".to_vec(),
             "io.missing",
             2,
             "x.npy",

@@ -104,3 +104,28 @@ fn random_damage_never_panics() {
     }
     assert!((1500..3000).contains(&refused), "{refused} of 3000 refused");
 }
+
+/// The same through the program: exit status 3, the code in its JSON, and no panic.
+#[test]
+fn the_program_exits_with_3_and_names_the_code() {
+    let mut wrong = Vec::new();
+    for case in &cases() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = lay_out(folder.path(), case);
+        let sound = folder.path().join("sound.ron");
+        std::fs::write(&sound, cases::MODEL).unwrap();
+        let mut command = assert_cmd::Command::cargo_bin("nsim").unwrap();
+        match case.through {
+            Through::Model => command.arg("map").arg(&path),
+            Through::Target => command.arg("map").arg(&sound).arg("--target").arg(&path),
+            Through::Spikes => command.arg("run").arg(&sound).arg("--target").arg("tiny").arg("--input").arg(&path),
+        };
+        let output = command.arg("--format").arg("json").timeout(std::time::Duration::from_secs(20)).output().unwrap();
+        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        let named = said.contains("nsim.error/1") && said.contains(&format!("\"{}\"", case.code));
+        if output.status.code() != Some(3) || !named || said.contains("panicked") {
+            wrong.push(format!("{}: exit {:?}: {said}", case.name, output.status.code()));
+        }
+    }
+    assert!(wrong.is_empty(), "{}:\n{}", wrong.len(), wrong.join("\n"));
+}
