@@ -12,7 +12,7 @@ use nsim::io::{dataset, event_csv, model, target};
 /// The fenced blocks of a language, under the line that they begin at.
 fn blocks(language: &str) -> Vec<(SourceText, String)> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/formats.md");
-    let text = std::fs::read_to_string(&path).unwrap();
+    let text = std::fs::read_to_string(&path).expect("the project has docs/formats.md");
     let fence = format!("```{language}\n");
     text.match_indices(&fence)
         .map(|(at, _)| {

@@ -248,7 +248,8 @@ pub fn cases() -> Vec<Case> {
     add("damaged chip", Through::Target, "t.ron", TARGET.into(), vec![("tiny.ron", bad_chip)], "chip.syntax", 1, "");
 
     // Spikes.
-    let spikes: [(&str, &'static str, Vec<u8>, &'static str, usize, &'static str); 14] = [
+    type Spikes = (&'static str, &'static str, Vec<u8>, &'static str, usize, &'static str);
+    let spikes: [Spikes; 14] = [
         ("spikes of noise", "s.npy", noise(4096), "npy.format", 0, "not a NumPy array"),
         ("spikes of another shape", "s.npy", npy("'|u1'", "(2, 3, 5)", &[0; 30]), "input.shape", 0, "4 channels"),
         ("a single number", "s.npy", npy("'|u1'", "()", &[0]), "input.shape", 0, "single number"),
@@ -272,7 +273,7 @@ pub fn cases() -> Vec<Case> {
         (
             "manifest of absent files",
             "s.ron",
-            b"DataSet(name: \"\", populations: {\"a\": \"a\"},\nsamples: [(files: {\"a\": \"x.npy\"})])".to_vec(),
+            b"DataSet(name: \"\", populations: {\"a\": \"in\"},\nsamples: [(files: {\"a\": \"x.npy\"})])".to_vec(),
             "io.missing",
             2,
             "x.npy",

@@ -15,15 +15,15 @@ const UNITS: u64 = 4;
 
 fn lay_out(folder: &Path, case: &Case) -> PathBuf {
     for (name, bytes) in &case.beside {
-        std::fs::write(folder.join(name), bytes).unwrap();
+        std::fs::write(folder.join(name), bytes).expect("a temporary folder takes files");
     }
     let path = folder.join(case.file);
-    std::fs::write(&path, &case.bytes).unwrap();
+    std::fs::write(&path, &case.bytes).expect("a temporary folder takes files");
     path
 }
 
 fn through_the_library(case: &Case, path: &Path) -> Result<(), Diagnostic> {
-    let argument = path.to_str().unwrap();
+    let argument = path.to_str().expect("a plain path");
     match case.through {
         Through::Model => quantise(&lower(&load_model(argument)?)?).map(drop),
         Through::Target => load_target(argument).map(drop),
@@ -103,4 +103,29 @@ fn random_damage_never_panics() {
         refused += u32::from(through_the_library(&case, &lay_out(folder.path(), &case)).is_err());
     }
     assert!((1500..3000).contains(&refused), "{refused} of 3000 refused");
+}
+
+/// The same through the program: exit status 3, the code in its JSON, and no panic.
+#[test]
+fn the_program_exits_with_3_and_names_the_code() {
+    let mut wrong = Vec::new();
+    for case in &cases() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = lay_out(folder.path(), case);
+        let sound = folder.path().join("sound.ron");
+        std::fs::write(&sound, cases::MODEL).unwrap();
+        let mut command = assert_cmd::Command::cargo_bin("nsim").unwrap();
+        match case.through {
+            Through::Model => command.arg("map").arg(&path),
+            Through::Target => command.arg("map").arg(&sound).arg("--target").arg(&path),
+            Through::Spikes => command.arg("run").arg(&sound).arg("--target").arg("tiny").arg("--input").arg(&path),
+        };
+        let output = command.arg("--format").arg("json").timeout(std::time::Duration::from_secs(20)).output().unwrap();
+        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        let named = said.contains("nsim.error/1") && said.contains(&format!("\"{}\"", case.code));
+        if output.status.code() != Some(3) || !named || said.contains("panicked") {
+            wrong.push(format!("{}: exit {:?}: {said}", case.name, output.status.code()));
+        }
+    }
+    assert!(wrong.is_empty(), "{}:\n{}", wrong.len(), wrong.join("\n"));
 }
