@@ -1,5 +1,8 @@
 //! The examples of `docs/formats.md` are true: each is read by what reads such files.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 use std::path::Path;
 
 use nsim::base::diagnostic::SourceText;

@@ -1,5 +1,8 @@
 //! A long list in a model file costs a small multiple of its text. Alone in its binary, since a process has one peak.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 use nsim::io::model::load_model;
 
 /// The most memory that this process ever held, in KiB.

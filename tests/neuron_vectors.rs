@@ -1,6 +1,9 @@
 //! Recorded compartments of three other emulators, bit for bit in spikes, current and voltage: nine regimes of
 //! parameters under each of the named semantics (nengo-loihi 1.1.0, lava-nc b6822fb, SLAYER's Loihi kernel).
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use std::path::Path;

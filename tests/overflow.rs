@@ -3,6 +3,9 @@
 //! The registers of the first two tests are those of nengo-loihi 1.1.0 (hardware), lava-nc b6822fb and SLAYER's Loihi
 //! kernel (slayerPytorch 01beeeb) on the same input; the rest follows from `docs/semantics.md`.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use common::drive::Drive;

@@ -1,5 +1,8 @@
 //! Recordings and arrays that other programs wrote, read as what their descriptions say they hold.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use nsim::desc::tensor::Numbers;

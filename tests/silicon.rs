@@ -1,5 +1,8 @@
 //! What a Loihi chip did, bit for bit: a recorded network, and two published traces of the voltage register.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use common::drive::Drive;

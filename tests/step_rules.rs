@@ -1,5 +1,8 @@
 //! The rules of a timestep that are not arithmetic: when a spike arrives, who is held, what is reset, what is counted.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use common::{Net, biased, engines, format, neuron};

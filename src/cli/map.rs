@@ -13,8 +13,17 @@ use crate::error::Error;
 use crate::io;
 use crate::report::map::{self as report, Outcome, Question};
 
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim map                                          the shipped network on a board of 32 chips
+  nsim map model.ron --target loihi1-chip           on one chip, or every reason why not
+  nsim map --copies 32 -o packed.ron                32 copies; keep the mapping
+  nsim map --copies 32 --mapping packed.ron         check and use a kept mapping
+  nsim map model.ron --format json                  for scripts";
+
 /// What is typed after `nsim map`.
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct MapArgs {
     /// Model: a path or the name of a shipped one.
     #[arg(default_value = "vtsnn-slip")]

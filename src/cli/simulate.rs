@@ -58,7 +58,7 @@ pub fn fast<M: Send>(
         bar.inc(1);
         (outcome, machine.activity().clone(), seen, machine.skipped_updates())
     };
-    let new = || Machine::new(program, settings).map_err(unsuitable);
+    let new = || Machine::new(program, settings).map_err(|e| unsuitable(&e));
     let run = |part: &[&Sample]| -> Result<Vec<_>, Error> {
         let mut machine = new()?;
         Ok(part.iter().map(|sample| one(&mut machine, sample)).collect())
@@ -87,7 +87,7 @@ pub fn fast<M: Send>(
     Ok(result)
 }
 
-fn unsuitable(error: crate::machine::shard::ShardError) -> Error {
+fn unsuitable(error: &crate::machine::shard::ShardError) -> Error {
     crate::base::diagnostic::Diagnostic::new("run.too-large", error.to_string()).into()
 }
 

@@ -340,6 +340,9 @@ impl Lowering<'_> {
     }
 }
 
+/// Channels, height, width.
+type Volume = (u32, u32, u32);
+
 /// A projection's declaration with the sizes of its ends.
 struct Declared<'a> {
     lowering: &'a Lowering<'a>,
@@ -417,7 +420,7 @@ impl Declared<'_> {
         Ok(ProjectionKind::Sparse { synapses })
     }
 
-    fn volumes(&self, what: &str) -> Result<((u32, u32, u32), (u32, u32, u32)), Diagnostic> {
+    fn volumes(&self, what: &str) -> Result<(Volume, Volume), Diagnostic> {
         if self.synapse.from.len() != 1 {
             let message = format!("{what} to '{}' has {} sources", self.to(), self.synapse.from.len());
             return Err(self.error("model.window", message, self.span).help("declare one projection for each source"));

@@ -561,6 +561,6 @@ fn window_fits(window: &Window, source: Shape, target: Shape) -> bool {
         && window.stride.1 > 0
         && window.dilation.0 > 0
         && window.dilation.1 > 0
-        && window.source.0 % window.groups == 0
-        && window.target.0 % window.groups == 0
+        && window.source.0.is_multiple_of(window.groups)
+        && window.target.0.is_multiple_of(window.groups)
 }

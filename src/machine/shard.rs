@@ -53,6 +53,12 @@ impl Sources {
         self.channels as usize + self.compartments as usize
     }
 
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+
     /// A channel's number.
     #[inline]
     #[must_use]

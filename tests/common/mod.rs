@@ -15,17 +15,30 @@ use nsim::base::fixed::{
     WeightBits, WeightExponent,
 };
 use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::compile::{Options, compile_quantised};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::golden::Golden;
+use nsim::io::target::load_target;
 use nsim::ir::graph::{PerCompartment, Shape};
+use nsim::ir::program::Program;
 use nsim::ir::quantised::{
     Connectivity, Neuron, Neurons, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
 };
 use nsim::ir::spikes::Engine;
+use nsim::machine::{Machine, Settings};
 
-/// Every engine that must give the same answers, ready to begin.
+/// Every engine that must give the same answers, ready to begin: the interpreter, and the machine on as few cores as
+/// possible, with every core limit but the number of compartments out of the way.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
-    vec![("golden", Box::new(Golden::new(network)))]
+    let chip = load_target("loihi1-chip").unwrap();
+    let mut limits = *chip.limits();
+    (limits.compartment_profiles, limits.threshold_profiles, limits.synapse_formats) = (1024, 1024, 64);
+    (limits.accumulators, limits.axons_in) = (1 << 16, 1 << 16);
+    let compiled = compile_quantised(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
+    // A test's engines live as long as the test.
+    let program: &'static Program = Box::leak(Box::new(compiled.program));
+    let machine = |skip| Box::new(Machine::new(program, Settings { skip, shards: 1 }).unwrap());
+    vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
 }
 
 /// Recorded data outside the project: the folder of this name under `$NSIM_DATA` or `../shared/data`, or a message.

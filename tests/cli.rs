@@ -1,0 +1,231 @@
+//! The command line end to end: exit status, result objects, files, determinism.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn nsim(arguments: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("nsim").unwrap();
+    command.args(arguments);
+    command
+}
+
+/// Runs and returns exit status, stdout and stderr.
+fn said(arguments: &[&str]) -> (i32, String, String) {
+    let output = nsim(arguments).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+}
+
+/// The result object of a command that should end with this status.
+fn object(arguments: &[&str], status: i32) -> Value {
+    let (code, stdout, stderr) = said(&[arguments, &["--format", "json"]].concat());
+    assert_eq!(code, status, "{arguments:?}: {stderr}");
+    serde_json::from_str(&stdout).unwrap_or_else(|e| panic!("{arguments:?}: {e}: {stdout}"))
+}
+
+fn has_keys(object: &Value, keys: &[&str]) {
+    for key in keys {
+        assert!(object.get(key).is_some(), "no key {key} in {}", object["schema"]);
+    }
+}
+
+const MODEL: &str = "Network(name: \"small\", timestep_ms: 1.0,
+  populations: [Input(name: \"in\", shape: [3]), Loihi(name: \"hidden\", shape: [4], du: 1024, dv: 128, vth_mant: 10),
+    Loihi(name: \"out\", shape: [2], du: 1024, dv: 128, vth_mant: 10)],
+  projections: [Dense(from: [\"in\"], to: \"hidden\", weights: [[20, 0, 4], [2, 30, 6], [0, 8, 40], [12, -6, 2]]),
+    Dense(from: [\"hidden\"], to: \"out\", weights: [[30, 0, 20, 2], [0, 40, -10, 8]])],
+  output: \"out\", classes: [\"left\", \"right\"])";
+
+fn write(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn every_command_prints_its_object() {
+    let map = object(&["map"], 0);
+    assert_eq!(map["schema"], "nsim.map/1");
+    has_keys(&map, &["model", "target", "copies", "objective", "strategy", "placed", "seed", "fits", "cores_used"]);
+    has_keys(&map, &["chips_used", "cores_per_copy", "checked", "cores", "limits", "traffic", "seconds", "reasons"]);
+    has_keys(
+        &map["cores"][0],
+        &["core", "chip", "x", "y", "compartments", "axons_in", "axons_out", "synapses", "synapse_words"],
+    );
+    has_keys(&map["traffic"], &["cut_spikes_per_step", "hops_per_step", "mean_link_load", "max_link_load"]);
+    assert_eq!((&map["cores"][0]["axons_in"], &map["cores"][0]["synapse_words"]), (&3366.into(), &7452.into()));
+
+    let run = object(&["run", "--samples", "0..2"], 0);
+    assert_eq!(run["schema"], "nsim.run/1");
+    has_keys(&run, &["model", "target", "engine", "samples", "timesteps", "predicted", "labels", "accuracy"]);
+    has_keys(
+        &run,
+        &["output_counts", "digest", "activity", "skipped", "overflow", "decided_at", "wall_s", "us_per_timestep"],
+    );
+    has_keys(&run["activity"], &["spikes_in", "spikes", "synaptic_events", "compartment_updates", "messages", "hops"]);
+    has_keys(&run["overflow"], &["q_wrapped", "u_wrapped", "v_clipped", "first"]);
+    assert_eq!((&run["samples"], &run["timesteps"], &run["seed"]), (&2.into(), &300.into(), &1.into()));
+
+    let energy = object(&["energy", "--samples", "0..2", "--copies", "2"], 0);
+    assert_eq!(energy["schema"], "nsim.energy/1");
+    has_keys(
+        &energy,
+        &["model", "target", "copies", "deployment", "mode", "convention", "seed", "rows", "cores_powered"],
+    );
+    has_keys(&energy, &["cores_used", "breakdown_pj_per_timestep", "per_timestep_uj", "early_exit", "constants"]);
+    let keys = ["synapse", "dendrite", "compartment", "spike", "axon_out", "axon_in", "hop", "core_step"];
+    has_keys(&energy["breakdown_pj_per_timestep"], &keys);
+    has_keys(&energy["per_timestep_uj"], &["min", "p50", "p99", "max"]);
+    let keys = [
+        "hardware",
+        "unit",
+        "static_mw",
+        "dynamic_mw",
+        "total_mw",
+        "latency_us",
+        "energy_uj",
+        "edp_pjs",
+        "low",
+        "high",
+    ];
+    has_keys(&energy["rows"][0], &keys);
+
+    assert_eq!(object(&["inspect", "vtsnn-slip"], 0)["schema"], "nsim.inspect/1");
+}
+
+#[test]
+fn what_does_not_fit_is_an_answer() {
+    let map = object(&["map", "--target", "tiny", "--copies", "4096"], 1);
+    assert_eq!((&map["schema"], &map["fits"]), (&"nsim.map/1".into(), &false.into()));
+    has_keys(&map["reasons"][0], &["code", "population", "core", "resource", "need", "limit", "help"]);
+    let (code, _, stderr) = said(&["run", "--target", "tiny"]);
+    assert_eq!(code, 1);
+    assert!(stderr.contains("does not fit"), "{stderr}");
+}
+
+#[test]
+fn a_fan_in_beyond_a_core_names_its_population_and_the_ways_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(
+        folder.path(),
+        "both.ron",
+        "Network(name: \"both\", timestep_ms: 1.0, populations: [Input(name: \"vision\", shape: [2, 50, 63]),
+         Loihi(name: \"sight\", shape: [10], du: 1024, dv: 128, vth_mant: 80)],
+         projections: [Dense(from: [\"vision\"], to: \"sight\", weights: Uniform(low: -2, high: 2, step: 2, seed: 1))],
+         output: \"sight\")",
+    );
+    let map = object(&["map", &model], 1);
+    let reasons = map["reasons"].as_array().unwrap();
+    let axons = reasons.iter().find(|reason| reason["resource"] == "axons_in").unwrap();
+    assert_eq!((&axons["population"], &axons["need"], &axons["limit"]), (&"sight".into(), &6300.into(), &4096.into()));
+    let help = axons["help"].as_str().unwrap();
+    assert!(help.contains("polarit") && help.contains("prune"), "{help}");
+}
+
+#[test]
+fn errors_have_a_status_a_place_and_an_object() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "bad.ron", &MODEL.replace("du: 1024", "du: 5000"));
+    let error = object(&["map", &model], 3);
+    assert_eq!((&error["schema"], &error["line"]), (&"nsim.error/1".into(), &2.into()));
+    has_keys(&error, &["code", "message", "help"]);
+    let (code, stdout, stderr) = said(&["map", &model]);
+    assert_eq!((code, stdout.as_str()), (3, ""));
+    assert!(stderr.contains("bad.ron:2") && stderr.contains("decay 5000"), "{stderr}");
+
+    assert_eq!(said(&["run", "--samples", "5..2"]).0, 2);
+    assert_eq!(said(&["run", "--samples", "500..501"]).0, 2);
+    assert_eq!(said(&["no-such-command"]).0, 2);
+    assert_eq!(said(&["run", "--threads", "0"]).0, 2);
+    assert_eq!(said(&["map", "no-such-model"]).0, 3);
+    assert_eq!(said(&["run", "--input", "scene:no-such-scene"]).0, 3);
+    assert_eq!(said(&["run", "--input", "vision=absent.npy"]).0, 3);
+}
+
+#[test]
+fn probes_are_written_once_and_replaced_only_by_force() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let spikes = write(folder.path(), "spikes.csv", "timestep,channel\n0,0\n1,1\n3,2\n3,0\n9,1\n");
+    let out = folder.path().join("traces").display().to_string();
+    let arguments = ["run", &model, "--input", &spikes, "--probe", "hidden.v", "--probe", "out.spikes", "-o", &out];
+    assert_eq!(object(&arguments, 0)["timesteps"], 10);
+    let trace = nsim::io::npy::read(&folder.path().join("traces/hidden.v.npy")).unwrap();
+    assert_eq!(trace.shape(), [1, 4, 10]);
+    // u(0) = 20 * 64 and v(0) = u(0) exceed the threshold of 640 only for compartment 0 and, at 12 * 64, compartment 3.
+    assert_eq!([trace.real(0), trace.real(10), trace.real(20), trace.real(30)], [0.0, 128.0, 0.0, 0.0]);
+    assert_eq!(said(&arguments).0, 3, "the files exist");
+    assert_eq!(said(&[arguments.as_slice(), &["--force"]].concat()).0, 0);
+    assert_eq!(said(&["run", &model, "--input", &spikes, "--probe", "in.v", "-o", &out]).0, 2);
+}
+
+#[test]
+fn a_saved_mapping_runs_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let saved = folder.path().join("mapping.ron").display().to_string();
+    assert_eq!(said(&["map", "-o", &saved]).0, 0);
+    let (fresh, kept) =
+        (object(&["run", "--samples", "0..3"], 0), object(&["run", "--samples", "0..3", "--mapping", &saved], 0));
+    assert_eq!((&fresh["digest"], &fresh["activity"]), (&kept["digest"], &kept["activity"]));
+    assert_eq!(object(&["map", "--mapping", &saved], 0)["placed"], "saved");
+}
+
+#[test]
+fn threads_skipping_and_engines_change_no_result() {
+    let of = |more: &[&str]| object(&[&["run", "container-tactile", "--samples", "0..4"], more].concat(), 0);
+    let one = of(&["--threads", "1"]);
+    assert!(one["activity"]["spikes"].as_u64().unwrap() > 0);
+    for more in [&["--threads", "2"][..], &["--threads", "8"], &["--skip", "off"]] {
+        let other = of(more);
+        assert_eq!(
+            (&one["digest"], &one["activity"], &one["output_counts"]),
+            (&other["digest"], &other["activity"], &other["output_counts"])
+        );
+    }
+    let golden = of(&["--engine", "golden"]);
+    assert_eq!(one["digest"], golden["digest"]);
+    for key in ["spikes_in", "spikes", "synaptic_events", "compartment_updates", "active_updates"] {
+        assert_eq!(one["activity"][key], golden["activity"][key], "{key}");
+    }
+}
+
+#[test]
+fn repeats_count_and_remember_nothing() {
+    let run = object(&["run", "--samples", "0..2", "--repeat", "3"], 0);
+    let once = object(&["run", "--samples", "0..2"], 0);
+    assert_eq!((&run["samples"], &run["timesteps"]), (&6.into(), &900.into()));
+    let counts = |run: &Value| run["output_counts"].as_array().unwrap().clone();
+    assert_eq!(counts(&run)[2..4], counts(&once)[..]);
+    assert_eq!(run["activity"]["spikes"].as_u64(), once["activity"]["spikes"].as_u64().map(|spikes| 3 * spikes));
+}
+
+#[test]
+fn a_seed_makes_another_scene_and_is_told() {
+    let (one, two) =
+        (object(&["run", "--samples", "0..1"], 0), object(&["run", "--samples", "0..1", "--seed", "2"], 0));
+    assert_ne!(one["activity"]["spikes_in"], two["activity"]["spikes_in"]);
+    assert_eq!(two["seed"], 2);
+}
+
+#[test]
+fn an_overflow_is_warned_of_with_its_first_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = MODEL.replace("[[20, 0, 4]", "[[254, 0, 4]").replace(
+        "projections: [Dense(from: [\"in\"], to: \"hidden\",",
+        "projections: [Dense(from: [\"in\"], to: \"hidden\", weight_exp: 7,",
+    );
+    let model = write(folder.path(), "loud.ron", &text);
+    let spikes = write(folder.path(), "spikes.csv", "timestep,channel\n2,0\n2,1\n2,2\n");
+    let arguments = ["run", &model, "--input", &spikes];
+    let run = object(&arguments, 0);
+    assert_eq!(
+        run["overflow"]["first"],
+        serde_json::json!({"population": "hidden", "compartment": 0, "sample": 0, "step": 2})
+    );
+    assert!(said(&arguments).2.contains("first at 'hidden' compartment 0, sample 0, step 2"));
+}
