@@ -61,7 +61,9 @@ fn assert_same(golden: &Trace, fast: &Trace, what: &str) {
             panic!("{what}: step {step}, {id}: golden [u, v, register] {:?}, fast {:?}", g.1[at], f.1[at]);
         }
     }
-    assert_eq!(golden, fast, "{what}");
+    // Not the traces as a whole: a failure would print them.
+    assert_eq!(golden.steps.len(), fast.steps.len(), "{what}: steps");
+    assert_eq!((golden.totals, golden.overflow), (fast.totals, fast.overflow), "{what}: counts");
 }
 
 /// Three partitions: as few cores as possible, at most five compartments a core, dealt out at random.

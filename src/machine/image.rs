@@ -234,6 +234,7 @@ impl<'p> Image<'p> {
         let parts = self.program.parts();
         let mut known = std::collections::HashMap::new();
         let (mut blocks, mut lane) = (Vec::new(), 0u32);
+        let firsts: Vec<CompartmentId> = parts.populations.iter().flatten().map(|(first, _)| *first).collect();
         for (core, core_image) in parts.cores.enumerate() {
             let field_of: Vec<u32> = core_image
                 .compartments
@@ -248,14 +249,25 @@ impl<'p> Image<'p> {
                     })
                 })
                 .collect();
+            // Rows of weights are aligned when a population begins with a block of its own.
+            let kind_of: Vec<(u32, usize)> = core_image
+                .ids
+                .iter()
+                .zip(&field_of)
+                .map(|(id, &f)| (f, firsts.partition_point(|first| first <= id)))
+                .collect();
             let mut slot = 0;
             while slot < field_of.len() {
                 let room = GRANULE - lane as usize % GRANULE;
                 let left = (field_of.len() - slot).min(room);
-                let run = field_of[slot..slot + left].iter().take_while(|&&f| f == field_of[slot]).count();
-                let same = run == left || run >= SHORTEST_RUN;
-                let length = if same { run } else { left };
-                let fields = match same {
+                let kinds = &kind_of[slot..slot + left];
+                let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
+                let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
+                let length = match long(0) {
+                    true => run(0),
+                    false => (1..left).find(|&from| kinds[from] != kinds[from - 1] && long(from)).unwrap_or(left),
+                };
+                let fields = match field_of[slot..slot + length].iter().all(|&f| f == field_of[slot]) {
                     true => BlockFields::Same(field_of[slot]),
                     false => {
                         self.field_of.extend(&field_of[slot..slot + length]);

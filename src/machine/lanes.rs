@@ -7,7 +7,7 @@
 use crate::base::id::{ChannelId, CompartmentId, CoreId};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
-use crate::machine::image::{Block, BlockFields, GRANULE, Image, Share, Source};
+use crate::machine::image::{Block, BlockFields, GRANULE, Image, Share, Source, Sparse};
 use crate::machine::kernel::{self, LANES, Q_WRAPPED, U_WRAPPED, V_CLIPPED};
 use crate::machine::neuron::{Fields, Registers, update};
 
@@ -26,6 +26,28 @@ pub(super) struct Order<'a> {
     pub skip: bool,
     /// Keep a list of what was not at rest in this step.
     pub list_active: bool,
+}
+
+/// A step of a share as something that `pulp` can run with the processor's widest vectors: everything below it is inlined
+/// into the function that is compiled for them (a closure would stay outside).
+pub(super) struct Step<'a> {
+    /// The state.
+    pub lanes: &'a mut Lanes,
+    /// What it runs over.
+    pub image: &'a Image<'a>,
+    /// Its share.
+    pub share: &'a Share,
+    /// What to do.
+    pub order: Order<'a>,
+}
+
+impl pulp::NullaryFnOnce for Step<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.lanes.step(self.image, self.share, self.order);
+    }
 }
 
 /// The state of a share.
@@ -130,41 +152,68 @@ impl Lanes {
 
     #[inline(always)]
     fn deliver<const NOTE: bool>(&mut self, image: &Image, share: &Share, order: Order, cursor: usize) {
-        for &channel in order.channels {
-            self.deliver_source::<NOTE>(share, image.channel(channel), cursor);
+        let channels = order.channels.iter().map(|&channel| image.channel(channel));
+        let carried = order.carried.iter().map(|&compartment| image.compartment(compartment));
+        if !share.first_row.is_empty() {
+            self.deliver_rows::<NOTE>(share, channels.clone(), cursor);
+            self.deliver_rows::<NOTE>(share, carried.clone(), cursor);
         }
-        for &compartment in order.carried {
-            self.deliver_source::<NOTE>(share, image.compartment(compartment), cursor);
+        for table in &share.sparse {
+            let slot = self.slot(cursor, table.delay);
+            self.deliver_sparse::<NOTE>(table, channels.clone(), slot);
+            self.deliver_sparse::<NOTE>(table, carried.clone(), slot);
         }
     }
 
+    /// Adds rows of weights. Sources of one population reach the same lanes, so the chunk that was added to last is kept
+    /// in registers until another is needed: going through memory each time would wait for the store before.
     #[inline(always)]
-    fn deliver_source<const NOTE: bool>(&mut self, share: &Share, source: Source, cursor: usize) {
-        let s = source.0 as usize;
-        if !share.first_row.is_empty() {
+    fn deliver_rows<const NOTE: bool>(&mut self, share: &Share, sources: impl Iterator<Item = Source>, cursor: usize) {
+        let (mut open, mut sum): (Option<(usize, usize)>, Chunk) = (None, [0; LANES]);
+        for source in sources {
+            let s = source.0 as usize;
             for row in &share.rows[share.first_row[s] as usize..share.first_row[s + 1] as usize] {
-                let slot = self.slot(cursor, row.delay);
-                let (target, weights, length) =
-                    (row.target as usize, row.weights as usize, usize::from(row.chunks) * LANES);
-                let (sums, _) = self.ring[slot][target..target + length].as_chunks_mut::<LANES>();
-                let (weights, _) = share.row_weights[weights..weights + length].as_chunks::<LANES>();
-                for (sums, weights) in sums.iter_mut().zip(weights) {
-                    for lane in 0..LANES {
-                        sums[lane] += i32::from(weights[lane]);
-                    }
-                }
+                let (slot, target) = (self.slot(cursor, row.delay), row.target as usize);
+                let (first, count) = (row.weights as usize, usize::from(row.chunks));
+                let (weights, _) = share.row_weights[first..first + count * LANES].as_chunks::<LANES>();
                 if NOTE {
-                    let last = (target + length - 1).min(share.lanes - LANES - 1);
+                    let last = (target + count * LANES - 1).min(share.lanes - LANES - 1);
                     for granule in target / GRANULE..=last / GRANULE {
                         self.arrivals[slot][granule / 64] |= 1 << (granule % 64);
                     }
                 }
+                if let [weights] = weights {
+                    if open != Some((slot, target)) {
+                        self.put(open, sum);
+                        sum = *chunk(&mut self.ring[slot], target);
+                        open = Some((slot, target));
+                    }
+                    add(&mut sum, weights);
+                } else {
+                    self.put(open.take(), sum);
+                    let (sums, _) = self.ring[slot][target..target + count * LANES].as_chunks_mut::<LANES>();
+                    for (sums, weights) in sums.iter_mut().zip(weights) {
+                        add(sums, weights);
+                    }
+                }
             }
         }
-        for table in &share.sparse {
+        self.put(open, sum);
+    }
+
+    #[inline(always)]
+    fn put(&mut self, open: Option<(usize, usize)>, sum: Chunk) {
+        if let Some((slot, target)) = open {
+            *chunk(&mut self.ring[slot], target) = sum;
+        }
+    }
+
+    #[inline(always)]
+    fn deliver_sparse<const NOTE: bool>(&mut self, table: &Sparse, sources: impl Iterator<Item = Source>, slot: usize) {
+        let (sums, arrivals) = (&mut self.ring[slot], &mut self.arrivals[slot]);
+        for source in sources {
+            let s = source.0 as usize;
             let range = table.first[s] as usize..table.first[s + 1] as usize;
-            let slot = self.slot(cursor, table.delay);
-            let (sums, arrivals) = (&mut self.ring[slot], &mut self.arrivals[slot]);
             for (&target, &weight) in table.targets[range.clone()].iter().zip(&table.weights[range]) {
                 sums[target as usize] += i32::from(weight);
                 if NOTE {
@@ -213,7 +262,10 @@ impl Lanes {
                 self.ring[cursor][lanes].fill(0);
                 (0, false)
             }
-            BlockFields::Same(fields) if image.semantics == Semantics::Hardware => {
+            // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
+            BlockFields::Same(fields)
+                if image.semantics == Semantics::Hardware && image.fields[fields as usize].fires_from > 0 =>
+            {
                 self.vector(image, block, fields as usize, order, cursor)
             }
             BlockFields::Same(fields) => self.scalar(image, block, |_| &image.fields[fields as usize], order, cursor),
@@ -309,6 +361,26 @@ impl Lanes {
             self.overflow.note(step, id);
         }
     }
+}
+
+/// Sums of sixteen lanes.
+type Chunk = [i32; LANES];
+
+/// The chunk that begins at a lane; every lane of a share has sixteen from itself on.
+#[inline(always)]
+fn chunk(sums: &mut [i32], lane: usize) -> &mut Chunk {
+    let (chunks, _) = sums[lane..lane + LANES].as_chunks_mut::<LANES>();
+    &mut chunks[0]
+}
+
+/// Adds weights as vectors; the copy tells the compiler that the arrays are apart.
+#[inline(always)]
+fn add(sums: &mut Chunk, weights: &[i16; LANES]) {
+    let mut sum = *sums;
+    for lane in 0..LANES {
+        sum[lane] += i32::from(weights[lane]);
+    }
+    *sums = sum;
 }
 
 /// The lowest `count` bits, all 64 from there on.

@@ -28,7 +28,7 @@ use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
 use crate::ir::quantised::SpikeSource;
 use crate::ir::spikes::Engine;
 pub use image::{Image, ImageError};
-use lanes::{Lanes, Order};
+use lanes::{Lanes, Order, Step};
 
 /// How to run, which never changes what comes out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,6 +61,8 @@ pub struct Machine<'i> {
     steps: u32,
     spikes: Vec<CompartmentId>,
     carried: Vec<CompartmentId>,
+    /// Synaptic events that the last step's spikes make.
+    carried_events: u64,
     /// Of the sample.
     totals: Totals,
     last: StepActivity,
@@ -86,6 +88,7 @@ impl<'i> Machine<'i> {
             steps: 0,
             spikes: Vec::new(),
             carried: Vec::new(),
+            carried_events: 0,
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
             fired: vec![0; image.sources()],
@@ -141,33 +144,24 @@ impl<'i> Machine<'i> {
         self.shares.iter().map(Lanes::bytes).sum::<usize>() + 4 * self.fired.len()
     }
 
-    /// Notes a step's spikes of one kind; `reach` is how many steps their deliveries may take.
-    #[inline]
-    fn count(&mut self, first: usize, indices: impl Iterator<Item = u32>, reach: u32) {
+    /// Notes a step's spikes of one kind; `reach` is how many steps their deliveries may take. Returns the synaptic events
+    /// that they will make if nothing ends.
+    #[inline(always)]
+    fn count<I: Id>(&mut self, first: usize, spikes: &[I], reach: u32) -> u64 {
+        let events: u64 = spikes.iter().map(|spike| u64::from(self.image.events[first + spike.index()])).sum();
         if reach > self.image.longest_delay {
-            let mut events = 0;
-            for index in indices {
-                let source = first + index as usize;
-                self.fired[source] += 1;
-                events += u64::from(self.image.events[source]);
+            for spike in spikes {
+                self.fired[first + spike.index()] += 1;
             }
             self.totals.synaptic_events += events;
         } else {
-            for index in indices {
-                let source = self.image.source(first + index as usize);
+            for spike in spikes {
+                let source = self.image.source(first + spike.index());
                 self.totals.synaptic_events += tally::events_within(self.image.program(), source, reach);
                 self.late.push((source, reach));
             }
         }
-    }
-
-    /// Synaptic events that Deliver is about to make.
-    #[inline]
-    fn coming(&self, channels: &[ChannelId]) -> u64 {
-        let events = |source: usize| u64::from(self.image.events[source]);
-        let inputs: u64 = channels.iter().map(|channel| events(channel.index())).sum();
-        let first = self.image.channels as usize;
-        inputs + self.carried.iter().map(|compartment| events(first + compartment.index())).sum::<u64>()
+        events
     }
 
     fn lane(&self, compartment: CompartmentId) -> (&Lanes, usize) {
@@ -181,6 +175,7 @@ impl Engine for Machine<'_> {
         self.shares.iter_mut().for_each(Lanes::clear);
         (self.step, self.steps) = (0, steps);
         self.spikes.clear();
+        self.carried_events = 0;
         self.totals = Totals::default();
         self.last.clear();
     }
@@ -189,7 +184,8 @@ impl Engine for Machine<'_> {
         let image = self.image;
         let left = self.steps.saturating_sub(self.step);
         std::mem::swap(&mut self.spikes, &mut self.carried);
-        let everywhere = self.coming(channels) >= CROWDED * image.granules as u64;
+        let coming = self.count(0, channels, left) + self.carried_events;
+        let everywhere = coming >= CROWDED * image.granules as u64;
         let order = Order {
             step: self.step,
             channels,
@@ -200,11 +196,11 @@ impl Engine for Machine<'_> {
         };
         let arch = self.arch;
         match (self.shares.as_mut_slice(), image.shares.as_slice()) {
-            ([lanes], [share]) => arch.dispatch(|| lanes.step(image, share, order)),
+            ([lanes], [share]) => arch.dispatch(Step { lanes, image, share, order }),
             (lanes, shares) => lanes
                 .par_iter_mut()
                 .zip(shares)
-                .for_each(|(lanes, share)| arch.dispatch(|| lanes.step(image, share, order))),
+                .for_each(|(lanes, share)| arch.dispatch(Step { lanes, image, share, order })),
         }
         self.spikes.clear();
         for lanes in &self.shares {
@@ -217,9 +213,8 @@ impl Engine for Machine<'_> {
         self.totals.spikes_in += channels.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
         self.totals.compartment_updates += image.ids.len() as u64;
-        self.count(0, channels.iter().map(|channel| channel.0), left);
         let spikes = std::mem::take(&mut self.spikes);
-        self.count(image.channels as usize, spikes.iter().map(|compartment| compartment.0), left.saturating_sub(1));
+        self.carried_events = self.count(image.channels as usize, &spikes, left.saturating_sub(1));
         self.spikes = spikes;
         if self.settings.per_step {
             self.last.clear();
