@@ -29,7 +29,9 @@ fn long_lists_cost_a_small_multiple_of_their_text() {
         load_model(path.to_str().unwrap()).unwrap();
         let before = peak();
         let length = write(row.repeat((8 << 20) / row.len()));
+        let begin = std::time::Instant::now();
         load_model(path.to_str().unwrap()).unwrap();
+        println!("{what}: {:.3} s", begin.elapsed().as_secs_f64());
         match (before, peak()) {
             (Some(before), Some(after)) => {
                 let grown = (after - before) * 1024;

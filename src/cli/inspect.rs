@@ -10,8 +10,9 @@ use std::path::Path;
 use comfy_table::{CellAlignment, ContentArrangement, Table};
 use serde_json::{Map, Value, json};
 
-use super::{Answer, Context, Format};
+use super::{Answer, Context, common};
 use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
 use crate::desc::spanned::parse;
@@ -19,7 +20,7 @@ use crate::desc::target::{Chip, Constants, Target};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
 use crate::io::shipped::{self, Origin};
-use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text, write};
+use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text};
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -53,12 +54,7 @@ struct Rows {
 /// When the file cannot be read, or its kind is not known.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let findings = inspect(&args.file)?;
-    let text = match context.format {
-        Format::Text => findings.text(&args.file),
-        Format::Json => findings.json(&args.file),
-        Format::Csv => findings.csv().map_err(|error| Error::Fault(format!("csv: {error}")))?,
-    };
-    write::stdout(&text)?;
+    common::print(context.format, || findings.text(&args.file), || findings.json(&args.file), || findings.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -79,7 +75,7 @@ fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
         None if text::is_standard_stream(path) => inspect_ron(text::read_text(path)?, Origin::File),
         _ => {
             // A file that is not there is a better answer than an extension that is not known.
-            text::read_bytes(path, u64::MAX - 1).map(drop).or_else(|problem| match problem.code {
+            text::read_bytes(path, 1 << 10).map(drop).or_else(|problem| match problem.code {
                 "io.too-large" => Ok(()),
                 _ => Err(problem),
             })?;
@@ -97,7 +93,13 @@ fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
             return inspect_ron(found.source(), Origin::Shipped);
         }
     }
-    let names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
+    if let Ok(baseline) = Baseline::shipped(name) {
+        return Ok(of_baseline(&baseline));
+    }
+    let mut names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
+    names.extend(SHIPPED.iter().map(|(name, _)| name));
+    names.sort_unstable();
+    names.dedup();
     Err(Diagnostic::new("inspect.unknown", format!("there is no file and nothing shipped named '{name}'"))
         .help(format!("shipped are: {}", names.join(", "))))
 }
@@ -130,6 +132,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
         "Target" => Ok(of_target(&target::target(&source, origin)?)),
         "Chip" => Ok(of_chip(&target::parse_chip(&source)?)),
         "Constants" => Ok(of_constants(&target::parse_constants(&source)?)),
+        "Baseline" => Ok(of_baseline(&Baseline::parse(&source)?)),
         "Mapping" => Ok(of_mapping(&parse(&source, "mapping.syntax")?)),
         "DataSet" => Ok(of_dataset(&dataset::manifest(source)?)),
         other => Err(Diagnostic::new(
@@ -140,7 +143,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
                 format!("'{other}' is not a kind of file of nsim")
             },
         )
-        .help("a .ron file begins with Network(, Target(, Chip(, Constants(, Mapping( or DataSet(")
+        .help("a .ron file begins with Network(, Target(, Chip(, Constants(, Baseline(, Mapping( or DataSet(")
         .in_file(source.path())),
     }
 }
@@ -355,6 +358,36 @@ fn of_constants(constants: &Constants) -> Findings {
     Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
 }
 
+fn of_baseline(baseline: &Baseline) -> Findings {
+    let file = baseline.file();
+    let on = &file.measured_on;
+    let rows = file.rows.iter().map(|row| {
+        let figures = [&row.static_mw, &row.dynamic_mw, &row.total_mw, &row.latency_us];
+        let printed = [&row.printed_energy_uj, &row.printed_edp];
+        let figures = figures.into_iter().chain(printed).map(|figure| json!(figure.value));
+        std::iter::once(json!(row.mode.name())).chain(figures).collect()
+    });
+    Findings {
+        kind: "baseline",
+        facts: vec![
+            ("name", json!(file.name)),
+            ("hardware", json!(file.hardware)),
+            ("status", json!(file.status)),
+            ("inputs", json!(on.inputs)),
+            ("layers", on.layers.iter().map(|layer| format!("{} -> {}", layer.from, layer.to)).collect()),
+            ("steps", json!(on.steps)),
+            ("timestep_ms", json!(on.timestep_ms)),
+            ("source", json!(file.source)),
+            ("notes", json!(file.notes)),
+        ],
+        tables: vec![Rows {
+            key: "rows",
+            columns: &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
+            rows: rows.collect(),
+        }],
+    }
+}
+
 fn of_mapping(mapping: &MappingFile) -> Findings {
     let rows = mapping
         .cores
@@ -553,7 +586,7 @@ impl Findings {
         out
     }
 
-    fn json(&self, file: &str) -> String {
+    fn json(&self, file: &str) -> Value {
         let mut object = Map::new();
         object.insert("schema".into(), json!("nsim.inspect/1"));
         object.insert("kind".into(), json!(self.kind));
@@ -567,7 +600,7 @@ impl Findings {
             });
             object.insert(part.key.into(), Value::Array(rows.map(Value::Object).collect()));
         }
-        format!("{:#}\n", Value::Object(object))
+        Value::Object(object)
     }
 
     /// The first table; facts as key and value when there is none.
@@ -605,7 +638,7 @@ mod tests {
     }
 
     fn object(findings: &Findings) -> Value {
-        serde_json::from_str(&findings.json("f")).unwrap()
+        findings.json("f")
     }
 
     const MODEL: &str = r#"/* a */ // b
