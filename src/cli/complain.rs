@@ -160,8 +160,8 @@ mod tests {
         let marked: String = line.chars().zip(marks.chars()).filter(|&(_, mark)| mark == '^').map(|(c, _)| c).collect();
         assert_eq!(marked, "bad");
         let many = SourceText::new("m.ron", "[\n1,\n2]");
-        assert_eq!(excerpt(&many, Span { start: 0, end: 8 }).unwrap(), ("[".to_string(), "^".to_string()));
-        assert_eq!(excerpt(&many, Span { start: 8, end: 8 }), Some(("2]".to_string(), "  ^".to_string())));
+        assert_eq!(excerpt(&many, Span { start: 0, end: 7 }).unwrap(), ("[".to_string(), "^".to_string()));
+        assert_eq!(excerpt(&many, Span { start: 7, end: 7 }), Some(("2]".to_string(), "  ^".to_string())));
         assert_eq!(excerpt(&SourceText::new("m.ron", ""), Span { start: 0, end: 0 }), None);
     }
 }
