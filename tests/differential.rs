@@ -12,11 +12,11 @@ use nsim::compile::{Compiled, Options, compile_quantised, compile_with_mapping};
 use nsim::desc::target::Target;
 use nsim::golden::Golden;
 use nsim::io::target::load_target;
-use nsim::ir::activity::{Overflow, Totals};
+use nsim::ir::activity::{Activity, Overflow, Totals};
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Engine, Sample};
-use nsim::machine::{Machine, Settings};
+use nsim::machine::{Image, Machine, Settings};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 1000;
@@ -88,15 +88,18 @@ fn compare(seed: u64, chip: &Target) -> u64 {
     let n = network.compartments();
     let golden = trace(&mut Golden::new(&network), n, &sample);
     for (name, compiled) in partitions(&network, chip, seed) {
-        for shards in [1, 2, 8] {
-            for skip in [true, false] {
-                let mut machine = Machine::new(&compiled.program, Settings { skip, shards }).unwrap();
+        let mut counts: Option<Activity> = None;
+        for shares in [1, 2, 8] {
+            let image = Image::new(&compiled.program, shares).unwrap();
+            for (skip, per_step) in [(true, false), (false, true)] {
+                let mut machine = Machine::new(&image, Settings { skip, per_step });
                 let fast = trace(&mut machine, n, &sample);
-                assert_same(&golden, &fast, &format!("network {seed}, {name}, {shards} shares, skip {skip}"));
-                // Counts of the mapping do not depend on shares or skipping either: the golden totals are in the trace,
-                // messages are one for each spike and destination core.
-                let again = trace(&mut machine, n, &sample);
-                assert_eq!(fast, again, "network {seed}, {name}: a second run begins from rest");
+                let what = format!("network {seed}, {name}, {shares} shares, skip {skip}");
+                assert_same(&golden, &fast, &what);
+                let activity = machine.take_activity();
+                assert_eq!(activity.totals(), golden.totals, "{what}: counts by core add up");
+                let expected = counts.get_or_insert_with(|| activity.clone());
+                assert_eq!(&activity, expected, "{what}: counts by core are the program's");
             }
         }
     }

@@ -257,7 +257,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let skip = args.skip == Switch::On;
     let add = |meter: &mut StepMeter, step: &StepActivity, times: u32| (0..times).for_each(|_| meter.add(step));
     let keep = Keep { output: compiled.program.output(), probes: Vec::new() };
-    let run = simulate::fast(&compiled.program, &copied, &keep, skip, context, || prototype.fresh(), add)?;
+    let run = simulate::fast(&compiled.program, &copied, &keep, (skip, true), context, || prototype.fresh(), add)?;
     let mut meter = prototype.fresh();
     run.meters.iter().for_each(|sample| meter.merge(sample));
     let same = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());

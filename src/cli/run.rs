@@ -148,7 +148,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let (outcomes, activity, skipped_updates, wall_s) = match job.program() {
         Some(program) => {
             let skip = args.skip == Switch::On;
-            let run = simulate::fast(program, &samples, &keep, skip, context, || (), |(), _, _| ())?;
+            let run = simulate::fast(program, &samples, &keep, (skip, false), context, || (), |(), _, _| ())?;
             (run.outcomes, Some(run.activity), run.skipped_updates, run.wall_s)
         }
         None => {
