@@ -347,11 +347,14 @@ pub(crate) fn numbers(text: &str, span: Span, deepest: usize) -> Result<NumberLi
     Ok(lists.list)
 }
 
+/// Source, target and weight of a synapse.
+pub(crate) type Triple = (u64, u64, f64);
+
 /// Reads the list of (whole number, whole number, number) that stands at `span`, each with its place.
 ///
 /// # Errors
 /// As [`numbers`].
-pub(crate) fn triples(text: &str, span: Span) -> Result<Vec<((u64, u64, f64), Span)>, ListError> {
+pub(crate) fn triples(text: &str, span: Span) -> Result<Vec<(Triple, Span)>, ListError> {
     let mut cursor = Cursor { text: &text[..span.end], at: span.start };
     let mut list = Vec::new();
     if cursor.peek() != Some(b'[') {
@@ -378,7 +381,7 @@ pub(crate) fn triples(text: &str, span: Span) -> Result<Vec<((u64, u64, f64), Sp
             }
             *field = cursor.number("a number")?;
             // Indices beyond 2^53 would not be exact; no population is a millionth as large.
-            if index < 2 && !(0.0..=9e15).contains(field) || index < 2 && field.fract() != 0.0 {
+            if index < 2 && !((0.0..=9e15).contains(field) && field.fract() == 0.0) {
                 return wrong(at..cursor.at, format!("{field} is not the number of a unit: those are whole, from 0"));
             }
             cursor.comma(b')')?;

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Deserializer};
 
-use super::lists::{blank, numbers, triples};
+use super::lists::{Triple, blank, numbers, triples};
 use super::spanned::{Shape, Spanned, list_at, parse_blanked, parse_shape, raw, refuse, shape_of};
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
@@ -94,7 +94,7 @@ fn in_place<E: serde::de::Error>(span: Span) -> Result<Source, E> {
 }
 
 /// The synapses of a [`SparseDesc`].
-fn synapses<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Spanned<(u64, u64, f64)>>, D::Error> {
+fn synapses<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Spanned<Triple>>, D::Error> {
     let (_, span) = raw(deserializer)?;
     match list_at(span, |text| triples(text, span)) {
         Ok(list) => Ok(list.into_iter().map(|(value, span)| Spanned { value, span }).collect()),
