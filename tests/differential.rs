@@ -50,7 +50,7 @@ fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Trace {
 }
 
 fn registers(engine: &dyn Engine, compartments: u32) -> Vec<[i32; 3]> {
-    (0..compartments).map(|i| CompartmentId(i)).map(|c| [engine.u(c), engine.v(c), engine.v_register(c)]).collect()
+    (0..compartments).map(CompartmentId).map(|c| [engine.u(c), engine.v(c), engine.v_register(c)]).collect()
 }
 
 fn assert_same(golden: &Trace, fast: &Trace, what: &str) {

@@ -11,17 +11,16 @@ use crate::cli::jobs::{self, JobArgs, Prepared};
 use crate::cli::run::{InputArgs, Switch, select};
 use crate::cli::{Answer, Context, Format, common, inputs, simulate};
 
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::Diagnostic;
 use crate::base::units::Picoseconds;
 use crate::cost::baseline::{Baseline, NetworkShape, SHIPPED};
 use crate::cost::estimate::{Case, Convention, estimate};
 use crate::cost::{CostTable, Deployment, StepMeter};
 use crate::desc::baseline::Mode;
-use crate::desc::mapping::MappingFile;
-use crate::desc::spanned::parse;
 use crate::desc::target::Target;
 use crate::drive::Keep;
 use crate::error::Error;
+use crate::io;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::placement::{Mesh, Placement, Site};
 use crate::ir::spikes::Sample;
@@ -167,12 +166,10 @@ pub fn deployment(
             Ok(paper)
         }
         DeploymentArg::File(path) => {
-            let text = std::fs::read_to_string(path).map_err(|error| {
-                Diagnostic::new("deployment.read", format!("cannot be read: {error}"))
-                    .help("--deployment is packed, paper, or a mapping saved by nsim map -o")
-                    .in_file(path)
+            let mapping = io::mapping::load_mapping(path).map_err(|error| match error.help {
+                None => error.help("--deployment is packed, paper, or a mapping saved by nsim map -o"),
+                Some(_) => error,
             })?;
-            let mapping: MappingFile = parse(&SourceText::new(path, text), "deployment.syntax")?;
             if mapping.copies != copies || mapping.target != target.name() {
                 return Err(Error::Usage(format!(
                     "{} holds {} copies on {}, not {copies} on {}",
@@ -282,11 +279,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         baselines: &baselines,
         early_exit: None,
     });
-    match context.format {
-        Format::Text => common::print(&energy.text())?,
-        Format::Json => common::print_json(&energy.json())?,
-        Format::Csv => common::print(&energy.csv().map_err(|e| Error::Fault(e.to_string()))?)?,
-    }
+    common::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
     if context.format != Format::Text {
         energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
     }
@@ -349,9 +342,11 @@ mod tests {
     use clap::Parser;
 
     use super::*;
+    use crate::base::diagnostic::SourceText;
     use crate::cli::common::SampleRange;
     use crate::cost::baseline::tests::vtsnn;
     use crate::cost::estimate::tests::{MS, run};
+    use crate::desc::spanned::parse;
     use crate::desc::target::{Chip, Constants, TargetFile};
     use crate::ir::activity::{CoreCounts, StepActivity};
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::common::SampleRange;
-use crate::cli::{Answer, Context, Format, common, inputs, jobs, simulate};
+use crate::cli::{Answer, Context, common, inputs, jobs, simulate};
 use crate::drive::{Keep, Outcome, Probe, Quantity};
 use crate::error::Error;
 use crate::io;
@@ -136,6 +136,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let first = output.first_compartment().unwrap_or_else(|| Id::new(0));
     let keep = Keep { output: (first, output.shape.len()), probes: probes.iter().map(|p| p.probe).collect() };
     check_room(&keep, &samples)?;
+    if let Some(index) = (1..probes.len()).find(|&index| probes[..index].iter().any(|p| p.name == probes[index].name)) {
+        return Err(Error::Usage(format!("--probe {} is given twice", probes[index].name)));
+    }
+    if args.output.is_some() && probes.is_empty() {
+        tracing::warn!("-o is for probes and there is none: nothing is written");
+    }
     for named in &probes {
         io::write::check_free(&probe_path(args, named), context.force)?;
     }
@@ -168,11 +174,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(warning) = report.warning() {
         tracing::warn!("{warning}");
     }
-    match context.format {
-        Format::Text => common::print(&report.text())?,
-        Format::Json => common::print_json(&report.json())?,
-        Format::Csv => common::print(&report.csv().map_err(|e| Error::Fault(e.to_string()))?)?,
-    }
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 

@@ -9,6 +9,7 @@ use comfy_table::{CellAlignment, ContentArrangement, Table};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::{count, wrapped};
 use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Estimate, Row};
 use crate::desc::baseline::Mode;
@@ -195,19 +196,24 @@ impl EnergyReport {
         );
         let _ = writeln!(
             out,
-            "{cores_used} neuron cores used, {cores_powered} powered, {x86_cores} x86 cores, {tiles_used} tiles on \
-             {chips_used} chips; {} samples, {} timesteps\n",
-            self.samples, self.timesteps
+            "{} used, {cores_powered} powered, {}, {} on {}; {}, {}",
+            count(*cores_used, "neuron core"),
+            count(*x86_cores, "x86 core"),
+            count(*tiles_used, "tile"),
+            count(*chips_used, "chip"),
+            count(self.samples, "sample"),
+            count(self.timesteps, "timestep")
         );
-        let energy_header = format!("Energy per timestep\n(uJ, {convention})");
-        let edp_header = format!("Energy-delay product\n(pJ s, {convention})");
+        out.push_str("power of one copy; latency, energy and energy-delay product (EDP) of a timestep\n\n");
+        let energy_header = format!("Energy\n(uJ, {convention})");
+        let edp_header = format!("EDP\n(pJ s, {convention})");
         let mut table = plain(&[
             "Hardware",
             "Unit",
             "Static\n(mW)",
             "Dynamic\n(mW)",
             "Total\n(mW)",
-            "Latency per timestep\n(us)",
+            "Latency\n(us)",
             &energy_header,
             &edp_header,
             "Source",
@@ -215,7 +221,7 @@ impl EnergyReport {
         for cells in self.printed_rows() {
             table.add_row(cells);
         }
-        let _ = writeln!(out, "{table}\n");
+        let _ = writeln!(out, "{}\n", table.trim_fmt());
         out.push_str(&self.ranges());
         out.push_str(&self.breakdown());
         if let Some(saved) = self.early_exit {
@@ -226,19 +232,19 @@ impl EnergyReport {
                 short(saved.energy_saved_uj)
             );
         }
-        out.push_str(match convention {
+        out.push_str(&wrapped(match convention {
             "published" => {
                 "Convention published: energy is total power in mW divided by the timesteps of a sample, as the VT-SNN paper \
-                 computes it; it is not power times latency.\n"
+                 computes it; it is not power times latency."
             }
-            _ => "Convention physical: energy is power times latency, the energy-delay product energy times latency.\n",
-        });
+            _ => "Convention physical: energy is power times latency, the energy-delay product energy times latency.",
+        }));
         for (row, source) in &self.baselines {
-            let _ = writeln!(out, "{}: {source}", row.hardware);
+            out += &wrapped(&format!("{}: {source}", row.hardware));
         }
         out.push_str(&self.sources());
         for note in &self.notes {
-            let _ = writeln!(out, "Note: {note}");
+            out += &wrapped(&format!("Note: {note}"));
         }
         out
     }
@@ -304,7 +310,7 @@ impl EnergyReport {
                 range(low.energy_uj, high.energy_uj),
             ]);
         }
-        format!("Range over the presets {}, each figure on its own:\n{table}\n\n", self.presets.join(", "))
+        format!("Range over the presets {}, each figure on its own:\n{}\n\n", self.presets.join(", "), table.trim_fmt())
     }
 
     fn breakdown(&self) -> String {
@@ -317,10 +323,10 @@ impl EnergyReport {
             table.add_row([name.to_string(), short(pj), share]);
         }
         table.add_row(["sum".to_string(), short(total), String::new()]);
-        let _ = writeln!(out, "{table}\n");
+        let _ = writeln!(out, "{}\n", table.trim_fmt());
         if let Some(times) = self.estimate.time_us {
             let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", short(*us))).collect();
-            let _ = writeln!(out, "Work of a timestep, mean in us: {}.", listed.join(", "));
+            out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));
         }
         for (what, spread) in [
             ("Energy of a timestep, all power included (uJ, physical)", self.estimate.per_timestep_uj),
@@ -328,7 +334,7 @@ impl EnergyReport {
         ] {
             if let Some(s) = spread {
                 let [min, p50, p99, max] = [s.min, s.p50, s.p99, s.max].map(short);
-                let _ = writeln!(out, "{what}: least {min}, median {p50}, 99th percentile {p99}, greatest {max}.");
+                out += &wrapped(&format!("{what}: least {min}, median {p50}, 99th percentile {p99}, greatest {max}."));
             }
         }
         out.push('\n');
@@ -349,8 +355,8 @@ impl EnergyReport {
         if !assumed.is_empty() {
             let _ = write!(out, " ({})", assumed.join(", "));
         }
-        out.push_str(". --format json lists each with its source.\n");
-        out
+        out.push_str(". --format json lists each with its source.");
+        wrapped(&out)
     }
 }
 
@@ -359,7 +365,7 @@ type Figure = fn(&Row) -> Option<f64>;
 
 fn plain(header: &[&str]) -> Table {
     let mut table = Table::new();
-    table.set_content_arrangement(ContentArrangement::Disabled);
+    table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
     table.set_header(header);
     for (i, column) in table.column_iter_mut().enumerate() {
         let text = i == 0 || matches!(header[i], "Unit" | "Source");

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use super::count;
 use crate::drive::{Outcome, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
 use crate::ir::quantised::Quantised;
@@ -172,7 +173,7 @@ impl RunReport<'_> {
         if let Some(seed) = self.seed {
             out += &format!("  (seed {seed})");
         }
-        out += &format!("\n{} samples, {steps} timesteps\n\n", self.outcomes.len());
+        out += &format!("\n{}, {}\n\n", count(self.outcomes.len() as u64, "sample"), count(steps, "timestep"));
         const SHOWN: usize = 12;
         out += &format!("{:>7} {:>12} {:>12}  spikes of outputs\n", "sample", "label", "predicted");
         for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).take(SHOWN).enumerate() {
@@ -190,7 +191,7 @@ impl RunReport<'_> {
                 &format!("{:>7} {} more; all of them with --format csv or json\n", "..", self.outcomes.len() - SHOWN);
         }
         if let Some(accuracy) = self.accuracy() {
-            out += &format!("\naccuracy {:.4} over {} samples\n", accuracy, self.outcomes.len());
+            out += &format!("\naccuracy {:.4} over {}\n", accuracy, count(self.outcomes.len() as u64, "sample"));
         }
         out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");
         out += &format!("{:<24} {}\n", "input spikes", per_step(totals.spikes_in));
