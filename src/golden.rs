@@ -134,6 +134,9 @@ impl Golden {
             let spiked_in = self.done - 1 - ago;
             spiked_in + synapse.way >= self.done && spiked_in + synapse.way < self.steps
         };
+        if self.done >= self.steps {
+            return 0;
+        }
         let mut events = 0;
         for synapse in self.compartments.iter().flat_map(|compartment| &compartment.incoming) {
             // The latest step is the first row of the histories.

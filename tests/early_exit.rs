@@ -273,7 +273,7 @@ fn a_compartment_of_another_population_is_no_output() {
     for (name, mut engine) in common::engines(&network) {
         // v = 20, 40, 60 > 50 in steps 1, 2, 3.
         let outcome = run_sample(engine.as_mut(), &sample, &keep(&network, Some(margin(1))), |engine, _| {
-            assert_eq!(engine.spikes().contains(&CompartmentId(0)), true);
+            assert!(engine.spikes().contains(&CompartmentId(0)));
         });
         assert_eq!((outcome.decided_at, outcome.counts), (Some(3), vec![1]), "{name}");
     }

@@ -368,11 +368,11 @@ mod tests {
             let mut trains = vec![Vec::new(); outputs];
             let mut first = None;
             for step in 0..steps {
-                for output in 0..outputs {
+                for (output, train) in trains.iter_mut().enumerate() {
                     // One output is livelier than the others, so that not everything ends in a tie.
                     let rate = if output as u64 == seed % outputs as u64 { busy } else { busy / 2 };
-                    if may_spike(&exit.pace, output, &trains[output], step) && draw(step, output) < rate {
-                        trains[output].push(step);
+                    if may_spike(&exit.pace, output, train, step) && draw(step, output) < rate {
+                        train.push(step);
                         decision.spike(step, output as u32);
                     }
                 }
@@ -406,11 +406,11 @@ mod tests {
             let mut trains = vec![Vec::new(); outputs];
             let mut first = None;
             for step in 0..steps {
-                for output in 0..outputs {
+                for (output, train) in trains.iter_mut().enumerate() {
                     let rate = rng::below(100, seed, 1, output as u64) / 2 + if output == 0 { 50 } else { 0 };
                     let lucky = rng::below(100, seed, 2 + output as u64, u64::from(step)) < rate;
-                    if lucky && may_spike(&exit.pace, output, &trains[output], step) {
-                        trains[output].push(step);
+                    if lucky && may_spike(&exit.pace, output, train, step) {
+                        train.push(step);
                         decision.spike(step, output as u32);
                     }
                 }
