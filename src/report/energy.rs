@@ -14,14 +14,28 @@ use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Estimate, Row};
 use crate::desc::baseline::Mode;
 use crate::desc::target::{Constants, Status, Unit};
+use crate::drive::decision::Rule;
 
-/// What leaving off early saved.
+/// What ending samples when they are decided would save of the run: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct EarlyExit {
-    /// Timesteps that were not needed.
+pub struct Saved {
+    /// What decides a sample.
+    #[serde(serialize_with = "spelled")]
+    pub rule: Rule,
+    /// Samples that were decided before their end.
+    pub decided: u64,
+    /// Timesteps that were not needed, of all samples.
     pub steps_saved: u64,
-    /// Energy of one copy that they would have cost.
+    /// Time that they took.
+    pub time_saved_us: f64,
+    /// Energy of one copy that they cost, all power included.
     pub energy_saved_uj: f64,
+    /// That as a part of the energy of the whole run; `None` when that is zero.
+    pub energy_saved_share: Option<f64>,
+}
+
+fn spelled<S: serde::Serializer>(rule: &Rule, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(rule)
 }
 
 /// A constant of the report.
@@ -81,8 +95,8 @@ pub struct EnergyReport {
     pub estimate: Estimate,
     /// Rows of other hardware, with their sources.
     pub baselines: Vec<(Row, String)>,
-    /// What leaving off early saved.
-    pub early_exit: Option<EarlyExit>,
+    /// What ending samples when they are decided would save.
+    pub early_exit: Option<Saved>,
     /// The constants of the preset.
     pub constants: Vec<ConstantEntry>,
     /// What is not known and why, for people; also on stderr when the output is for programs.
@@ -227,9 +241,16 @@ impl EnergyReport {
         if let Some(saved) = self.early_exit {
             let _ = writeln!(
                 out,
-                "Early exit saved {} timesteps and {} uJ a copy.\n",
+                "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} timesteps, {} us \
+                 and {} uJ a copy{}; the figures above are those of whole samples.\n",
+                saved.rule,
+                saved.decided,
+                self.samples,
                 saved.steps_saved,
-                short(saved.energy_saved_uj)
+                self.timesteps,
+                short(saved.time_saved_us),
+                short(saved.energy_saved_uj),
+                saved.energy_saved_share.map_or(String::new(), |share| format!(" ({:.1} %)", 100.0 * share)),
             );
         }
         out.push_str(&wrapped(match convention {
