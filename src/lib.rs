@@ -7,6 +7,7 @@
 //! are computed. `docs/architecture.md` has the picture; `docs/semantics.md` the numbered equations.
 
 pub mod base;
+pub mod bench;
 pub mod cli;
 pub mod compile;
 pub mod cost;

@@ -96,6 +96,16 @@ fn every_command_prints_its_object() {
     has_keys(&energy["rows"][0], &keys);
 
     assert_eq!(object(&["inspect", "vtsnn-slip"], 0)["schema"], "nsim.inspect/1");
+
+    let bench = object(&["bench", "step", "--network", "vtsnn-1pct", "--seconds", "0.02"], 0);
+    assert_eq!((&bench["schema"], &bench["name"]), (&"nsim.bench/1".into(), &"step".into()));
+    has_keys(&bench["environment"], &["cpu", "cores", "os", "rustc", "nsim"]);
+    let rows = bench["rows"].as_array().unwrap();
+    assert_eq!(rows.iter().map(|row| &row["skip"]).collect::<Vec<_>>(), [true, false]);
+    for row in rows {
+        has_keys(row, &["network", "threads", "us_per_timestep", "spread", "bytes_per_synapse"]);
+        assert!((350.0..450.0).contains(&row["synaptic_events_per_step"].as_f64().unwrap()), "{row}");
+    }
 }
 
 #[test]
@@ -145,6 +155,8 @@ fn errors_have_a_status_a_place_and_an_object() {
     assert_eq!(said(&["run", "--samples", "500..501"]).0, 2);
     assert_eq!(said(&["no-such-command"]).0, 2);
     assert_eq!(said(&["run", "--threads", "0"]).0, 2);
+    assert_eq!(said(&["bench", "pareto"]).0, 2);
+    assert_eq!(said(&["bench", "step", "--network", "random-2m"]).0, 2);
     assert_eq!(said(&["map", "no-such-model"]).0, 3);
     assert_eq!(said(&["run", "--input", "scene:no-such-scene"]).0, 3);
     assert_eq!(said(&["run", "--input", "vision=absent.npy"]).0, 3);

@@ -3,6 +3,7 @@
 //! Goes in: finished results. Comes out: strings; writing them is the command line's. Nothing is computed here but the
 //! rounding of what is printed.
 
+pub mod bench;
 pub mod energy;
 pub mod inspect;
 pub mod map;

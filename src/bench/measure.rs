@@ -1,0 +1,157 @@
+//! Steps of a machine, timed.
+//!
+//! Comes in: an engine, a period of input, and how long it may take. Goes out: the median time of a step, the spread of
+//! the repeats, and what a step did. The input is repeated without a break, so the network stays in the state that it
+//! settles in; nothing but steps is timed. Every step is a call of [`Engine::step`]: steps that a run would jump over
+//! as a whole (`drive::run_sample`) are computed here, since a jump costs the same however long it is.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use crate::ir::activity::Totals;
+use crate::ir::spikes::{Engine, Sample};
+
+/// How long a measurement takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Budget {
+    /// About so long, warm-up included, though never fewer than [`LEAST_REPEATS`] repeats.
+    Time(Duration),
+    /// Exactly so many steps in one repeat, without warm-up: for counting instructions.
+    Steps(u64),
+}
+
+/// Repeats below which there is no spread to speak of.
+pub const LEAST_REPEATS: usize = 9;
+/// Repeats above which more would only cost memory.
+const MOST_REPEATS: usize = 201;
+/// Steps after which a standard network has settled: 1.25 time constants of the slowest decay, 32 steps.
+const SETTLING: u64 = 40;
+/// The least time of a repeat: far above the resolution of the clock.
+const LEAST_REPEAT: Duration = Duration::from_millis(2);
+
+/// What was measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// Microseconds of a step: the median of the repeats.
+    pub us_per_timestep: f64,
+    /// Microseconds of a step in the fastest repeat: what a machine shared with others comes nearest to being alone in.
+    pub fastest: f64,
+    /// Microseconds between the first and the third quartile of the repeats.
+    pub spread: f64,
+    /// Repeats.
+    pub repeats: usize,
+    /// Steps of each repeat.
+    pub steps: u64,
+    /// Counts of all timed steps.
+    pub totals: Totals,
+}
+
+impl Measured {
+    /// A count's mean over the timed steps.
+    #[must_use]
+    pub fn per_step(&self, count: u64) -> f64 {
+        count as f64 / (self.steps * self.repeats as u64).max(1) as f64
+    }
+}
+
+/// So many steps from this one on, with the period's input over and over; returns the step that comes next. It is a
+/// function of its own so that a profiler can count what it, and nothing else, does.
+#[inline(never)]
+pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) -> u64 {
+    let length = period.steps().max(1);
+    let mut at = (from % u64::from(length)) as u32;
+    for _ in 0..count {
+        engine.step(period.at(at));
+        black_box(engine.spikes());
+        at += 1;
+        if at == length {
+            at = 0;
+        }
+    }
+    from + count
+}
+
+/// Measures steps of an engine; it begins anew.
+pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> Measured {
+    // So many steps never come: nothing is near the end, where deliveries would no longer be counted.
+    engine.begin(u32::MAX);
+    let (mut at, size, repeats) = match budget {
+        Budget::Steps(count) => (0, count.max(1), 1),
+        Budget::Time(budget) => {
+            let mut at = steps(engine, period, 0, SETTLING);
+            let (mut size, mut took) = (1, Duration::ZERO);
+            // Doubling until a repeat is long enough also warms caches and predictors up.
+            while took < LEAST_REPEAT {
+                size *= if took.is_zero() { 1 } else { 2 };
+                let begin = Instant::now();
+                at = steps(engine, period, at, size);
+                took = begin.elapsed().max(Duration::from_nanos(1));
+            }
+            let fitting = (budget.as_secs_f64() / took.as_secs_f64()) as usize;
+            (at, size, fitting.clamp(LEAST_REPEATS, MOST_REPEATS))
+        }
+    };
+    let before = engine.totals();
+    let mut each: Vec<f64> = (0..repeats)
+        .map(|_| {
+            let begin = Instant::now();
+            at = steps(engine, period, at, size);
+            begin.elapsed().as_secs_f64() * 1e6 / size as f64
+        })
+        .collect();
+    each.sort_unstable_by(f64::total_cmp);
+    Measured {
+        us_per_timestep: quantile(&each, 0.5),
+        fastest: quantile(&each, 0.0),
+        spread: quantile(&each, 0.75) - quantile(&each, 0.25),
+        repeats,
+        steps: size,
+        totals: difference(engine.totals(), before),
+    }
+}
+
+fn difference(after: Totals, before: Totals) -> Totals {
+    Totals {
+        spikes_in: after.spikes_in - before.spikes_in,
+        spikes: after.spikes - before.spikes,
+        synaptic_events: after.synaptic_events - before.synaptic_events,
+        compartment_updates: after.compartment_updates - before.compartment_updates,
+        active_updates: after.active_updates - before.active_updates,
+    }
+}
+
+/// A quantile of ascending numbers, between neighbours in proportion.
+fn quantile(ascending: &[f64], q: f64) -> f64 {
+    let place = q * (ascending.len() - 1) as f64;
+    let (below, above) = (place.floor() as usize, place.ceil() as usize);
+    ascending[below] + (ascending[above] - ascending[below]) * place.fract()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::networks::{Random, random};
+    use crate::golden::Golden;
+
+    #[test]
+    fn quantiles_lie_between_neighbours() {
+        let numbers = [1.0, 2.0, 4.0, 8.0];
+        assert_eq!([0.0, 0.5, 0.75, 1.0].map(|q| quantile(&numbers, q)), [1.0, 3.0, 5.0, 8.0]);
+        assert_eq!(quantile(&[3.0], 0.25), 3.0);
+    }
+
+    #[test]
+    fn exactly_the_steps_asked_for_are_counted() {
+        let bench = random("small", Random { compartments: 500, background: 0, driven: 5, period: 8 }).unwrap();
+        let mut engine = Golden::new(&bench.network);
+        let measured = measure(&mut engine, &bench.period, Budget::Steps(24));
+        assert_eq!((measured.repeats, measured.steps), (1, 24));
+        assert_eq!(measured.totals.compartment_updates, 24 * 500);
+        assert_eq!(measured.totals.spikes_in, 3 * bench.period.spikes() as u64);
+        let timed = measure(&mut engine, &bench.period, Budget::Time(Duration::ZERO));
+        assert_eq!(timed.repeats, LEAST_REPEATS);
+        assert_eq!(timed.totals.compartment_updates, 500 * timed.steps * timed.repeats as u64);
+        assert!(timed.us_per_timestep > 0.0 && timed.spread >= 0.0);
+        assert!(timed.fastest <= timed.us_per_timestep);
+    }
+}

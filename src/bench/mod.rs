@@ -1,0 +1,14 @@
+//! How fast the machine is: standard networks, and steps of them measured.
+//!
+//! Comes in: the name of a standard network. Goes out: medians with their spread, beside what a step did and the
+//! machine it was measured on. What a figure is good for, and how it was taken: `docs/benchmarks.md`.
+//!
+//! Left out on purpose: goals. Whether a figure is good is for documents to say, not for the program.
+
+pub mod environment;
+pub mod measure;
+pub mod networks;
+
+pub use environment::Environment;
+pub use measure::{Budget, Measured, measure, steps};
+pub use networks::Standard;

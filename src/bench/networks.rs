@@ -1,0 +1,407 @@
+//! The standard networks that speed is measured on, as code: nothing is read, so nothing can change them unseen.
+//!
+//! Comes in: a name. Goes out: the network in integers, its input for a period of steps (repeated for as long as a
+//! measurement takes) and the board that it is mapped onto. The same on every machine: all randomness is `base::rng`.
+//!
+//! - `vtsnn-1pct`, `vtsnn-5pct`: the layers of the shipped `vtsnn-slip`, 156 / 3,150 -> 50 / 10 -> 2, every channel
+//!   spiking independently in 1 % and 5 % of the steps: about 400 and 2,000 synaptic events a step.
+//! - `random-32k`, `random-1m`: 32,768 and 1,000,000 compartments with 64 random synapses each. The neurons are the usual
+//!   ones with decaying current and voltage, so every compartment moves in almost every step and nothing is saved by
+//!   skipping. They fire at a set rate because a *drive* makes them: an input channel for each compartment, over one
+//!   strong synapse. A driven compartment fires at once and is refractory until too little of that current is left to
+//!   fire again; recurrent weights of both signs sum to nothing and keep the voltage more than five standard deviations below
+//!   the threshold (their sum has sd 95 of 1,400). So the rate follows the input alone and cannot run away.
+//!   `random-32k` has four weak random synapses a channel besides, for the input events that published runs of
+//!   such a network count.
+//! - `silent-1m`: the compartments and synapses of `random-1m`, and an input that never fires.
+
+use crate::base::fixed::{
+    BiasExponent, BiasMantissa, Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, VmaxExponent,
+    VminExponent, WeightBits, WeightExponent,
+};
+use crate::base::id::{ChannelId, CompartmentId, PopulationId};
+use crate::base::rng;
+use crate::desc::network::{Semantics, ThresholdTest};
+use crate::ir::graph::{PerCompartment, Shape};
+use crate::ir::quantised::{
+    Connectivity, Inconsistent, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units,
+};
+use crate::ir::spikes::{Sample, SampleError};
+
+/// A standard network. Its names are fixed: stored results carry them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Standard {
+    /// The visual-tactile network at 1 % input.
+    VtSnn1Pct,
+    /// The visual-tactile network at 5 % input.
+    VtSnn5Pct,
+    /// 32,768 compartments, 64 synapses each, 2.1 % firing.
+    Random32k,
+    /// 1,000,000 compartments, 64 synapses each, 1 % firing.
+    Random1m,
+    /// 1,000,000 compartments without input.
+    Silent1m,
+}
+
+/// What a network of this module could not be made of: a fault of its constants.
+#[derive(Debug, thiserror::Error)]
+pub enum Unbuildable {
+    /// A value does not fit its field.
+    #[error(transparent)]
+    Field(#[from] OutOfRange),
+    /// Parts contradict each other.
+    #[error(transparent)]
+    Parts(#[from] Inconsistent),
+    /// Input spikes do not make a sample.
+    #[error(transparent)]
+    Input(#[from] SampleError),
+}
+
+/// A network with what drives it.
+#[derive(Debug, Clone)]
+pub struct Bench {
+    /// The network.
+    pub network: Quantised,
+    /// Its input, to be repeated.
+    pub period: Sample,
+    /// The shipped target that it is mapped onto.
+    pub target: &'static str,
+}
+
+impl Standard {
+    /// Every standard network.
+    pub const ALL: [Standard; 5] =
+        [Standard::VtSnn1Pct, Standard::VtSnn5Pct, Standard::Random32k, Standard::Random1m, Standard::Silent1m];
+
+    /// Its name in arguments and results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Standard::VtSnn1Pct => "vtsnn-1pct",
+            Standard::VtSnn5Pct => "vtsnn-5pct",
+            Standard::Random32k => "random-32k",
+            Standard::Random1m => "random-1m",
+            Standard::Silent1m => "silent-1m",
+        }
+    }
+
+    /// The network of a name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Standard> {
+        Standard::ALL.into_iter().find(|standard| standard.name() == name)
+    }
+
+    /// Whether a step has so much to do that sharing it out over threads can pay.
+    #[must_use]
+    pub fn wants_threads(self) -> bool {
+        matches!(self, Standard::Random32k | Standard::Random1m)
+    }
+
+    /// The standard network with the same compartments and synapses: its program serves both, only the input differs.
+    #[must_use]
+    pub fn program_of(self) -> Standard {
+        match self {
+            Standard::VtSnn5Pct => Standard::VtSnn1Pct,
+            Standard::Silent1m => Standard::Random1m,
+            own => own,
+        }
+    }
+
+    /// Makes it.
+    ///
+    /// # Errors
+    /// [`Unbuildable`] never in practice; the tests build all.
+    pub fn build(self) -> Result<Bench, Unbuildable> {
+        match self {
+            Standard::VtSnn1Pct => vtsnn(self.name(), 1),
+            Standard::VtSnn5Pct => vtsnn(self.name(), 5),
+            Standard::Random32k => {
+                random(self.name(), Random { compartments: 32_768, background: 4, driven: 714, period: 256 })
+            }
+            Standard::Random1m => {
+                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 10_170, period: 64 })
+            }
+            Standard::Silent1m => {
+                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 0, period: 64 })
+            }
+        }
+    }
+}
+
+/// Appends populations and projections in order.
+struct Builder {
+    parts: Parts,
+    channels: u32,
+    compartments: u32,
+}
+
+impl Builder {
+    fn new(name: &str) -> Self {
+        let parts = Parts {
+            name: name.to_string(),
+            timestep_ms: 1.0,
+            populations: Default::default(),
+            projections: Default::default(),
+            output: PopulationId(0),
+            classes: Vec::new(),
+            semantics: Semantics::Hardware,
+            threshold: ThresholdTest::Strict,
+            reset: None,
+            notes: Vec::new(),
+        };
+        Builder { parts, channels: 0, compartments: 0 }
+    }
+
+    fn input(&mut self, name: &str, channels: u32) -> PopulationId {
+        let units = Units::Input(ChannelId(self.channels));
+        self.channels += channels;
+        self.parts.populations.push(Population { name: name.to_string(), shape: Shape::Line(channels), units })
+    }
+
+    /// Compartments with the decays of the published visual-tactile network; the last population is the output.
+    fn loihi(&mut self, name: &str, compartments: u32, vth: i64, refractory: i64) -> Result<PopulationId, OutOfRange> {
+        let neurons = Neurons {
+            du: PerCompartment::Same(Decay::new(1024)?),
+            dv: PerCompartment::Same(Decay::new(128)?),
+            vth: PerCompartment::Same(ThresholdMantissa::new(vth)?),
+            bias_mant: PerCompartment::Same(BiasMantissa::new(0)?),
+            bias_exp: PerCompartment::Same(BiasExponent::new(0)?),
+            refractory: PerCompartment::Same(Refractory::new(refractory)?),
+            vmin: PerCompartment::Same(VminExponent::MAX),
+            vmax: PerCompartment::Same(VmaxExponent::MAX),
+        };
+        let units = Units::Loihi { first: CompartmentId(self.compartments), neurons, start_step: 0 };
+        self.compartments += compartments;
+        let population = Population { name: name.to_string(), shape: Shape::Line(compartments), units };
+        self.parts.output = self.parts.populations.push(population);
+        Ok(self.parts.output)
+    }
+
+    fn connect(
+        &mut self,
+        (source, target): (PopulationId, PopulationId),
+        exponent: i64,
+        sign: SignMode,
+        connectivity: Connectivity,
+    ) -> Result<(), OutOfRange> {
+        let name = |id| &self.parts.populations[id].name;
+        let name = format!("{} -> {}", name(source), name(target));
+        let format = SynapseFormat { exponent: WeightExponent::new(exponent)?, sign, bits: WeightBits::new(8)? };
+        let delay = Delay::new(0)?;
+        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
+        Ok(())
+    }
+
+    /// All to all with even weights in `low..=high`.
+    fn dense(
+        &mut self,
+        ends: (PopulationId, PopulationId),
+        (low, high): (i16, i16),
+        seed: u64,
+    ) -> Result<(), OutOfRange> {
+        let size = |id| self.parts.populations[id].shape.len();
+        let (sources, targets) = (size(ends.0), size(ends.1));
+        let levels = ((high - low) / 2 + 1) as u64;
+        let weight = |index| low + 2 * rng::below(levels, seed, index, 0) as i16;
+        let weights = (0..u64::from(sources) * u64::from(targets)).map(weight).collect();
+        self.connect(ends, 0, SignMode::Mixed, Connectivity::Dense { targets, weights })
+    }
+
+    fn build(self) -> Result<Quantised, Inconsistent> {
+        Quantised::new(self.parts)
+    }
+}
+
+/// Steps of input of the visual-tactile network: 20 samples of 150 steps, as long as the slip task's.
+const VTSNN_STEPS: u32 = 20 * 150;
+
+/// The layers, weights and thresholds of `models/vtsnn-slip.ron`, without its file: a retrained model would change what
+/// is measured.
+fn vtsnn(name: &str, percent: u64) -> Result<Bench, Unbuildable> {
+    let mut net = Builder::new(name);
+    let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
+    let (touch, sight) = (net.loihi("touch", 50, 80, 1)?, net.loihi("sight", 10, 80, 1)?);
+    let out = net.loihi("out", 2, 80, 1)?;
+    net.dense((tactile, touch), (-16, 16), 1)?;
+    net.dense((vision, sight), (-4, 4), 2)?;
+    net.dense((touch, out), (-64, 80), 3)?;
+    net.dense((sight, out), (-64, 80), 4)?;
+    let network = net.build()?;
+    let mut events = Vec::new();
+    for channel in 0..network.channels() {
+        let spiking = (0..VTSNN_STEPS).filter(|&t| rng::below(100, 5, u64::from(channel), u64::from(t)) < percent);
+        events.extend(spiking.map(|t| (t, ChannelId(channel))));
+    }
+    Ok(Bench { network, period: Sample::new(VTSNN_STEPS, events, None)?, target: "nahuku-32" })
+}
+
+/// Synapses of each compartment of a random network.
+const FAN_OUT: u32 = 64;
+/// What a random network's compartments need to fire, in units of the weight. A driving spike gives 254 * 2^3 = 2,032 at
+/// once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
+const THRESHOLD: i64 = 1_400;
+/// Steps from a spike of a random network to the next possible.
+const REFRACTORY: i64 = 8;
+
+/// The sizes of a random network.
+#[derive(Debug, Clone, Copy)]
+pub struct Random {
+    /// Compartments, and channels that drive one each.
+    pub compartments: u32,
+    /// Weak random synapses of a channel besides the driving one.
+    pub background: u32,
+    /// Channels that spike in a step; drawn with replacement, so a few are drawn twice and spike once.
+    pub driven: u32,
+    /// Steps of input, to be repeated.
+    pub period: u32,
+}
+
+/// A random network: see the module.
+///
+/// # Errors
+/// [`Unbuildable`] when there is no compartment.
+pub fn random(name: &str, sizes: Random) -> Result<Bench, Unbuildable> {
+    let n = sizes.compartments;
+    let mut net = Builder::new(name);
+    let drive = net.input("drive", n);
+    let neurons = net.loihi("neurons", n, THRESHOLD, REFRACTORY)?;
+    let one_to_one = Connectivity::Sparse {
+        first: (0..=u64::from(n)).collect(),
+        targets: (0..n).collect(),
+        weights: vec![254; n as usize].into(),
+    };
+    let random =
+        |fan_out, seed| Connectivity::Random { targets: n, fan_out, low: -8, high: 8, step: 2, seed, first_source: 0 };
+    net.connect((drive, neurons), 3, SignMode::Mixed, one_to_one)?;
+    if sizes.background > 0 {
+        net.connect((drive, neurons), 0, SignMode::Mixed, random(sizes.background, 1))?;
+    }
+    net.connect((neurons, neurons), 0, SignMode::Mixed, random(FAN_OUT, 2))?;
+    let spikes = |t| {
+        let channel = move |k| rng::below(u64::from(n), 3, u64::from(t), u64::from(k)) as u32;
+        (0..sizes.driven).map(move |k| (t, ChannelId(channel(k))))
+    };
+    let events = (0..sizes.period).flat_map(spikes).collect();
+    let period = Sample::new(sizes.period, events, None)?;
+    let target = if n > 100_000 { "pohoiki-springs" } else { "nahuku-32" };
+    Ok(Bench { network: net.build()?, period, target })
+}
+
+/// A network whose steps have any number of synaptic events and nothing else: channels with 64 random synapses each,
+/// onto compartments that forget at once and never fire. `driven` channels spike in each step.
+///
+/// # Errors
+/// [`Unbuildable`] when there is no compartment.
+pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<Bench, Unbuildable> {
+    let mut net = Builder::new("events-only");
+    let drive = net.input("drive", compartments);
+    let neurons = net.loihi("neurons", compartments, 131_071, 1)?;
+    if let Units::Loihi { neurons, .. } = &mut net.parts.populations[neurons].units {
+        neurons.du = PerCompartment::Same(Decay::MAX);
+        neurons.dv = PerCompartment::Same(Decay::MAX);
+    }
+    let connectivity = Connectivity::Random {
+        targets: compartments,
+        fan_out: FAN_OUT,
+        low: -8,
+        high: 8,
+        step: 2,
+        seed: 2,
+        first_source: 0,
+    };
+    net.connect((drive, neurons), 0, SignMode::Mixed, connectivity)?;
+    // A stride that shares no factor with the number of channels visits each before any again.
+    let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);
+    let channel = |k: u64| ChannelId((k * stride % u64::from(compartments)) as u32);
+    let events = (0..u64::from(period) * u64::from(driven))
+        .map(|k| ((k / u64::from(driven.max(1))) as u32, channel(k)))
+        .collect();
+    Ok(Bench { network: net.build()?, period: Sample::new(period, events, None)?, target: "nahuku-32" })
+}
+
+fn gcd(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::golden::Golden;
+    use crate::ir::activity::Totals;
+    use crate::ir::spikes::Engine;
+
+    /// What a step does on average once the network has settled, by the interpreter.
+    fn settled(bench: &Bench, steps: u32) -> (f64, f64, f64) {
+        let mut engine = Golden::new(&bench.network);
+        engine.begin(u32::MAX);
+        let mut run = |from: u32, to: u32| -> Totals {
+            (from..to).for_each(|t| engine.step(bench.period.at(t % bench.period.steps())));
+            engine.totals()
+        };
+        let (before, after) = (run(0, 40), run(40, 40 + steps));
+        let per_step = |count: fn(&Totals) -> u64| (count(&after) - count(&before)) as f64 / f64::from(steps);
+        (per_step(|t| t.spikes), per_step(|t| t.synaptic_events), per_step(|t| t.active_updates))
+    }
+
+    #[test]
+    fn the_visual_tactile_rows_have_about_400_and_2000_events_a_step() {
+        for (standard, low, high) in [(Standard::VtSnn1Pct, 370.0, 430.0), (Standard::VtSnn5Pct, 1900.0, 2100.0)] {
+            let bench = standard.build().unwrap();
+            assert_eq!((bench.network.channels(), bench.network.compartments()), (3306, 62));
+            let (spikes, events, _) = settled(&bench, 2000);
+            assert!((low..high).contains(&events), "{}: {events} events", standard.name());
+            assert!(spikes > 0.1, "{}: {spikes} spikes a step", standard.name());
+        }
+    }
+
+    #[test]
+    fn random_32k_fires_as_it_says_and_every_compartment_moves() {
+        let bench = Standard::Random32k.build().unwrap();
+        let (spikes, events, active) = settled(&bench, 60);
+        assert!((spikes / 32_768.0 - 0.021).abs() < 0.001, "{spikes} spikes a step");
+        assert!((events - 47_500.0).abs() < 1_000.0, "{events} events a step");
+        assert!(active > 0.99 * 32_768.0, "{active} compartments not at rest");
+    }
+
+    #[test]
+    fn a_random_network_of_any_size_fires_as_it_is_driven() {
+        // random-1m in small: 1 % firing and 64 synapses give 0.64 synaptic events a compartment besides the inputs'.
+        let bench = random("small", Random { compartments: 10_000, background: 0, driven: 102, period: 64 }).unwrap();
+        let (spikes, events, _) = settled(&bench, 120);
+        assert!((spikes - 100.0).abs() < 3.0, "{spikes} spikes a step");
+        assert!((events - 6_500.0).abs() < 200.0, "{events} events a step");
+    }
+
+    #[test]
+    fn events_only_has_the_events_asked_for_and_no_spike() {
+        for driven in [2, 16, 156, 1_562] {
+            let bench = events_only(4_096, driven, 16).unwrap();
+            let (spikes, events, _) = settled(&bench, 32);
+            assert_eq!((spikes, events), (0.0, f64::from(driven * FAN_OUT)));
+        }
+    }
+
+    #[test]
+    fn networks_that_share_a_program_are_equal() {
+        for standard in Standard::ALL {
+            let (own, other) = (standard.build().unwrap(), standard.program_of().build().unwrap());
+            assert_eq!(own.target, other.target);
+            let said = |bench: &Bench| {
+                let parts = bench.network.parts();
+                format!("{:?} {:?}", parts.populations, parts.projections)
+            };
+            // Printing a million one-to-one synapses takes long; what is described by a seed is the same code.
+            if own.network.compartments() < 100_000 {
+                assert_eq!(said(&own), said(&other), "{}", standard.name());
+            }
+        }
+    }
+
+    #[test]
+    fn names_find_their_networks() {
+        for standard in Standard::ALL {
+            assert_eq!(Standard::named(standard.name()), Some(standard));
+        }
+        assert_eq!(Standard::named("random-2m"), None);
+    }
+}

@@ -1,0 +1,142 @@
+//! `nsim bench`: measures.
+
+use std::time::Duration;
+
+use crate::bench::networks::{Bench, Standard};
+use crate::bench::{Budget, Environment, measure};
+use crate::cli::{Answer, Context, common};
+use crate::compile::{CompileError, Options, compile_quantised};
+use crate::error::Error;
+use crate::io;
+use crate::ir::program::Program;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
+use crate::machine::{Image, Machine, Settings};
+use crate::report::bench::{StepReport, StepRow};
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim bench step                                   microseconds a timestep on standard networks
+  nsim bench step --network vtsnn-1pct --seconds 5  one of them, for longer
+  nsim bench step --format json > speed.json        with the environment, for comparison";
+
+/// Measure speed on standard networks
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(subcommand)]
+    bench: Which,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Which {
+    Step(StepArgs),
+}
+
+/// Microseconds a timestep on standard networks: medians, and the distance of the quartiles
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct StepArgs {
+    /// Only these networks: vtsnn-1pct, vtsnn-5pct, random-32k, random-1m, silent-1m [default: all; the last two map for a
+    /// minute and take 4 GiB]
+    #[arg(long, value_name = "NAME", num_args = 1.., value_parser = standard)]
+    network: Vec<Standard>,
+    /// Seconds that each row is measured for, set-up not included
+    #[arg(long, value_name = "S", default_value = "1", value_parser = seconds)]
+    seconds: Duration,
+    /// Instead: exactly so many steps, once, without warm-up, for counting instructions
+    #[arg(long, value_name = "N", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
+    steps: Option<u64>,
+}
+
+fn standard(name: &str) -> Result<Standard, String> {
+    Standard::named(name).ok_or_else(|| {
+        let names: Vec<&str> = Standard::ALL.iter().map(|standard| standard.name()).collect();
+        format!("standard networks are: {}", names.join(", "))
+    })
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if (0.0..=3600.0).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("seconds are between 0 and 3600".to_string()),
+    }
+}
+
+/// The command.
+///
+/// # Errors
+/// [`Error::Fault`] when a standard network cannot be made.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let Which::Step(args) = &args.bench;
+    let networks: Vec<Standard> = match args.network.as_slice() {
+        [] => Standard::ALL.to_vec(),
+        given => given.to_vec(),
+    };
+    let environment = Environment::here();
+    if environment.profile == "debug" {
+        tracing::warn!("this nsim was built without --release; its times mean nothing");
+    }
+    let budget = args.steps.map_or(Budget::Time(args.seconds), Budget::Steps);
+    let bar = common::progress(context, networks.len() as u64, "networks");
+    let mut rows = Vec::new();
+    let mut mapped: Option<(Standard, Program)> = None;
+    for standard in networks {
+        let Bench { network, period, target } = standard.build().map_err(|e| fault(standard, &e))?;
+        let program = match mapped.take() {
+            Some((of, program)) if of == standard.program_of() => program,
+            _ => map(standard, network, target)?,
+        };
+        rows.extend(step_rows(standard, &program, &period, budget, context)?);
+        mapped = Some((standard.program_of(), program));
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let report = StepReport { environment: &environment, rows: &rows };
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(Answer::Yes)
+}
+
+/// One network's rows: with skipping and without on one thread, and on all threads where that can pay.
+fn step_rows(
+    standard: Standard,
+    program: &Program,
+    period: &Sample,
+    budget: Budget,
+    context: Context,
+) -> Result<Vec<StepRow>, Error> {
+    // Threads and skipping.
+    let mut settings = vec![(1, true)];
+    if let Budget::Time(_) = budget {
+        settings.push((1, false));
+    }
+    if standard.wants_threads() && context.threads > 1 {
+        settings.push((context.threads, true));
+    }
+    let synapses: u64 = program.cores().iter().map(|image| image.synapses.items().len() as u64).sum();
+    let measured = settings.into_iter().map(|(threads, skip)| {
+        let image = Image::new(program, threads).map_err(|e| fault(standard, &e))?;
+        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+        let measured = measure(&mut machine, period, budget);
+        let bytes = (image.bytes() + machine.bytes()) as f64;
+        let bytes_per_synapse = (synapses > 0).then(|| bytes / synapses as f64);
+        Ok(StepRow { network: standard.name(), threads, skip, measured, bytes_per_synapse })
+    });
+    measured.collect()
+}
+
+fn map(standard: Standard, network: Quantised, target: &str) -> Result<Program, Error> {
+    let target = io::target::load_target(target)?;
+    let compiled = compile_quantised(network, &target, &Options::default()).map_err(|error| match error {
+        CompileError::Input(diagnostic) => diagnostic.into(),
+        other => fault(standard, &other),
+    })?;
+    for (stage, seconds) in &compiled.seconds {
+        tracing::info!("{}: {stage} {seconds:.3} s", standard.name());
+    }
+    Ok(compiled.program)
+}
+
+fn fault(standard: Standard, error: &dyn std::fmt::Display) -> Error {
+    Error::Fault(format!("{}: {error}", standard.name()))
+}

@@ -1,0 +1,195 @@
+//! The result of `nsim bench` as text, JSON and CSV.
+
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use crate::bench::{Environment, Measured};
+
+/// A row of `nsim bench step`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepRow {
+    /// The standard network.
+    pub network: &'static str,
+    /// Threads that its cores were shared out over.
+    pub threads: usize,
+    /// Whether what is at rest was left out.
+    pub skip: bool,
+    /// What was measured.
+    pub measured: Measured,
+    /// Resident bytes of the machine divided by synapses, when they are known.
+    pub bytes_per_synapse: Option<f64>,
+}
+
+impl StepRow {
+    fn events(&self) -> f64 {
+        self.measured.per_step(self.measured.totals.synaptic_events)
+    }
+
+    fn spikes(&self) -> f64 {
+        self.measured.per_step(self.measured.totals.spikes)
+    }
+}
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct StepReport<'a> {
+    /// Where it was measured.
+    pub environment: &'a Environment,
+    /// The rows, in the order of measurement.
+    pub rows: &'a [StepRow],
+}
+
+/// Digits that a timing is good for.
+fn rounded(x: f64) -> f64 {
+    format!("{x:.4e}").parse().unwrap_or(x)
+}
+
+impl StepReport<'_> {
+    /// `nsim.bench/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let Environment { cpu, cores, os, rustc, nsim, profile } = self.environment;
+        let row = |row: &StepRow| {
+            json!({
+                "network": row.network,
+                "threads": row.threads,
+                "skip": row.skip,
+                "us_per_timestep": rounded(row.measured.us_per_timestep),
+                "spread": rounded(row.measured.spread),
+                "synaptic_events_per_step": rounded(row.events()),
+                "bytes_per_synapse": row.bytes_per_synapse.map(rounded),
+                "fastest_us": rounded(row.measured.fastest),
+                "spikes_per_step": rounded(row.spikes()),
+                "repeats": row.measured.repeats,
+                "steps_per_repeat": row.measured.steps,
+            })
+        };
+        json!({
+            "schema": "nsim.bench/1",
+            "name": "step",
+            "environment": {
+                "cpu": cpu, "cores": cores, "os": os, "rustc": rustc, "nsim": nsim, "profile": profile,
+            },
+            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row each.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        out.write_record([
+            "network",
+            "threads",
+            "skip",
+            "us_per_timestep",
+            "spread",
+            "synaptic_events_per_step",
+            "bytes_per_synapse",
+        ])?;
+        for row in self.rows {
+            out.write_record([
+                row.network.to_string(),
+                row.threads.to_string(),
+                row.skip.to_string(),
+                rounded(row.measured.us_per_timestep).to_string(),
+                rounded(row.measured.spread).to_string(),
+                rounded(row.events()).to_string(),
+                row.bytes_per_synapse.map_or(String::new(), |bytes| rounded(bytes).to_string()),
+            ])?;
+        }
+        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut table = Table::new();
+        table.load_style(comfy_table::presets::NOTHING);
+        table.set_header([
+            "network",
+            "threads",
+            "skip",
+            "us a step",
+            "quartiles apart",
+            "fastest",
+            "synaptic events",
+            "spikes",
+            "ns an event",
+            "bytes a synapse",
+        ]);
+        for row in self.rows {
+            let (us, events) = (row.measured.us_per_timestep, row.events());
+            table.add_row([
+                row.network.to_string(),
+                row.threads.to_string(),
+                if row.skip { "on" } else { "off" }.to_string(),
+                significant(us),
+                significant(row.measured.spread),
+                significant(row.measured.fastest),
+                format!("{events:.0}"),
+                format!("{:.1}", row.spikes()),
+                if events > 0.0 { significant(us * 1e3 / events) } else { String::new() },
+                row.bytes_per_synapse.map_or(String::new(), significant),
+            ]);
+        }
+        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        format!("{}\n\n{table}\n", self.environment)
+    }
+}
+
+/// Three significant digits, or a whole number.
+fn significant(x: f64) -> String {
+    let decimals = if x > 0.0 { (2 - x.log10().floor() as i32).clamp(0, 6) } else { 0 };
+    format!("{x:.*}", decimals as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ir::activity::Totals;
+
+    fn report(check: impl Fn(StepReport)) {
+        let totals = Totals { synaptic_events: 4_000, spikes: 10, ..Totals::default() };
+        let measured = Measured { us_per_timestep: 1.25, fastest: 1.2, spread: 0.02, repeats: 5, steps: 2, totals };
+        let row =
+            |bytes_per_synapse| StepRow { network: "vtsnn-1pct", threads: 1, skip: true, measured, bytes_per_synapse };
+        check(StepReport { environment: &Environment::here(), rows: &[row(None), row(Some(7.5))] });
+    }
+
+    #[test]
+    fn json_has_the_keys_of_the_contract() {
+        report(|report| {
+            let json = report.json();
+            assert_eq!((&json["schema"], &json["name"]), (&json!("nsim.bench/1"), &json!("step")));
+            for key in ["cpu", "cores", "os", "rustc", "nsim"] {
+                assert!(!json["environment"][key].is_null(), "{key}");
+            }
+            let row = &json["rows"][0];
+            assert_eq!(
+                (&row["network"], &row["threads"], &row["skip"]),
+                (&json!("vtsnn-1pct"), &json!(1), &json!(true))
+            );
+            assert_eq!((&row["us_per_timestep"], &row["spread"]), (&json!(1.25), &json!(0.02)));
+            assert_eq!((&row["synaptic_events_per_step"], &row["bytes_per_synapse"]), (&json!(400.0), &Value::Null));
+            assert_eq!(json["rows"][1]["bytes_per_synapse"], json!(7.5));
+        });
+    }
+
+    #[test]
+    fn text_and_csv_have_a_line_for_each_row() {
+        report(|report| {
+            assert_eq!(report.csv().unwrap().lines().nth(1), Some("vtsnn-1pct,1,true,1.25,0.02,400,"));
+            assert_eq!(report.text().lines().filter(|line| line.contains("vtsnn-1pct")).count(), 2);
+        });
+    }
+
+    #[test]
+    fn three_digits_are_shown() {
+        let shown = [0.0, 0.000_123_4, 0.1999, 12.345, 1234.5].map(significant);
+        assert_eq!(shown, ["0", "0.000123", "0.200", "12.3", "1234"]);
+    }
+}
