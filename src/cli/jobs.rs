@@ -2,6 +2,9 @@
 
 use std::path::PathBuf;
 
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::PopulationId;
+use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context};
 use crate::compile::{self, CompileError, Compiled, Options, Reason};
 use crate::desc::target::Target;
@@ -22,6 +25,9 @@ pub struct JobArgs {
     /// A mapping saved by `nsim map -o`
     #[arg(long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub prune: PruneArgs,
 }
 
 /// A network ready to run.
@@ -88,15 +94,50 @@ impl Job {
     }
 }
 
+impl From<CompileError> for Error {
+    /// What does not fit is an answer; where none is expected it is told as an input that cannot be used.
+    fn from(error: CompileError) -> Self {
+        match error {
+            CompileError::Input(diagnostic) => diagnostic.into(),
+            CompileError::Fault(message) => Error::Fault(message),
+            CompileError::DoesNotFit(_) => Diagnostic::new("map.does-not-fit", error.to_string()).into(),
+        }
+    }
+}
+
 /// Loads a model, and maps it unless only the golden engine is wanted.
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.
 pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> Result<Prepared, Error> {
+    prepare_probed(args, mapped, copies, &[], context)
+}
+
+/// The same, with the populations of these names whole however much is pruned.
+///
+/// # Errors
+/// As [`prepare`].
+pub fn prepare_probed(
+    args: &JobArgs,
+    mapped: bool,
+    copies: u32,
+    probed: &[&str],
+    context: Context,
+) -> Result<Prepared, Error> {
+    args.prune.not_with_mapping(args.mapping.is_some())?;
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
+    let front = || -> Result<compile::Front, Error> {
+        let front = compile::front(&network)?;
+        let of_name = |name: &&str| front.quantised().population_named(name);
+        let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
+        Ok(match args.prune.plan(front.quantised(), &probed)? {
+            Some(plan) => front.prune(&plan)?,
+            None => front,
+        })
+    };
     if !mapped {
-        let quantised = compile::quantise::quantise(&compile::lower::lower(&network)?)?;
+        let quantised = front()?.into_quantised();
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
     }
@@ -106,7 +147,7 @@ pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> R
         Some(path) => {
             compile::compile_network_with_mapping(&network, &target, &options, &io::mapping::load_mapping(path)?)
         }
-        None => compile::compile(&network, &target, &options),
+        None => front()?.map(&target, &options),
     };
     match compiled {
         Ok(compiled) => {
@@ -129,12 +170,11 @@ fn say_notes(quantised: &Quantised) {
 /// [`Error`] unless the error is that it does not fit.
 pub fn does_not_fit(error: CompileError, model: &str, target: &Target, context: Context) -> Result<Answer, Error> {
     match error {
-        CompileError::Input(diagnostic) => Err(diagnostic.into()),
-        CompileError::Fault(message) => Err(Error::Fault(message)),
         CompileError::DoesNotFit(reasons) => {
             say_reasons(model, target, &reasons, context)?;
             Ok(Answer::No)
         }
+        other => Err(other.into()),
     }
 }
 

@@ -1,16 +1,19 @@
 //! `nsim map`: compiles a model for a target and says how it fits, or every reason why it does not.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, Format};
 use crate::compile::{
-    CompileError, Compiled, Objective, Options, Strategy, compile, compile_network_with_mapping, traffic,
+    CompileError, Compiled, Objective, Options, Reason, Strategy, compile_network_with_mapping, front, traffic,
 };
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
+use crate::ir::pruned::Pruned;
 use crate::report::map::{self as report, Outcome, Question};
 
 const EXAMPLES: &str = "\
@@ -19,6 +22,7 @@ EXAMPLES:
   nsim map model.ron --target loihi1-chip           on one chip, or every reason why not
   nsim map --copies 32 -o packed.ron                32 copies; keep the mapping
   nsim map --copies 32 --mapping packed.ron         check and use a kept mapping
+  nsim map --prune static                           without what can change no output, and what that was
   nsim map model.ron --format json                  for scripts";
 
 /// What is typed after `nsim map`.
@@ -46,6 +50,9 @@ pub struct MapArgs {
     /// Seed of strategies that draw.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub prune: PruneArgs,
     /// Where to save the mapping.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
@@ -80,8 +87,10 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let target = io::target::load_target(&args.target)?;
     let mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
-    let compiled = fit(&network, &target, &options, mapping.as_ref())?;
-    let question = Question { model: &network.file().name, target: &target, options: &options };
+    args.prune.not_with_mapping(mapping.is_some())?;
+    let (compiled, pruned) = fit(&network, &target, &options, mapping.as_ref(), &args.prune)?;
+    let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
+    let question = Question { model: &network.file().name, target: &target, options: &options, pruned };
     let outcome = match &compiled {
         Ok(compiled) => Outcome::Fits(compiled, traffic::traffic(&compiled.program, traffic::DEFAULT_RATE)),
         Err(reasons) => Outcome::DoesNotFit(reasons),
@@ -106,22 +115,35 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
     }
 }
 
-/// A compiled program or the reasons why there is none.
+/// A compiled program or the reasons why there is none, and what was pruned.
+type Fit = (Result<Compiled, Vec<Reason>>, Option<Arc<Pruned>>);
+
 fn fit(
     network: &Network,
     target: &Target,
     options: &Options,
     mapping: Option<&MappingFile>,
-) -> Result<Result<Compiled, Vec<crate::compile::Reason>>, Error> {
-    let compiled = match mapping {
-        Some(file) => compile_network_with_mapping(network, target, options, file),
-        None => compile(network, target, options),
+    prune: &PruneArgs,
+) -> Result<Fit, Error> {
+    let (compiled, pruned) = match mapping {
+        Some(file) => {
+            let compiled = compile_network_with_mapping(network, target, options, file);
+            let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
+            (compiled, pruned)
+        }
+        None => {
+            let mut front = front(network)?;
+            if let Some(plan) = prune.plan(front.quantised(), &[])? {
+                front = front.prune(&plan)?;
+            }
+            let pruned = front.quantised().pruned().cloned();
+            (front.map(target, options), pruned)
+        }
     };
     match compiled {
-        Ok(compiled) => Ok(Ok(compiled)),
-        Err(CompileError::DoesNotFit(reasons)) => Ok(Err(reasons)),
-        Err(CompileError::Input(diagnostic)) => Err(diagnostic.into()),
-        Err(CompileError::Fault(message)) => Err(Error::Fault(message)),
+        Ok(compiled) => Ok((Ok(compiled), pruned)),
+        Err(CompileError::DoesNotFit(reasons)) => Ok((Err(reasons), pruned)),
+        Err(other) => Err(other.into()),
     }
 }
 
@@ -180,7 +202,7 @@ mod tests {
         let network = io::model::load_model("vtsnn-slip").unwrap();
         let asked = |target: &str, copies| {
             let target = io::target::load_target(target).unwrap();
-            fit(&network, &target, &Options { copies, ..Options::default() }, None).unwrap()
+            fit(&network, &target, &Options { copies, ..Options::default() }, None, &PruneArgs::default()).unwrap().0
         };
         let compiled = asked("nahuku-32", 1).unwrap();
         let used = compiled.partition.usage().as_slice();
