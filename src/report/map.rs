@@ -102,7 +102,7 @@ const SHOWN_NAMES: usize = 6;
 fn pruned_table(rows: &[PrunedRow]) -> String {
     let mut table = Table::new();
     table.load_style(comfy_table::presets::NOTHING);
-    table.set_header(["pruned", "count", "of", "because it"]);
+    table.set_header(["pruned", "count", "of", "why"]);
     for row in rows {
         let mut of: Vec<String> =
             row.of.iter().take(SHOWN_NAMES).map(|(name, count)| format!("{name}: {count}")).collect();
