@@ -18,6 +18,8 @@ use crate::machine::tally::longest_delay;
 
 /// Lanes of a granule.
 pub const GRANULE: usize = 64;
+/// The shortest run of lanes that is worth a row: a row costs about as much as so many single synapses.
+const SHORTEST_ROW: usize = 5;
 /// The shortest run of equal fields that is worth a block of its own.
 const SHORTEST_RUN: usize = 8;
 
@@ -354,7 +356,7 @@ impl<'p> Image<'p> {
         for image in &parts.cores {
             for synapse in image.synapses.items() {
                 let delay = synapse.delay.get();
-                if image.formats[usize::from(synapse.format)].index_bits.is_some() && !delays.contains(&delay) {
+                if !delays.contains(&delay) {
                     delays.push(delay);
                 }
             }
@@ -393,6 +395,7 @@ impl<'p> Image<'p> {
             if u32::try_from(most).is_err() {
                 return Err(ImageError::TooMany(most));
             }
+            share.sparse.retain(|table| !table.targets.is_empty());
             for table in &mut share.sparse {
                 table.targets.shrink_to_fit();
                 table.weights.shrink_to_fit();
@@ -404,40 +407,36 @@ impl<'p> Image<'p> {
         Ok(())
     }
 
-    /// Adds one axon's list to the source that is being connected.
+    /// Adds one axon's list to the source that is being connected: consecutive lanes as a row, others one by one.
     fn append(&mut self, image: &CoreImage, synapses: &[Synapse]) {
-        /// A row in the making.
-        struct Open {
-            share: usize,
-            next: u32,
-            delay: u8,
-        }
-        let mut open: Option<Open> = None;
-        for synapse in synapses {
-            let (share, lane) = self.lane(image.ids[usize::from(synapse.slot)]);
-            let (lane, delay, weight) = (lane as u32, synapse.delay.get(), units(image, synapse) as i16);
-            let share_data = &mut self.shares[share];
-            if image.formats[usize::from(synapse.format)].index_bits.is_some() {
-                let table = share_data.sparse.iter_mut().find(|table| table.delay == delay);
+        let place = |image_of: &Self, synapse: &Synapse| {
+            let (share, lane) = image_of.lane(image.ids[usize::from(synapse.slot)]);
+            (share, lane, synapse.delay.get())
+        };
+        let mut from = 0;
+        while from < synapses.len() {
+            let (share, lane, delay) = place(self, &synapses[from]);
+            let follows = |(i, synapse): &(usize, &Synapse)| place(self, synapse) == (share, lane + i, delay);
+            let run = synapses[from..].iter().enumerate().take_while(follows).count();
+            let weights = synapses[from..from + run].iter().map(|synapse| units(image, synapse) as i16);
+            let data = &mut self.shares[share];
+            if run >= SHORTEST_ROW {
+                let chunks = run.div_ceil(LANES);
+                data.rows.push(Row {
+                    target: lane as u32,
+                    weights: data.row_weights.len() as u32,
+                    chunks: chunks as u16,
+                    delay,
+                });
+                data.row_weights.extend(weights);
+                data.row_weights.resize(data.row_weights.len() + chunks * LANES - run, 0);
+            } else {
+                let table = data.sparse.iter_mut().find(|table| table.delay == delay);
                 let table = table.expect("every delay has a table");
-                table.targets.push(lane);
-                table.weights.push(weight);
-                continue;
+                table.targets.extend((lane..lane + run).map(|lane| lane as u32));
+                table.weights.extend(weights);
             }
-            let continues =
-                matches!(open, Some(Open { share: s, next, delay: d }) if (s, next, d) == (share, lane, delay));
-            if !continues {
-                let row = Row { target: lane, weights: share_data.row_weights.len() as u32, chunks: 0, delay };
-                share_data.rows.push(row);
-            }
-            let row = share_data.rows.last_mut().expect("a row is open");
-            let offset = lane - row.target;
-            if offset.is_multiple_of(LANES as u32) {
-                row.chunks += 1;
-                share_data.row_weights.extend([0; LANES]);
-            }
-            share_data.row_weights[(row.weights + offset) as usize] = weight;
-            open = Some(Open { share, next: lane + 1, delay });
+            from += run;
         }
     }
 }
