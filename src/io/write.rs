@@ -81,7 +81,7 @@ pub fn file(
 /// Writes a text file.
 ///
 /// # Errors
-/// As [`file`].
+/// As [`file()`].
 pub fn text(path: &Path, force: bool, text: &str) -> Result<(), Diagnostic> {
     file(path, force, |out| out.write_all(text.as_bytes()))
 }

@@ -6,7 +6,7 @@
 //!
 //! *Registers.* Decay (3) is monotone and odd. From u = 0 (at the start, after a reset, while held) and with arrivals of at
 //! most H >= 0, u never exceeds any X >= 0 with `decay(X) + H <= X`: if u <= X, the next u is at most decay(X) + H <= X. The
-//! least such X is [`ceiling`]. L bounds u from below in the same way, and what then enters v bounds v. v returns to 0 at
+//! least such X is `ceiling`. L bounds u from below in the same way, and what then enters v bounds v. v returns to 0 at
 //! resets, so a negative input bounds v by itself. Upper and lower bound are both needed, because a value that leaves its
 //! field on one side may come back on the other:
 //!
