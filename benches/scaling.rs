@@ -22,7 +22,7 @@ use nsim::io;
 use nsim::ir::program::Program;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Engine, Sample};
-use nsim::machine::{Machine, Settings};
+use nsim::machine::{Image, Machine, Settings};
 
 fn map(network: Quantised, target: &str) -> Program {
     let target = io::target::load_target(target).unwrap();
@@ -35,7 +35,8 @@ fn events(c: &mut Criterion) {
     for driven in [2, 16, 156, 1_562, 15_625] {
         let bench = events_only(16_384, driven, 16).unwrap();
         let program = map(bench.network, bench.target);
-        let mut machine = Machine::new(&program, Settings::default()).unwrap();
+        let image = Image::new(&program, 1).unwrap();
+        let mut machine = Machine::new(&image, Settings::default());
         machine.begin(u32::MAX);
         let mut at = 0;
         group.throughput(Throughput::Elements(64 * u64::from(driven)));
@@ -55,9 +56,10 @@ fn whole_samples(c: &mut Criterion, input: &str, program: &Program, samples: &[S
     let mut group = c.benchmark_group(format!("skipping/{input}"));
     group.sample_size(20).measurement_time(Duration::from_secs(2));
     group.throughput(Throughput::Elements(samples.iter().map(|sample| u64::from(sample.steps())).sum()));
-    let keep = Keep { output: program.output(), probes: Vec::new() };
+    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let image = Image::new(program, 1).unwrap();
     for (name, skip) in [("on", true), ("off", false)] {
-        let mut machine = Machine::new(program, Settings { skip, shards: 1 }).unwrap();
+        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
         group.bench_function(name, |b| {
             b.iter(|| {
                 for sample in samples {

@@ -13,7 +13,7 @@ use nsim::compile::{Options, compile_quantised};
 use nsim::io::target::load_target;
 use nsim::ir::program::Program;
 use nsim::ir::spikes::Engine;
-use nsim::machine::{Machine, Settings};
+use nsim::machine::{Image, Machine, Settings};
 
 /// Steps after which the input's rate is the network's.
 const SETTLING: u64 = 40;
@@ -32,11 +32,12 @@ fn step(c: &mut Criterion) {
                 compile_quantised(bench.network, &target, &Options::default()).unwrap().program
             }
         };
-        for shards in if standard.wants_threads() && cores > 1 { vec![1, 2] } else { vec![1] } {
-            let mut machine = Machine::new(&program, Settings { skip: true, shards }).unwrap();
+        for shares in if standard.wants_threads() && cores > 1 { vec![1, 2] } else { vec![1] } {
+            let image = Image::new(&program, shares).unwrap();
+            let mut machine = Machine::new(&image, Settings::default());
             machine.begin(u32::MAX);
             let mut at = steps(&mut machine, &bench.period, 0, SETTLING);
-            group.bench_function(format!("{}/{shards}", standard.name()), |b| {
+            group.bench_function(format!("{}/{shares}", standard.name()), |b| {
                 b.iter_custom(|count| {
                     let begin = Instant::now();
                     at = steps(&mut machine, &bench.period, at, count);

@@ -1,8 +1,12 @@
 //! Runs samples through an engine and keeps what was asked for.
 //!
-//! Comes in: an engine, samples, the output population, probes. Goes out: an [`Outcome`] for each sample, in run order.
-//! Samples share nothing: each begins from rest, nothing drains at its end.
+//! Comes in: an engine, samples, the output population, probes, perhaps a rule by which a sample ends before its last
+//! step. Goes out: an [`Outcome`] for each sample, in run order. Samples share nothing: each begins from rest, nothing
+//! drains at its end. A sample that is decided early did what the first steps of the whole sample do, count by count.
 
+pub mod decision;
+
+use decision::{Decision, EarlyExit};
 use sha2::{Digest, Sha256};
 
 use crate::base::id::CompartmentId;
@@ -39,13 +43,15 @@ pub struct Probe {
     pub quantity: Quantity,
 }
 
-/// What to keep of each sample.
+/// What to keep of each sample, and when it ends.
 #[derive(Debug, Clone)]
 pub struct Keep {
     /// First compartment and size of the output population.
     pub output: (CompartmentId, u32),
-    /// Probes.
+    /// Probes; the steps that an early exit leaves off stay zero in them.
     pub probes: Vec<Probe>,
+    /// What ends a sample before its last step; its outputs are those of `output`.
+    pub early_exit: Option<EarlyExit>,
 }
 
 /// What one sample did.
@@ -55,8 +61,12 @@ pub struct Outcome {
     pub counts: Vec<u32>,
     /// (step, output) of each output spike, ascending.
     pub spikes: Vec<(u32, u32)>,
-    /// Timesteps.
+    /// Timesteps that were run.
     pub steps: u32,
+    /// The step after whose update the sample was decided, so that the rest was left off; `None` when it ran to its end.
+    pub decided_at: Option<u32>,
+    /// Timesteps of the sample that were left off.
+    pub steps_saved: u32,
     /// Counts that any engine keeps.
     pub totals: Totals,
     /// What left its field.
@@ -77,24 +87,30 @@ impl Outcome {
 }
 
 /// Runs one sample; `after_step` sees the engine after each step, or after so many steps in which nothing happened.
-pub fn run_sample<E: Engine>(
+pub fn run_sample<E: Engine + ?Sized>(
     engine: &mut E,
     sample: &Sample,
     keep: &Keep,
     mut after_step: impl FnMut(&E, u32),
 ) -> Outcome {
     let (first, size) = keep.output;
-    let mut outcome = Outcome { counts: vec![0; size as usize], steps: sample.steps(), ..Outcome::default() };
+    let mut outcome = Outcome { counts: vec![0; size as usize], ..Outcome::default() };
     outcome.probes = keep.probes.iter().map(|probe| vec![0; probe.count as usize * sample.steps() as usize]).collect();
+    let mut decision = keep.early_exit.as_ref().map(|exit| Decision::new(exit, sample.steps()));
     engine.begin(sample.steps());
     let mut step = 0;
-    while step < sample.steps() {
+    // Certainty may come in the midst of silence.
+    let in_silence = |decision: &Option<Decision<'_>>, begin, end| decision.as_ref()?.decided_in_silence(begin, end);
+    while step < sample.steps() && outcome.decided_at.is_none() {
         if sample.at(step).is_empty() {
             let next = sample.next_spike(step);
-            if engine.rest(next - step) {
-                outcome.skipped_steps += u64::from(next - step);
-                after_step(engine, next - step);
-                step = next;
+            let decided = in_silence(&decision, step, next);
+            let passed = decided.map_or(next, |decided| decided + 1) - step;
+            if engine.rest(passed) {
+                outcome.skipped_steps += u64::from(passed);
+                after_step(engine, passed);
+                outcome.decided_at = decided;
+                step += passed;
                 continue;
             }
         }
@@ -103,20 +119,28 @@ pub fn run_sample<E: Engine>(
             if let Some(output) = compartment.0.checked_sub(first.0).filter(|&output| output < size) {
                 outcome.counts[output as usize] += 1;
                 outcome.spikes.push((step, output));
+                if let Some(decision) = &mut decision {
+                    decision.spike(step, output);
+                }
             }
         }
         for (probe, kept) in keep.probes.iter().zip(&mut outcome.probes) {
             record(engine, probe, step as usize, sample.steps() as usize, kept);
         }
         after_step(engine, 1);
+        outcome.decided_at = decision.as_ref().filter(|decision| decision.decided_after(step)).map(|_| step);
         step += 1;
     }
+    outcome.steps = step;
+    outcome.steps_saved = sample.steps() - step;
+    // What is decided by the last step is not early.
+    outcome.decided_at = outcome.decided_at.filter(|_| outcome.steps_saved > 0);
     outcome.totals = engine.totals();
     outcome.overflow = engine.overflow();
     outcome
 }
 
-fn record<E: Engine>(engine: &E, probe: &Probe, step: usize, steps: usize, kept: &mut [i32]) {
+fn record<E: Engine + ?Sized>(engine: &E, probe: &Probe, step: usize, steps: usize, kept: &mut [i32]) {
     let compartment = |i: u32| CompartmentId(probe.first.0 + i);
     let read: fn(&E, CompartmentId) -> i32 = match probe.quantity {
         Quantity::Spikes => {

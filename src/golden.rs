@@ -71,6 +71,8 @@ pub struct Golden {
     compartments: IdVec<CompartmentId, Compartment>,
     /// Steps done, hence the number of the next.
     done: u32,
+    /// Steps of the sample.
+    steps: u32,
     /// Which channels spiked, the latest step first.
     channel_history: VecDeque<Vec<bool>>,
     /// Which compartments spiked, the latest step first.
@@ -108,6 +110,7 @@ impl Golden {
             channels: network.channels() as usize,
             compartments,
             done: 0,
+            steps: 0,
             channel_history: VecDeque::new(),
             compartment_history: VecDeque::new(),
             spikes: Vec::new(),
@@ -123,6 +126,25 @@ impl Golden {
             SpikeSource::Compartment(compartment) => (&self.compartment_history, compartment.index()),
         };
         history.get(ago as usize).is_some_and(|step| step[index])
+    }
+
+    /// Events of spikes that are still on their way and arrive before the sample's end; none once it is over.
+    fn events_in_flight(&self) -> u64 {
+        let arrives = |synapse: &Synapse, ago: u32| {
+            let spiked_in = self.done - 1 - ago;
+            spiked_in + synapse.way >= self.done && spiked_in + synapse.way < self.steps
+        };
+        if self.done >= self.steps {
+            return 0;
+        }
+        let mut events = 0;
+        for synapse in self.compartments.iter().flat_map(|compartment| &compartment.incoming) {
+            // The latest step is the first row of the histories.
+            for ago in 0..self.done.min(synapse.way + 1) {
+                events += u64::from(arrives(synapse, ago) && self.spiked(synapse.source, ago));
+            }
+        }
+        events
     }
 
     /// The sum of all that arrives at a compartment in this step, and the number of synapses that it arrives over.
@@ -181,7 +203,8 @@ impl Golden {
 }
 
 impl Engine for Golden {
-    fn begin(&mut self, _steps: u32) {
+    fn begin(&mut self, steps: u32) {
+        self.steps = steps;
         for compartment in self.compartments.iter_mut() {
             compartment.state = State::default();
         }
@@ -241,7 +264,9 @@ impl Engine for Golden {
     }
 
     fn totals(&self) -> Totals {
-        self.totals
+        // Rule (12): an event counts with the spike that causes it, if the sample is long enough for it to arrive.
+        let synaptic_events = self.totals.synaptic_events + self.events_in_flight();
+        Totals { synaptic_events, ..self.totals }
     }
 
     fn overflow(&self) -> Overflow {

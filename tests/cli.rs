@@ -148,6 +148,9 @@ fn errors_have_a_status_a_place_and_an_object() {
     assert_eq!((code, stdout.as_str()), (3, ""));
     assert!(stderr.contains("bad.ron:2") && stderr.contains("decay 5000"), "{stderr}");
 
+    let usage = object(&["map", "--bogus"], 2);
+    assert_eq!((&usage["schema"], &usage["code"]), (&"nsim.error/1".into(), &"usage".into()));
+    assert!(usage["message"].as_str().unwrap().contains("--bogus"), "{usage}");
     assert_eq!(said(&["run", "--samples", "5..2"]).0, 2);
     assert_eq!(said(&["run", "--samples", "500..501"]).0, 2);
     assert_eq!(said(&["no-such-command"]).0, 2);
@@ -174,6 +177,50 @@ fn probes_are_written_once_and_replaced_only_by_force() {
     assert_eq!(said(&arguments).0, 3, "the files exist");
     assert_eq!(said(&[arguments.as_slice(), &["--force"]].concat()).0, 0);
     assert_eq!(said(&["run", &model, "--input", &spikes, "--probe", "in.v", "-o", &out]).0, 2);
+}
+
+/// Bytes on stdin are an array or an event list by what they are; a file may have a name like a population's argument.
+#[test]
+fn spikes_come_through_a_pipe_and_from_oddly_named_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let events = "0,0\n1,1\n3,2\n";
+    let mut array = Vec::new();
+    nsim::io::npy::write_u8(&mut array, &[3, 4], [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1]).unwrap();
+    let piped = |bytes: &[u8]| -> Value {
+        let mut command = nsim(&["run", &model, "--input", "-", "--format", "json"]);
+        let output = command.write_stdin(bytes).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let (of_events, of_array) = (piped(events.as_bytes()), piped(&array));
+    assert_eq!((&of_events["digest"], &of_events["activity"]), (&of_array["digest"], &of_array["activity"]));
+    assert_eq!(of_array["activity"]["spikes_in"], 3);
+    write(folder.path(), "day=1 it's.csv", events);
+    let mut command = nsim(&["run", "small.ron", "--input", "day=1 it's.csv", "--format", "json"]);
+    let output = command.current_dir(folder.path()).output().unwrap();
+    let odd: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(odd["digest"], of_array["digest"]);
+}
+
+#[test]
+fn both_classes_occur_over_the_shipped_scene() {
+    let run = object(&["run"], 0);
+    let classes: Vec<u64> = run["predicted"].as_array().unwrap().iter().filter_map(Value::as_u64).collect();
+    assert!(classes.contains(&0) && classes.contains(&1), "{classes:?}");
+    let counts = run["output_counts"].as_array().unwrap();
+    assert!((0..2).all(|output| counts.iter().any(|sample| sample[output].as_u64() > Some(0))));
+}
+
+/// Text for people stands in a terminal of ordinary width.
+#[test]
+fn text_is_no_wider_than_a_wide_terminal() {
+    for arguments in [&["map"][..], &["run"], &["energy"], &["energy", "--deployment", "paper", "--mode", "realtime"]] {
+        let (code, stdout, _) = said(arguments);
+        assert_eq!(code, 0);
+        let widest = stdout.lines().max_by_key(|line| line.chars().count()).unwrap();
+        assert!(widest.chars().count() <= 120, "{arguments:?}: {widest}");
+    }
 }
 
 #[test]

@@ -3,14 +3,11 @@
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
-use nsim::io::model::load_model;
+#[path = "common/memory.rs"]
+mod memory;
 
-/// The most memory that this process ever held, in KiB.
-fn peak() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
-    line.split_whitespace().nth(1)?.parse().ok()
-}
+use memory::peak_kib as peak;
+use nsim::io::model::load_model;
 
 #[test]
 fn long_lists_cost_a_small_multiple_of_their_text() {
@@ -29,7 +26,9 @@ fn long_lists_cost_a_small_multiple_of_their_text() {
         load_model(path.to_str().unwrap()).unwrap();
         let before = peak();
         let length = write(row.repeat((8 << 20) / row.len()));
+        let begin = std::time::Instant::now();
         load_model(path.to_str().unwrap()).unwrap();
+        println!("{what}: {:.3} s", begin.elapsed().as_secs_f64());
         match (before, peak()) {
             (Some(before), Some(after)) => {
                 let grown = (after - before) * 1024;

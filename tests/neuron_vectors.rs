@@ -79,7 +79,7 @@ fn every_recorded_regime_matches_bit_for_bit() {
             if matches_recording(&folder.join(regime), semantics, prefix) {
                 compared += 1;
             } else {
-                println!("skipped: no data for {regime} under {prefix}");
+                common::say(&format!("skipped: no data for {regime} under {prefix}"));
             }
         }
     }

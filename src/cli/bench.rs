@@ -1,17 +1,18 @@
 //! `nsim bench`: measures.
 
-use std::time::Duration;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
 
 use crate::bench::networks::{Bench, Standard};
 use crate::bench::{Budget, Environment, measure};
-use crate::cli::{Answer, Context, Format, common};
+use crate::cli::{Answer, Context, common};
 use crate::compile::{CompileError, Options, compile_quantised};
 use crate::error::Error;
 use crate::io;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
-use crate::machine::{Machine, Settings};
+use crate::machine::{Image, Machine, Settings};
 use crate::report::bench::{StepReport, StepRow};
 
 const EXAMPLES: &str = "\
@@ -93,11 +94,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     bar.finish_and_clear();
     let report = StepReport { environment: &environment, rows: &rows };
-    match context.format {
-        Format::Text => common::print(&report.text())?,
-        Format::Json => common::print_json(&report.json())?,
-        Format::Csv => common::print(&report.csv().map_err(|e| Error::Fault(e.to_string()))?)?,
-    }
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -109,19 +106,29 @@ fn step_rows(
     budget: Budget,
     context: Context,
 ) -> Result<Vec<StepRow>, Error> {
-    let one = |skip| Settings { skip, shards: 1 };
-    let mut settings = vec![one(true)];
+    let mut wanted = vec![(1, true)];
     if let Budget::Time(_) = budget {
-        settings.push(one(false));
+        wanted.push((1, false));
     }
     if standard.wants_threads() && context.threads > 1 {
-        settings.push(Settings { skip: true, shards: context.threads });
+        wanted.push((context.threads, true));
     }
-    let measured = settings.into_iter().map(|settings| {
-        let mut machine = Machine::new(program, settings).map_err(|e| fault(standard, &e))?;
+    let synapses: usize = program.cores().iter().map(|core| core.synapses.items().len()).sum();
+    let measured = wanted.into_iter().map(|(threads, skip)| {
+        let image = Image::new(program, threads).map_err(|e| fault(standard, &e))?;
+        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
         let measured = measure(&mut machine, period, budget);
-        let Settings { skip, shards: threads } = settings;
-        Ok(StepRow { network: standard.name(), threads, skip, measured, bytes_per_synapse: None })
+        let bytes = image.bytes() + machine.bytes();
+        let begin = Instant::now();
+        black_box(machine.take_activity());
+        Ok(StepRow {
+            network: standard.name(),
+            threads,
+            skip,
+            measured,
+            bytes_per_synapse: bytes as f64 / synapses.max(1) as f64,
+            sums_ms: begin.elapsed().as_secs_f64() * 1e3,
+        })
     });
     measured.collect()
 }

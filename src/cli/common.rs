@@ -1,34 +1,30 @@
 //! What several subcommands share: printing, ranges, progress.
 
-use std::io::Write;
 use std::ops::Range;
 use std::str::FromStr;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::cli::Context;
+use crate::cli::{Context, Format};
 use crate::error::Error;
+use crate::io::write;
 
-/// Writes to stdout; a reader that went away is no error.
+/// Prints a result in the format that is asked for.
 ///
 /// # Errors
-/// [`Error::Fault`] when stdout cannot be written for another reason.
-pub fn print(text: &str) -> Result<(), Error> {
-    let mut out = std::io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(Error::Fault(format!("stdout cannot be written: {error}")))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Prints a JSON object.
-///
-/// # Errors
-/// As [`print`].
-pub fn print_json(value: &serde_json::Value) -> Result<(), Error> {
-    print(&format!("{value:#}\n"))
+/// When stdout cannot be written; a reader that went away is no error.
+pub fn print(
+    format: Format,
+    text: impl FnOnce() -> String,
+    json: impl FnOnce() -> serde_json::Value,
+    csv: impl FnOnce() -> Result<String, csv::Error>,
+) -> Result<(), Error> {
+    let out = match format {
+        Format::Text => text(),
+        Format::Json => format!("{:#}\n", json()),
+        Format::Csv => csv().map_err(|error| Error::Fault(format!("csv: {error}")))?,
+    };
+    Ok(write::stdout(&out)?)
 }
 
 /// `A..B` of samples.

@@ -1,14 +1,14 @@
 //! Errors as people and scripts read them.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
-use miette::{GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource, miette};
 use serde_json::json;
 
-use crate::base::diagnostic::{Diagnostic, Place};
-use crate::cli::{Format, common};
+use crate::base::diagnostic::{Diagnostic, Place, SourceText, Span};
+use crate::cli::Format;
 use crate::error::Error;
+use crate::io::write;
 
 /// Prints an error and returns its exit status.
 #[must_use]
@@ -16,11 +16,49 @@ pub fn report(error: &Error, format: Format) -> ExitCode {
     match format {
         Format::Json => {
             // stdout is the result's place; with JSON the error object is the result.
-            let _ = common::print(&format!("{:#}\n", object(error)));
+            let _ = write::stdout(&format!("{:#}\n", object(error)));
         }
-        Format::Text | Format::Csv => eprint!("{}", text(error)),
+        Format::Text | Format::Csv => say(&text(error, colour())),
     }
     ExitCode::from(error.exit_status())
+}
+
+/// Writes to stderr, whether or not anybody still reads it.
+pub fn say(text: &str) {
+    let _ = std::io::stderr().lock().write_all(text.as_bytes());
+}
+
+/// Whether stderr shows colours, and its user wants them (<https://no-color.org>).
+#[must_use]
+pub fn colour() -> bool {
+    std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+}
+
+/// Says what clap says of a command line, as an object when that is the format that it asks for; returns the exit status.
+#[must_use]
+pub fn usage(error: &clap::Error) -> ExitCode {
+    // Help and version are answers; anything else is wrong usage.
+    if !error.use_stderr() {
+        return match write::stdout(&error.render().to_string()) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(_) => ExitCode::from(4),
+        };
+    }
+    let words: Vec<_> = std::env::args_os().collect();
+    let asked = words.windows(2).any(|pair| pair[0] == "--format" && pair[1] == "json");
+    if asked || words.iter().any(|word| word == "--format=json") {
+        let said = error.render().to_string();
+        let (message, rest) = said.split_once("\n\n").unwrap_or((&said, ""));
+        let message = message.strip_prefix("error: ").unwrap_or(message).trim();
+        let object = json!({
+            "schema": "nsim.error/1", "code": "usage", "message": message, "help": rest.trim(),
+            "file": null, "line": null, "column": null,
+        });
+        let _ = write::stdout(&format!("{object:#}\n"));
+    } else {
+        let _ = error.print();
+    }
+    ExitCode::from(2)
 }
 
 fn object(error: &Error) -> serde_json::Value {
@@ -41,49 +79,60 @@ fn object(error: &Error) -> serde_json::Value {
     })
 }
 
-fn text(error: &Error) -> String {
+fn text(error: &Error, colour: bool) -> String {
     match error {
-        Error::Input(diagnostic) => drawn(diagnostic),
+        Error::Input(diagnostic) => drawn(diagnostic, colour),
         Error::Usage(message) => format!("error: {message}\n\nFor more information, try '--help'.\n"),
         Error::Fault(_) => format!("error[fault]: {error}\n"),
     }
 }
 
-/// The message, the lines of the file around the place, and the advice.
-fn drawn(diagnostic: &Diagnostic) -> String {
-    let head = format!("error[{}]: {diagnostic}\n", diagnostic.code);
-    let Some(Place::Text(source, span)) = &diagnostic.place else {
-        return match &diagnostic.help {
-            Some(help) => format!("{head}  help: {help}\n"),
-            None => head,
-        };
-    };
-    // A span over many lines would print them all; the first line says enough.
+/// The most of a line that is shown around the place.
+const SHOWN: usize = 90;
+
+/// The message, the line of the file with the place underlined, and the advice.
+fn drawn(diagnostic: &Diagnostic, colour: bool) -> String {
+    let paint = |code: &str, text: &str| if colour { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() };
+    let mut out = format!("{}: {diagnostic}\n", paint("1;31", &format!("error[{}]", diagnostic.code)));
+    if let Some(Place::Text(source, span)) = &diagnostic.place
+        && let Some((line, marks)) = excerpt(source, *span)
+    {
+        let number = source.position(span.start).line.to_string();
+        let blank = " ".repeat(number.len());
+        out += &format!("{blank} |\n{number} | {line}\n{blank} | {}\n", paint("1;31", &marks));
+    }
+    if let Some(help) = &diagnostic.help {
+        out += &format!("  {}: {help}\n", paint("1", "help"));
+    }
+    out
+}
+
+/// The line of a place, or what of a long one is around it, and marks under the place.
+fn excerpt(source: &SourceText, span: Span) -> Option<(String, String)> {
+    let position = source.position(span.start);
     let text = source.text();
-    let end = text[span.start.min(text.len())..].find('\n').map_or(text.len(), |i| span.start + i);
-    let length = span.end.min(end).saturating_sub(span.start);
-    if text.lines().any(|line| line.len() > 2000) {
-        return head + &diagnostic.help.as_ref().map_or(String::new(), |help| format!("  help: {help}\n"));
+    let start = text.get(..span.start)?.rfind('\n').map_or(0, |at| at + 1);
+    let before = position.column - 1;
+    let skipped = if before > SHOWN * 2 / 3 { before - SHOWN / 3 } else { 0 };
+    // Never the rest of a long line: it may be megabytes.
+    let rest = text[start..].lines().next().unwrap_or_default();
+    let mut shown: String = rest.chars().skip(skipped).take(SHOWN).collect();
+    if shown.trim().is_empty() {
+        return None;
     }
-    let label = || vec![LabeledSpan::at(span.start..span.start + length, "here")];
-    let report = match &diagnostic.help {
-        Some(help) => miette!(labels = label(), code = diagnostic.code, help = help.clone(), "{}", diagnostic.message),
-        None => miette!(labels = label(), code = diagnostic.code, "{}", diagnostic.message),
-    };
-    let report = report.with_source_code(NamedSource::new(source.path().display().to_string(), text.to_string()));
-    let plain = !std::io::stderr().is_terminal() || std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    let theme = if plain { GraphicalTheme::unicode_nocolor() } else { GraphicalTheme::unicode() };
-    let mut out = String::new();
-    match GraphicalReportHandler::new_themed(theme).with_width(110).render_report(&mut out, report.as_ref()) {
-        Ok(()) => out,
-        Err(_) => head,
-    }
+    // What moves the cursor would move the marks away.
+    shown = shown.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let length = text.get(span.start..span.end.min(start + rest.len())).map_or(0, |marked| marked.chars().count());
+    let (lead, dots) = if skipped > 0 { ("..", 2) } else { ("", 0) };
+    let room = shown.chars().count() + skipped;
+    let tail = if rest.chars().skip(skipped).nth(SHOWN).is_some() { ".." } else { "" };
+    let marks = "^".repeat(length.clamp(1, (room + 1).saturating_sub(before).max(1)));
+    Some((format!("{lead}{shown}{tail}"), " ".repeat(dots + before - skipped) + &marks))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::base::diagnostic::{SourceText, Span};
 
     #[test]
     fn an_input_error_names_file_line_and_column() {
@@ -95,7 +144,24 @@ mod tests {
         let object = object(&error);
         assert_eq!((object["line"].as_u64(), object["column"].as_u64()), (Some(2), Some(7)));
         assert_eq!(object["message"], "m.ron:2:7: decay 5000 is too much");
-        let text = text(&error);
-        assert!(text.contains("m.ron:2:7") && text.contains("help: less"), "{text}");
+        let text = text(&error, false);
+        assert_eq!(
+            text,
+            "error[model.range]: m.ron:2:7: decay 5000 is too much\n  |\n2 |   du: 5000,\n  |       ^^^^\n  help: less\n"
+        );
+    }
+
+    #[test]
+    fn of_a_long_line_the_part_around_the_place_is_shown() {
+        let text = format!("{}\tbad{}", "x ".repeat(5000), ", y".repeat(5000));
+        let source = SourceText::new("m.ron", text);
+        let (line, marks) = excerpt(&source, Span { start: 10_001, end: 10_004 }).unwrap();
+        assert!(line.chars().count() <= SHOWN + 4, "{line}");
+        let marked: String = line.chars().zip(marks.chars()).filter(|&(_, mark)| mark == '^').map(|(c, _)| c).collect();
+        assert_eq!(marked, "bad");
+        let many = SourceText::new("m.ron", "[\n1,\n2]");
+        assert_eq!(excerpt(&many, Span { start: 0, end: 7 }).unwrap(), ("[".to_string(), "^".to_string()));
+        assert_eq!(excerpt(&many, Span { start: 7, end: 7 }), Some(("2]".to_string(), "  ^".to_string())));
+        assert_eq!(excerpt(&SourceText::new("m.ron", ""), Span { start: 0, end: 0 }), None);
     }
 }

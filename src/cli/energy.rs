@@ -11,27 +11,28 @@ use crate::cli::jobs::{self, JobArgs, Prepared};
 use crate::cli::run::{InputArgs, Switch, select};
 use crate::cli::{Answer, Context, Format, common, inputs, simulate};
 
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::Diagnostic;
 use crate::base::units::Picoseconds;
 use crate::cost::baseline::{Baseline, NetworkShape, SHIPPED};
-use crate::cost::estimate::{Case, Convention, estimate};
+use crate::cost::estimate::{Case, Convention, estimate, spent};
 use crate::cost::{CostTable, Deployment, StepMeter};
 use crate::desc::baseline::Mode;
-use crate::desc::mapping::MappingFile;
-use crate::desc::spanned::parse;
 use crate::desc::target::Target;
-use crate::drive::Keep;
+use crate::drive::decision::{EarlyExit, Rule};
+use crate::drive::{Keep, Outcome};
 use crate::error::Error;
+use crate::io;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::placement::{Mesh, Placement, Site};
 use crate::ir::spikes::Sample;
-use crate::report::energy::{EarlyExit, EnergyReport, constant_entries};
+use crate::report::energy::{EnergyReport, Saved, constant_entries};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim energy                                     the default model, 32 copies packed on nahuku-32
   nsim energy --deployment paper --mode realtime  with the published numbers of cores, held to 1 ms steps
   nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
+  nsim energy --early-exit certain                what ending decided samples would save
   nsim energy --constants davies2018 --baseline   the other preset, and no baseline
   nsim energy slip-tactile --input tactile=recording.npy --format json";
 
@@ -68,6 +69,9 @@ pub struct EnergyArgs {
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
     #[arg(long, default_value = "on")]
     pub skip: Switch,
+    /// Say what ending a sample would save when an output leads by so many spikes, or when no other can overtake it
+    #[arg(long, value_name = "MARGIN|certain")]
+    pub early_exit: Option<Rule>,
 }
 
 /// `--deployment`
@@ -167,12 +171,10 @@ pub fn deployment(
             Ok(paper)
         }
         DeploymentArg::File(path) => {
-            let text = std::fs::read_to_string(path).map_err(|error| {
-                Diagnostic::new("deployment.read", format!("cannot be read: {error}"))
-                    .help("--deployment is packed, paper, or a mapping saved by nsim map -o")
-                    .in_file(path)
+            let mapping = io::mapping::load_mapping(path).map_err(|error| match error.help {
+                None => error.help("--deployment is packed, paper, or a mapping saved by nsim map -o"),
+                Some(_) => error,
             })?;
-            let mapping: MappingFile = parse(&SourceText::new(path, text), "deployment.syntax")?;
             if mapping.copies != copies || mapping.target != target.name() {
                 return Err(Error::Usage(format!(
                     "{} holds {} copies on {}, not {copies} on {}",
@@ -234,8 +236,24 @@ pub struct EnergyJob<'a> {
     pub seed: Option<u64>,
     /// Hardware to show beside.
     pub baselines: &'a [Baseline],
-    /// What leaving off early saved.
-    pub early_exit: Option<EarlyExit>,
+    /// What ending samples when they are decided would save.
+    pub early_exit: Option<Saved>,
+}
+
+impl<'a> EnergyJob<'a> {
+    fn case(&self) -> Case<'a> {
+        Case {
+            activity: self.activity,
+            meter: self.meter,
+            preset: self.preset,
+            copies_counted: self.copies_counted,
+            deployment: self.deployment,
+            mode: self.mode,
+            timestep: self.timestep,
+            convention: self.convention,
+            steps_per_sample: self.steps_per_sample,
+        }
+    }
 }
 
 /// The command.
@@ -259,12 +277,16 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let prototype = StepMeter::new(tables, deployment.tiles_used);
     let skip = args.skip == Switch::On;
     let add = |meter: &mut StepMeter, step: &StepActivity, times: u32| (0..times).for_each(|_| meter.add(step));
-    let keep = Keep { output: compiled.program.output(), probes: Vec::new() };
-    let run = simulate::fast(&compiled.program, &copied, &keep, skip, context, || prototype.fresh(), add)?;
-    let mut meter = prototype.fresh();
-    run.meters.iter().for_each(|sample| meter.merge(sample));
+    let simulated = |early_exit: Option<EarlyExit>| {
+        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit };
+        let run = simulate::fast(&compiled.program, &copied, &keep, (skip, true), context, || prototype.fresh(), add)?;
+        let mut meter = prototype.fresh();
+        run.meters.iter().for_each(|sample| meter.merge(sample));
+        Ok::<_, Error>((run, meter))
+    };
+    let (run, meter) = simulated(None)?;
     let same = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
-    let energy = report(&EnergyJob {
+    let whole = EnergyJob {
         model: &compiled.one.parts().name,
         target,
         shape: &NetworkShape::of(&compiled.one),
@@ -281,32 +303,42 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         seed: stimulus.seed,
         baselines: &baselines,
         early_exit: None,
-    });
-    match context.format {
-        Format::Text => common::print(&energy.text())?,
-        Format::Json => common::print_json(&energy.json())?,
-        Format::Csv => common::print(&energy.csv().map_err(|e| Error::Fault(e.to_string()))?)?,
-    }
+    };
+    let early_exit = match args.early_exit {
+        None => None,
+        Some(rule) => {
+            // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
+            let (run, meter) = simulated(Some(EarlyExit::new(rule, &compiled.one)))?;
+            let early = EnergyJob { activity: &run.activity, meter: &meter, ..whole };
+            Some(saved(rule, &whole, &run.outcomes, &early))
+        }
+    };
+    let energy = report(&EnergyJob { early_exit, ..whole });
+    common::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
     if context.format != Format::Text {
         energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
     }
     Ok(Answer::Yes)
 }
 
+/// What a run spends less than the whole one: equation (16).
+fn saved(rule: Rule, whole: &EnergyJob<'_>, outcomes: &[Outcome], early: &EnergyJob<'_>) -> Saved {
+    let (whole, early) = (spent(&whole.case()), spent(&early.case()));
+    let energy_saved_uj = whole.energy_uj - early.energy_uj;
+    Saved {
+        rule,
+        decided: outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as u64,
+        steps_saved: outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum(),
+        time_saved_us: whole.time_us - early.time_us,
+        energy_saved_uj,
+        energy_saved_share: (whole.energy_uj > 0.0).then(|| energy_saved_uj / whole.energy_uj),
+    }
+}
+
 /// From a finished run to its report. Its notes belong on stderr when the output is for programs.
 #[must_use]
 pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
-    let estimate = estimate(&Case {
-        activity: job.activity,
-        meter: job.meter,
-        preset: job.preset,
-        copies_counted: job.copies_counted,
-        deployment: job.deployment,
-        mode: job.mode,
-        timestep: job.timestep,
-        convention: job.convention,
-        steps_per_sample: job.steps_per_sample,
-    });
+    let estimate = estimate(&job.case());
     let mut notes = estimate.notes.clone();
     let mut rows = Vec::new();
     for baseline in job.baselines {
@@ -349,9 +381,11 @@ mod tests {
     use clap::Parser;
 
     use super::*;
+    use crate::base::diagnostic::SourceText;
     use crate::cli::common::SampleRange;
     use crate::cost::baseline::tests::vtsnn;
     use crate::cost::estimate::tests::{MS, run};
+    use crate::desc::spanned::parse;
     use crate::desc::target::{Chip, Constants, TargetFile};
     use crate::ir::activity::{CoreCounts, StepActivity};
 

@@ -3,6 +3,8 @@
 //! Each input population needs a source; a bare source serves the only input population, or all that it names. Sources of
 //! several populations are matched sample by sample: they must agree in number, steps and labels.
 
+use std::path::Path;
+
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
@@ -29,7 +31,7 @@ pub fn stimulus(
         ([], None) => vec!["scene:noise".to_string()],
         (given, _) => given.to_vec(),
     };
-    let parsed = arguments.iter().map(|text| InputArg::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let parsed = arguments.iter().map(|text| argument(network, text)).collect::<Result<Vec<_>, _>>()?;
     if let [InputArg { population: None, source: InputSource::Scene(scene) }] = parsed.as_slice() {
         return Ok(scene_stimulus(network, scene, seed)?);
     }
@@ -78,6 +80,17 @@ pub fn stimulus(
         })?);
     }
     Ok(Stimulus { samples: join(&inputs, filled)?, origin: arguments, seed: None })
+}
+
+/// One `--input`. What stands before `=` is a population, unless there is none of this name and a file of the whole name.
+fn argument(network: &Quantised, text: &str) -> Result<InputArg, Diagnostic> {
+    let argument = InputArg::parse(text)?;
+    match &argument.population {
+        Some(name) if network.population_named(name).is_none() && Path::new(text).exists() => {
+            Ok(InputArg { population: None, source: InputSource::Path(text.into()) })
+        }
+        _ => Ok(argument),
+    }
 }
 
 fn scene_stimulus(network: &Quantised, scene: &SceneArg, seed: Option<u64>) -> Result<Stimulus, Diagnostic> {

@@ -4,14 +4,13 @@
 //! of its parts. Nothing is compiled: a model that is inspected may still be refused by `nsim map`.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::Path;
 
-use comfy_table::{CellAlignment, ContentArrangement, Table};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
-use super::{Answer, Context, Format};
+use super::{Answer, Context, common};
 use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
 use crate::desc::spanned::parse;
@@ -19,7 +18,8 @@ use crate::desc::target::{Chip, Constants, Target};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
 use crate::io::shipped::{self, Origin};
-use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text, write};
+use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text};
+use crate::report::inspect::{Findings, Rows};
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -33,32 +33,13 @@ pub struct Args {
     pub file: String,
 }
 
-/// What was found: facts about the whole, and tables of its parts.
-struct Findings {
-    kind: &'static str,
-    facts: Vec<(&'static str, Value)>,
-    tables: Vec<Rows>,
-}
-
-/// A table of parts.
-struct Rows {
-    key: &'static str,
-    columns: &'static [&'static str],
-    rows: Vec<Vec<Value>>,
-}
-
 /// Says what a file holds.
 ///
 /// # Errors
 /// When the file cannot be read, or its kind is not known.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let findings = inspect(&args.file)?;
-    let text = match context.format {
-        Format::Text => findings.text(&args.file),
-        Format::Json => findings.json(&args.file),
-        Format::Csv => findings.csv().map_err(|error| Error::Fault(format!("csv: {error}")))?,
-    };
-    write::stdout(&text)?;
+    common::print(context.format, || findings.text(&args.file), || findings.json(&args.file), || findings.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -79,7 +60,7 @@ fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
         None if text::is_standard_stream(path) => inspect_ron(text::read_text(path)?, Origin::File),
         _ => {
             // A file that is not there is a better answer than an extension that is not known.
-            text::read_bytes(path, u64::MAX - 1).map(drop).or_else(|problem| match problem.code {
+            text::read_bytes(path, 1 << 10).map(drop).or_else(|problem| match problem.code {
                 "io.too-large" => Ok(()),
                 _ => Err(problem),
             })?;
@@ -97,7 +78,13 @@ fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
             return inspect_ron(found.source(), Origin::Shipped);
         }
     }
-    let names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
+    if let Ok(baseline) = Baseline::shipped(name) {
+        return Ok(of_baseline(&baseline));
+    }
+    let mut names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
+    names.extend(SHIPPED.iter().map(|(name, _)| name));
+    names.sort_unstable();
+    names.dedup();
     Err(Diagnostic::new("inspect.unknown", format!("there is no file and nothing shipped named '{name}'"))
         .help(format!("shipped are: {}", names.join(", "))))
 }
@@ -130,6 +117,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
         "Target" => Ok(of_target(&target::target(&source, origin)?)),
         "Chip" => Ok(of_chip(&target::parse_chip(&source)?)),
         "Constants" => Ok(of_constants(&target::parse_constants(&source)?)),
+        "Baseline" => Ok(of_baseline(&Baseline::parse(&source)?)),
         "Mapping" => Ok(of_mapping(&parse(&source, "mapping.syntax")?)),
         "DataSet" => Ok(of_dataset(&dataset::manifest(source)?)),
         other => Err(Diagnostic::new(
@@ -140,7 +128,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
                 format!("'{other}' is not a kind of file of nsim")
             },
         )
-        .help("a .ron file begins with Network(, Target(, Chip(, Constants(, Mapping( or DataSet(")
+        .help("a .ron file begins with Network(, Target(, Chip(, Constants(, Baseline(, Mapping( or DataSet(")
         .in_file(source.path())),
     }
 }
@@ -355,6 +343,36 @@ fn of_constants(constants: &Constants) -> Findings {
     Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
 }
 
+fn of_baseline(baseline: &Baseline) -> Findings {
+    let file = baseline.file();
+    let on = &file.measured_on;
+    let rows = file.rows.iter().map(|row| {
+        let figures = [&row.static_mw, &row.dynamic_mw, &row.total_mw, &row.latency_us];
+        let printed = [&row.printed_energy_uj, &row.printed_edp];
+        let figures = figures.into_iter().chain(printed).map(|figure| json!(figure.value));
+        std::iter::once(json!(row.mode.name())).chain(figures).collect()
+    });
+    Findings {
+        kind: "baseline",
+        facts: vec![
+            ("name", json!(file.name)),
+            ("hardware", json!(file.hardware)),
+            ("status", json!(file.status)),
+            ("inputs", json!(on.inputs)),
+            ("layers", on.layers.iter().map(|layer| format!("{} -> {}", layer.from, layer.to)).collect()),
+            ("steps", json!(on.steps)),
+            ("timestep_ms", json!(on.timestep_ms)),
+            ("source", json!(file.source)),
+            ("notes", json!(file.notes)),
+        ],
+        tables: vec![Rows {
+            key: "rows",
+            columns: &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
+            rows: rows.collect(),
+        }],
+    }
+}
+
 fn of_mapping(mapping: &MappingFile) -> Findings {
     let rows = mapping
         .cores
@@ -518,81 +536,6 @@ fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
     })
 }
 
-/// A value for people: strings bare, lists as `[2, 3]`, nothing for what is not known.
-fn shown(value: &Value) -> String {
-    match value {
-        Value::Null => "-".to_string(),
-        Value::String(text) => text.clone(),
-        Value::Array(items) => format!("[{}]", items.iter().map(shown).collect::<Vec<_>>().join(", ")),
-        other => other.to_string(),
-    }
-}
-
-impl Findings {
-    fn text(&self, file: &str) -> String {
-        let mut out = format!("{file}: {}\n", self.kind);
-        let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
-        for (key, value) in self.facts.iter().filter(|(_, value)| !value.is_null()) {
-            let value = shown(value).replace('\n', &format!("\n  {:width$}  ", ""));
-            let _ = writeln!(out, "  {key:width$}  {value}");
-        }
-        for part in &self.tables {
-            let mut table = Table::new();
-            table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Dynamic);
-            table.set_header(part.columns.iter().copied());
-            for row in &part.rows {
-                table.add_row(row.iter().map(shown));
-            }
-            for (index, column) in table.column_iter_mut().enumerate() {
-                if !part.rows.is_empty() && part.rows.iter().all(|row| row[index].is_number() || row[index].is_null()) {
-                    column.set_cell_alignment(CellAlignment::Right);
-                }
-            }
-            let _ = writeln!(out, "\n{}\n{}", part.key, table.trim_fmt());
-        }
-        out
-    }
-
-    fn json(&self, file: &str) -> String {
-        let mut object = Map::new();
-        object.insert("schema".into(), json!("nsim.inspect/1"));
-        object.insert("kind".into(), json!(self.kind));
-        object.insert("file".into(), json!(file));
-        for (key, value) in &self.facts {
-            object.insert((*key).into(), value.clone());
-        }
-        for part in &self.tables {
-            let rows = part.rows.iter().map(|row| {
-                part.columns.iter().zip(row).map(|(column, value)| ((*column).to_string(), value.clone())).collect()
-            });
-            object.insert(part.key.into(), Value::Array(rows.map(Value::Object).collect()));
-        }
-        format!("{:#}\n", Value::Object(object))
-    }
-
-    /// The first table; facts as key and value when there is none.
-    fn csv(&self) -> Result<String, csv::Error> {
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        let cell = |value: &Value| if value.is_null() { String::new() } else { shown(value) };
-        match self.tables.first() {
-            Some(part) => {
-                writer.write_record(part.columns)?;
-                for row in &part.rows {
-                    writer.write_record(row.iter().map(cell))?;
-                }
-            }
-            None => {
-                writer.write_record(["key", "value"])?;
-                for (key, value) in &self.facts {
-                    writer.write_record([*key, &cell(value)])?;
-                }
-            }
-        }
-        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -605,7 +548,7 @@ mod tests {
     }
 
     fn object(findings: &Findings) -> Value {
-        serde_json::from_str(&findings.json("f")).unwrap()
+        findings.json("f")
     }
 
     const MODEL: &str = r#"/* a */ // b

@@ -2,13 +2,16 @@
 
 use std::path::PathBuf;
 
-use crate::cli::{Answer, Context};
+use crate::cli::{Answer, Context, complain};
 use crate::compile::{self, CompileError, Compiled, Options, Reason};
+use crate::desc::mapping::MappingFile;
+use crate::desc::network::Network;
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
+use crate::report;
 
 /// What names the network and the hardware.
 #[derive(Debug, Clone, clap::Args)]
@@ -102,18 +105,29 @@ pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> R
     }
     let target = io::target::load_target(&args.target)?;
     let options = Options { copies, ..Options::default() };
-    let compiled = match &args.mapping {
-        Some(path) => {
-            compile::compile_network_with_mapping(&network, &target, &options, &io::mapping::load_mapping(path)?)
-        }
-        None => compile::compile(&network, &target, &options),
-    };
-    match compiled {
+    let mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    match compiled(&network, &target, &options, mapping.as_ref()) {
         Ok(compiled) => {
             say_notes(&compiled.quantised);
             Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), Box::new(target), scene)))
         }
         Err(error) => does_not_fit(error, &args.model, &target, context).map(Prepared::DoesNotFit),
+    }
+}
+
+/// Compiles a network, onto the cores of a saved mapping when there is one.
+///
+/// # Errors
+/// As [`compile::compile`].
+pub fn compiled(
+    network: &Network,
+    target: &Target,
+    options: &Options,
+    mapping: Option<&MappingFile>,
+) -> Result<Compiled, CompileError> {
+    match mapping {
+        Some(file) => compile::compile_network_with_mapping(network, target, options, file),
+        None => compile::compile(network, target, options),
     }
 }
 
@@ -139,23 +153,14 @@ pub fn does_not_fit(error: CompileError, model: &str, target: &Target, context: 
 }
 
 fn say_reasons(model: &str, target: &Target, reasons: &[Reason], context: Context) -> Result<(), Error> {
-    eprintln!("{model} does not fit on {}:", target.name());
-    for reason in reasons {
-        eprintln!("  {reason}");
-    }
+    complain::say(&report::map::refusal(model, target, reasons));
     if context.format == crate::cli::Format::Json {
-        let reasons: Vec<_> = reasons.iter().map(reason_json).collect();
-        crate::cli::common::print_json(&serde_json::json!({
+        let reasons: Vec<_> = reasons.iter().map(report::map::reason_json).collect();
+        let object = serde_json::json!({
             "schema": "nsim.error/1", "code": "does-not-fit", "message": format!("{model} does not fit on {}", target.name()),
             "help": "see reasons; nsim map shows the same", "reasons": reasons,
-        }))?;
+        });
+        io::write::stdout(&format!("{object:#}\n"))?;
     }
     Ok(())
-}
-
-fn reason_json(reason: &Reason) -> serde_json::Value {
-    serde_json::json!({
-        "code": reason.code, "population": reason.population, "core": reason.core.map(|core| core.0),
-        "resource": reason.resource.name(), "need": reason.need, "limit": reason.limit, "help": reason.help,
-    })
 }

@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::cli::{Answer, Context, Format};
-use crate::compile::{
-    CompileError, Compiled, Objective, Options, Strategy, compile, compile_network_with_mapping, traffic,
-};
+use crate::cli::jobs::{self, JobArgs};
+use crate::cli::{Answer, Context, common};
+use crate::compile::{CompileError, Compiled, Objective, Options, Reason, Strategy, traffic};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::target::Target;
@@ -25,28 +24,22 @@ EXAMPLES:
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MapArgs {
-    /// Model: a path or the name of a shipped one.
-    #[arg(default_value = "vtsnn-slip")]
-    pub model: String,
-    /// Target: a path or the name of a shipped one.
-    #[arg(long, default_value = "nahuku-32")]
-    pub target: String,
-    /// Copies of the model; 1 unless a mapping says otherwise.
+    #[command(flatten)]
+    /// Model, target and a saved mapping.
+    pub job: JobArgs,
+    /// Copies of the model; 1 unless a mapping says otherwise
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// What the mapping is to be good for: cores, energy or latency.
+    /// What the mapping is to be good for: cores, energy or latency
     #[arg(long, default_value = "cores", value_parser = objective)]
     pub objective: Objective,
-    /// How compartments are gathered on cores: sequential.
+    /// How compartments are gathered on cores: sequential
     #[arg(long, default_value = "sequential", value_parser = strategy)]
     pub strategy: Strategy,
-    /// A saved mapping to use instead of making one.
-    #[arg(long)]
-    pub mapping: Option<PathBuf>,
-    /// Seed of strategies that draw.
+    /// Seed of strategies that draw
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Where to save the mapping.
+    /// Where to save the mapping
     #[arg(short, long)]
     pub output: Option<PathBuf>,
 }
@@ -76,9 +69,9 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     if let Some(output) = &args.output {
         io::write::check_free(output, context.force)?;
     }
-    let network = io::model::load_model(&args.model)?;
-    let target = io::target::load_target(&args.target)?;
-    let mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    let network = io::model::load_model(&args.job.model)?;
+    let target = io::target::load_target(&args.job.target)?;
+    let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
     let compiled = fit(&network, &target, &options, mapping.as_ref())?;
     let question = Question { model: &network.file().name, target: &target, options: &options };
@@ -88,7 +81,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     };
     // A mapping that goes to stdout goes there alone.
     if args.output.as_deref() != Some(Path::new("-")) || compiled.is_err() {
-        io::write::stdout(&printed(question, outcome, context.format))?;
+        let (text, json) = (|| report::text(question, outcome), || report::json(question, outcome));
+        common::print(context.format, text, json, || Ok(report::csv(outcome)))?;
     }
     if let (Some(output), Ok(compiled)) = (&args.output, &compiled) {
         io::write::text(output, context.force, &io::mapping::mapping_text(&compiled.mapping_file())?)?;
@@ -112,24 +106,12 @@ fn fit(
     target: &Target,
     options: &Options,
     mapping: Option<&MappingFile>,
-) -> Result<Result<Compiled, Vec<crate::compile::Reason>>, Error> {
-    let compiled = match mapping {
-        Some(file) => compile_network_with_mapping(network, target, options, file),
-        None => compile(network, target, options),
-    };
-    match compiled {
+) -> Result<Result<Compiled, Vec<Reason>>, Error> {
+    match jobs::compiled(network, target, options, mapping) {
         Ok(compiled) => Ok(Ok(compiled)),
         Err(CompileError::DoesNotFit(reasons)) => Ok(Err(reasons)),
         Err(CompileError::Input(diagnostic)) => Err(diagnostic.into()),
         Err(CompileError::Fault(message)) => Err(Error::Fault(message)),
-    }
-}
-
-fn printed(question: Question<'_>, outcome: Outcome<'_>, format: Format) -> String {
-    match format {
-        Format::Text => report::text(question, outcome),
-        Format::Json => format!("{:#}\n", report::json(question, outcome)),
-        Format::Csv => report::csv(outcome),
     }
 }
 
@@ -154,7 +136,7 @@ mod tests {
     #[test]
     fn what_is_typed_becomes_options() {
         let args = typed(&[]).unwrap();
-        assert_eq!((args.model.as_str(), args.target.as_str()), ("vtsnn-slip", "nahuku-32"));
+        assert_eq!((args.job.model.as_str(), args.job.target.as_str()), ("vtsnn-slip", "nahuku-32"));
         assert_eq!(options(&args, None), Options::default());
         let args = typed(&["m.ron", "--copies", "7", "--objective", "latency", "--seed", "5"]).unwrap();
         let expected = Options { copies: 7, objective: Objective::Latency, seed: 5, ..Options::default() };

@@ -117,7 +117,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
             let mut command = Cli::command();
             let mut script = Vec::new();
             clap_complete::generate(*shell, &mut command, "nsim", &mut script);
-            common::print(&String::from_utf8_lossy(&script))?;
+            crate::io::write::stdout(&String::from_utf8_lossy(&script))?;
             Ok(Answer::Yes)
         }
     }
@@ -128,14 +128,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => {
-            // Help and version are answers; anything else is wrong usage.
-            let status = if error.use_stderr() { 2 } else { 0 };
-            return match error.print() {
-                Ok(()) => ExitCode::from(status),
-                Err(_) => ExitCode::from(4),
-            };
-        }
+        Err(error) => return complain::usage(&error),
     };
     start_log(cli.verbose, cli.quiet);
     let threads = match cli.threads {
@@ -168,11 +161,10 @@ fn start_log(verbose: u8, quiet: bool) {
         (false, 1) => "info",
         (false, _) => "debug",
     };
-    let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
     tracing_subscriber::fmt()
         .with_env_filter(tracing_subscriber::EnvFilter::new(level))
         .with_writer(std::io::stderr)
-        .with_ansi(colour)
+        .with_ansi(complain::colour())
         .without_time()
         .with_target(false)
         .init();

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::common::SampleRange;
-use crate::cli::{Answer, Context, Format, common, inputs, jobs, simulate};
+use crate::cli::{Answer, Context, common, inputs, jobs, simulate};
+use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, Outcome, Probe, Quantity};
 use crate::error::Error;
 use crate::io;
@@ -55,6 +56,7 @@ EXAMPLES:
   nsim run --input tactile=t.npy --input vision=v.npy --samples 0..20
   nsim run --input 'scene:noise?samples=5&seed=7&rate=0.02'
   nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
+  nsim run --early-exit certain                        leave off what can no longer change a decision
   nsim run --engine golden --format json";
 
 /// Simulate a network: spikes in, decisions out.
@@ -71,6 +73,9 @@ pub struct Args {
     /// Leave out work that cannot change anything
     #[arg(long, value_enum, default_value = "on")]
     skip: Switch,
+    /// End a sample when an output leads by so many spikes, or when no other can overtake it any more
+    #[arg(long, value_name = "MARGIN|certain")]
+    early_exit: Option<Rule>,
     /// Record POPULATION.spikes, .u, .v or .v_register into -o
     #[arg(long, value_name = "POP.WHAT", requires = "output")]
     probe: Vec<String>,
@@ -124,6 +129,10 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    if args.early_exit.is_some() && !args.probe.is_empty() {
+        let message = "--probe records every step of a sample, --early-exit leaves some off: use one of them";
+        return Err(Error::Usage(message.to_string()));
+    }
     let job = match jobs::prepare(&args.job, args.engine == EngineChoice::Fast, 1, context)? {
         jobs::Prepared::Ready(job) => job,
         jobs::Prepared::DoesNotFit(answer) => return Ok(answer),
@@ -134,15 +143,25 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let probes = args.probe.iter().map(|text| probe(network, text)).collect::<Result<Vec<_>, _>>()?;
     let output = &network.populations()[network.parts().output];
     let first = output.first_compartment().unwrap_or_else(|| Id::new(0));
-    let keep = Keep { output: (first, output.shape.len()), probes: probes.iter().map(|p| p.probe).collect() };
+    let keep = Keep {
+        output: (first, output.shape.len()),
+        probes: probes.iter().map(|p| p.probe).collect(),
+        early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
+    };
     check_room(&keep, &samples)?;
+    if let Some(index) = (1..probes.len()).find(|&index| probes[..index].iter().any(|p| p.name == probes[index].name)) {
+        return Err(Error::Usage(format!("--probe {} is given twice", probes[index].name)));
+    }
+    if args.output.is_some() && probes.is_empty() {
+        tracing::warn!("-o is for probes and there is none: nothing is written");
+    }
     for named in &probes {
         io::write::check_free(&probe_path(args, named), context.force)?;
     }
     let (outcomes, activity, skipped_updates, wall_s) = match job.program() {
         Some(program) => {
             let skip = args.skip == Switch::On;
-            let run = simulate::fast(program, &samples, &keep, skip, context, || (), |(), _, _| ())?;
+            let run = simulate::fast(program, &samples, &keep, (skip, false), context, || (), |(), _, _| ())?;
             (run.outcomes, Some(run.activity), run.skipped_updates, run.wall_s)
         }
         None => {
@@ -162,17 +181,14 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         labels: &labels,
         activity: activity.as_ref(),
         skipped_updates,
+        early_exit: args.early_exit,
         wall_s,
         files: &files,
     };
     if let Some(warning) = report.warning() {
         tracing::warn!("{warning}");
     }
-    match context.format {
-        Format::Text => common::print(&report.text())?,
-        Format::Json => common::print_json(&report.json())?,
-        Format::Csv => common::print(&report.csv().map_err(|e| Error::Fault(e.to_string()))?)?,
-    }
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 

@@ -11,7 +11,7 @@ use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
-use crate::machine::{Machine, Settings};
+use crate::machine::{Image, ImageError, Machine, Settings};
 
 /// Synapses above which the cores of one sample are shared out over threads instead of samples, so that one flattened
 /// copy serves all.
@@ -41,7 +41,7 @@ pub fn fast<M: Send>(
     program: &Program,
     samples: &[&Sample],
     keep: &Keep,
-    skip: bool,
+    (skip, per_step): (bool, bool),
     context: Context,
     new_meter: impl Fn() -> M + Sync,
     meter: impl Fn(&mut M, &StepActivity, u32) + Sync,
@@ -49,25 +49,26 @@ pub fn fast<M: Send>(
     let synapses: u64 = program.cores().iter().map(|image| image.synapses.items().len() as u64).sum();
     let large = synapses > LARGE || samples.len() == 1;
     let shards = if large && synapses > 100_000 { context.threads } else { 1 };
-    let settings = Settings { skip, shards };
+    let image = Image::new(program, shards).map_err(|e| unsuitable(&e))?;
     let bar = common::progress(context, samples.len() as u64, "samples");
     let begin = Instant::now();
-    let one = |machine: &mut Machine, sample: &&Sample| {
-        let mut seen = new_meter();
-        let outcome = run_sample(machine, sample, keep, |machine, times| meter(&mut seen, machine.last_step(), times));
-        bar.inc(1);
-        (outcome, machine.activity().clone(), seen, machine.skipped_updates())
+    let run = |part: &[&Sample]| {
+        let mut machine = Machine::new(&image, Settings { skip, per_step });
+        let mut results = Vec::with_capacity(part.len());
+        for sample in part {
+            let mut seen = new_meter();
+            let outcome =
+                run_sample(&mut machine, sample, keep, |machine, times| meter(&mut seen, machine.last_step(), times));
+            bar.inc(1);
+            results.push((outcome, seen, machine.skipped_updates()));
+        }
+        (results, machine.take_activity())
     };
-    let new = || Machine::new(program, settings).map_err(|e| unsuitable(&e));
-    let run = |part: &[&Sample]| -> Result<Vec<_>, Error> {
-        let mut machine = new()?;
-        Ok(part.iter().map(|sample| one(&mut machine, sample)).collect())
-    };
-    let parts: Vec<Vec<_>> = if large {
-        vec![run(samples)?]
+    let parts: Vec<_> = if large {
+        vec![run(samples)]
     } else {
         let size = samples.len().div_ceil(context.threads * 4).max(1);
-        samples.par_chunks(size).map(run).collect::<Result<_, _>>()?
+        samples.par_chunks(size).map(run).collect()
     };
     let mut result = Run {
         outcomes: Vec::with_capacity(samples.len()),
@@ -76,18 +77,20 @@ pub fn fast<M: Send>(
         skipped_updates: 0,
         wall_s: 0.0,
     };
-    for (outcome, activity, meter, skipped) in parts.into_iter().flatten() {
-        result.outcomes.push(outcome);
+    for (results, activity) in parts {
         result.activity.merge(&activity);
-        result.meters.push(meter);
-        result.skipped_updates += skipped;
+        for (outcome, meter, skipped) in results {
+            result.outcomes.push(outcome);
+            result.meters.push(meter);
+            result.skipped_updates += skipped;
+        }
     }
     bar.finish_and_clear();
     result.wall_s = begin.elapsed().as_secs_f64();
     Ok(result)
 }
 
-fn unsuitable(error: &crate::machine::shard::ShardError) -> Error {
+fn unsuitable(error: &ImageError) -> Error {
     crate::base::diagnostic::Diagnostic::new("run.too-large", error.to_string()).into()
 }
 

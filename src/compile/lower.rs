@@ -258,7 +258,8 @@ impl Lowering<'_> {
                 })?;
                 let levels = step.map_or(1.0, |step| ((high - low) / step).floor() + 1.0);
                 if !(low.is_finite() && high.is_finite() && low <= high && (1.0..1e15).contains(&levels)) {
-                    let message = format!("Uniform from {low} to {high} in steps of {step:?} is no range");
+                    let steps = step.map_or(String::new(), |step| format!(" in steps of {step}"));
+                    let message = format!("Uniform from {low} to {high}{steps} is no range");
                     return Err(self.error("model.uniform", message, span));
                 }
                 let draw = |i: u64| match step {

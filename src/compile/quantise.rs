@@ -503,11 +503,10 @@ mod tests {
     use crate::base::diagnostic::SourceText;
     use crate::compile::lower::lower;
     use crate::desc::network::{Network, NetworkFile};
-    use crate::desc::spanned::parse;
 
     fn quantised(text: &str) -> Result<Quantised, Diagnostic> {
         let source = SourceText::new("m.ron", text);
-        let file: NetworkFile = parse(&source, "model.syntax")?;
+        let file = NetworkFile::parse(&source)?;
         quantise(&lower(&Network::new(file, source, BTreeMap::new())?)?)
     }
 

@@ -8,7 +8,7 @@ use crate::base::id::CoreId;
 use crate::desc::target::{Limits, Target};
 use crate::ir::partition::Resource;
 
-/// Boards that this project ships, ascending, with their cores of 128 a chip (Davies et al. 2018; D21 for the boards).
+/// Boards that this project ships, ascending, with their cores of 128 a chip (Davies et al. 2018; Davies et al. 2021 for the boards).
 const BOARDS: [(&str, u64); 4] =
     [("loihi1-chip", 128), ("kapoho-bay", 256), ("nahuku-32", 4_096), ("pohoiki-springs", 98_304)];
 

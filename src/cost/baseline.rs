@@ -119,6 +119,12 @@ impl Baseline {
         Ok(Baseline { file, shape })
     }
 
+    /// What the file says.
+    #[must_use]
+    pub fn file(&self) -> &BaselineFile {
+        &self.file
+    }
+
     /// Its name on the command line.
     #[must_use]
     pub fn name(&self) -> &str {

@@ -247,6 +247,29 @@ impl Case<'_> {
     }
 }
 
+/// Time and energy of one copy for a whole run, physical.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Spent {
+    /// Time of all steps.
+    pub time_us: f64,
+    /// Energy of all steps: all power times the time.
+    pub energy_uj: f64,
+}
+
+/// What a run spends, whatever the convention: the mean of a step (13) times the steps.
+///
+/// # Panics
+/// When the meter has no such preset: a mistake of the caller.
+#[must_use]
+pub fn spent(case: &Case<'_>) -> Spent {
+    let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
+    let powers = case.powers(table, lane);
+    let time_us = case.total_time(lane) as f64 / 1e6;
+    let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
+    let dynamic_uj = case.dynamic_fj(&energy(case.activity, table, 0), table) / 1e9;
+    Spent { time_us, energy_uj: always_mw * time_us / 1e3 + dynamic_uj }
+}
+
 /// Power, latency and energy of one copy.
 ///
 /// # Panics

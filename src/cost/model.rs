@@ -191,9 +191,9 @@ pub(crate) mod tests {
             CoreCounts { messages_in: 1, events_dense: 5, events_sparse: 4, visited: 2, ..Default::default() };
         step.spikes_in = 1;
         step.messages_from_inputs = 1;
-        step.add_route(Route::default());
-        step.add_route(Route { east_west: 2, north_south: 1, chip: 1 });
-        step.add_route(Route { east_west: 1, north_south: 0, chip: 0 });
+        step.add_routes(Route::default(), 1);
+        step.add_routes(Route { east_west: 2, north_south: 1, chip: 1 }, 1);
+        step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 1);
         step
     }
 
@@ -253,7 +253,7 @@ pub(crate) mod tests {
         let mut step = StepActivity::new(1);
         assert_eq!(step_time(&step, &davies, 1), StepTime { barrier: Picoseconds(113_000), ..Default::default() });
         assert_eq!(step_energy(&step, &davies, 1), Breakdown::default());
-        step.add_route(Route::default());
+        step.add_routes(Route::default(), 1);
         assert_eq!(step_time(&step, &davies, 1).transport, Picoseconds(2_100));
     }
 
@@ -282,7 +282,7 @@ pub(crate) mod tests {
                 };
             }
             for (east_west, north_south, chip) in routes {
-                step.add_route(Route { east_west, north_south, chip: chip.min(east_west + north_south) });
+                step.add_routes(Route { east_west, north_south, chip: chip.min(east_west + north_south) }, 1);
             }
             step.spikes_in = spikes_in;
             step

@@ -5,6 +5,7 @@
 
 pub mod baseline;
 pub mod dataset;
+mod lists;
 pub mod mapping;
 pub mod network;
 pub mod spanned;

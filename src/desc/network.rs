@@ -5,13 +5,11 @@
 //! the value.
 
 use std::collections::BTreeMap;
-use std::fmt;
 
-use ron::value::RawValue;
-use serde::de::{DeserializeSeed, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use super::spanned::{Shape, Spanned, parse_entry, parse_list, parse_shape, shape_of};
+use super::lists::{Triple, blank, numbers, triples};
+use super::spanned::{Shape, Spanned, list_at, parse_blanked, parse_shape, raw, refuse, shape_of};
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::base::fixed::SignMode;
@@ -48,7 +46,7 @@ pub enum Source {
 }
 
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, rename = "source of numbers")]
 enum NamedSource {
     Npy(String),
     Safetensors(String, String),
@@ -83,117 +81,24 @@ pub struct Weights {
 /// The deepest lists: a convolution kernel is `[C'][C / groups][kh][kw]`.
 const DEEPEST: usize = 4;
 
-/// Appends the numbers of one entry of a list, straight into one vector: a file of many small numbers must not cost many
-/// times its size while it is being read.
-struct Entry<'a> {
-    depth: usize,
-    shape: &'a mut Vec<usize>,
-    numbers: &'a mut Vec<f64>,
-}
-
-impl<'de> DeserializeSeed<'de> for Entry<'_> {
-    type Value = ();
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_any(self)
+/// The list in place that stands at `span`.
+fn in_place<E: serde::de::Error>(span: Span) -> Result<Source, E> {
+    let list = match list_at(span, |text| numbers(text, span, DEEPEST)) {
+        Ok(list) => list,
+        Err(error) => return refuse(error.span, error.message),
+    };
+    match Tensor::new(list.shape, Numbers::Reals(list.numbers)) {
+        Some(tensor) => Ok(Source::InPlace(tensor, list.entries)),
+        None => refuse(span, "the rows have different lengths"),
     }
 }
 
-impl<'de> Visitor<'de> for Entry<'_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a number or a list of numbers")
-    }
-
-    fn visit_f64<E: serde::de::Error>(self, x: f64) -> Result<(), E> {
-        if self.shape.len() != self.depth {
-            return Err(E::custom("a number stands where the other rows have a list"));
-        }
-        if !x.is_finite() {
-            return Err(E::custom(format_args!("{x} is not a finite number")));
-        }
-        self.numbers.push(x);
-        Ok(())
-    }
-
-    fn visit_i64<E: serde::de::Error>(self, x: i64) -> Result<(), E> {
-        self.visit_f64(x as f64)
-    }
-
-    fn visit_u64<E: serde::de::Error>(self, x: u64) -> Result<(), E> {
-        self.visit_f64(x as f64)
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<(), A::Error> {
-        let Entry { depth, shape, numbers } = self;
-        if depth == DEEPEST {
-            return Err(serde::de::Error::custom(format_args!("lists are nested deeper than {DEEPEST}")));
-        }
-        // The first list met at a depth fixes how long all others there are.
-        let first = shape.len() == depth;
-        if first {
-            if !numbers.is_empty() {
-                return Err(serde::de::Error::custom("a list stands where the other rows have a number"));
-            }
-            shape.push(0);
-        }
-        let mut length = 0;
-        while items.next_element_seed(Entry { depth: depth + 1, shape: &mut *shape, numbers: &mut *numbers })?.is_some()
-        {
-            length += 1;
-        }
-        if first {
-            shape[depth] = length;
-        } else if shape[depth] != length {
-            return Err(serde::de::Error::custom(format_args!(
-                "the rows have different lengths: {length} here, {} before",
-                shape[depth]
-            )));
-        }
-        Ok(())
-    }
-}
-
-/// The rows of a list in place, each with its span.
-struct Rows<'a> {
-    shape: &'a mut Vec<usize>,
-    numbers: &'a mut Vec<f64>,
-    spans: &'a mut Vec<Span>,
-}
-
-impl<'de> DeserializeSeed<'de> for Rows<'_> {
-    type Value = ();
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_seq(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Rows<'_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a list")
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<(), A::Error> {
-        while let Some(row) = items.next_element::<&RawValue>()? {
-            let entry = Entry { depth: 1, shape: &mut *self.shape, numbers: &mut *self.numbers };
-            self.spans.push(parse_entry(row, entry)?);
-        }
-        self.shape[0] = self.spans.len();
-        Ok(())
-    }
-}
-
-/// Numbers in place, from the text of a list.
-fn in_place<E: serde::de::Error>(text: &str, span: Span) -> Result<Source, E> {
-    let mut shape = vec![0];
-    let mut numbers = Vec::new();
-    let mut spans = Vec::new();
-    parse_list(text, span, Rows { shape: &mut shape, numbers: &mut numbers, spans: &mut spans })?;
-    match Tensor::new(shape, Numbers::Reals(numbers)) {
-        Some(tensor) => Ok(Source::InPlace(tensor, spans)),
-        None => super::spanned::refuse(span, "the rows have different lengths"),
+/// The synapses of a [`SparseDesc`].
+fn synapses<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Spanned<Triple>>, D::Error> {
+    let (_, span) = raw(deserializer)?;
+    match list_at(span, |text| triples(text, span)) {
+        Ok(list) => Ok(list.into_iter().map(|(value, span)| Spanned { value, span }).collect()),
+        Err(error) => refuse(error.span, error.message),
     }
 }
 
@@ -201,13 +106,10 @@ impl<'de> Deserialize<'de> for Weights {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let (shape, span) = shape_of(deserializer)?;
         let source = match shape {
-            Shape::List(text) => in_place(text, span)?,
+            Shape::List => in_place(span)?,
             Shape::Named(text) => parse_shape::<NamedSource, _>(text, span)?.into(),
             Shape::Number(_) => {
-                return super::spanned::refuse(
-                    span,
-                    "weights are a list of rows or a source such as Npy(\"file.npy\")",
-                );
+                return refuse(span, "weights are a list of rows or a source such as Npy(\"file.npy\")");
             }
         };
         Ok(Weights { source, span })
@@ -237,7 +139,7 @@ impl<'de> Deserialize<'de> for Parameter {
         let (shape, span) = shape_of(deserializer)?;
         let value = match shape {
             Shape::Number(x) => ParameterValue::Same(x),
-            Shape::List(text) => ParameterValue::Each(in_place(text, span)?),
+            Shape::List => ParameterValue::Each(in_place(span)?),
             Shape::Named(text) => ParameterValue::Each(parse_shape::<NamedSource, _>(text, span)?.into()),
         };
         Ok(Parameter { value, span })
@@ -246,7 +148,7 @@ impl<'de> Deserialize<'de> for Parameter {
 
 /// A population of the file.
 #[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, rename = "Population")]
 pub enum PopulationDesc {
     /// Channels that spike as a stimulus says.
     Input {
@@ -353,6 +255,7 @@ projection_desc!(
     /// Listed synapses.
     SparseDesc, "Sparse" {
         /// (source, target, weight) each.
+        #[serde(deserialize_with = "synapses")]
         pub synapses: Vec<Spanned<(u64, u64, f64)>>,
     }
 );
@@ -409,6 +312,7 @@ projection_desc!(
 
 /// A projection of the file.
 #[derive(Debug, Clone, Deserialize)]
+#[serde(rename = "Projection")]
 pub enum ProjectionDesc {
     /// Every source reaches every target.
     Dense(Box<DenseDesc>),
@@ -545,6 +449,38 @@ pub struct NetworkFile {
     /// Where the network comes from: data, command, accuracy.
     #[serde(default)]
     pub provenance: Option<String>,
+}
+
+/// The fields whose lists hold numbers, however many.
+const LISTS: [&str; 14] = [
+    "weights",
+    "synapses",
+    "du",
+    "dv",
+    "tau_u_ms",
+    "tau_v_ms",
+    "vth_mant",
+    "vth",
+    "bias_mant",
+    "bias_exp",
+    "bias",
+    "refractory",
+    "vmin_exp",
+    "vmax_exp",
+];
+
+impl NetworkFile {
+    /// Parses the text of a model file.
+    ///
+    /// # Errors
+    /// `model.syntax` at the place of whatever is malformed.
+    pub fn parse(source: &SourceText) -> Result<Self, Diagnostic> {
+        const CODE: &str = "model.syntax";
+        match blank(source.text(), &LISTS) {
+            Ok(blanked) => parse_blanked(source, &blanked, CODE),
+            Err(error) => Err(Diagnostic::new(CODE, error.message).at(source, error.span)),
+        }
+    }
 }
 
 /// A model file with every array that it refers to.

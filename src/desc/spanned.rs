@@ -4,18 +4,22 @@
 //! a text is being parsed its address is kept beside the parser (in a thread-local, since serde has no way to pass it
 //! along). A value that fails inside a raw slice reports its own position, not that of the slice's end.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
+use std::sync::Arc;
 
 use ron::extensions::Extensions;
 use ron::value::RawValue;
-use serde::de::{Deserialize, DeserializeOwned, DeserializeSeed, Deserializer};
+use serde::de::{Deserialize, DeserializeOwned, Deserializer};
 use serde::ser::{Serialize, Serializer};
 
+use super::lists::ListError;
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 
 thread_local! {
     /// Address and length of the text that this thread is parsing.
     static TEXT: Cell<Option<(usize, usize)>> = const { Cell::new(None) };
+    /// The text as it was written, which may have long lists where the parsed one is blank.
+    static WRITTEN: RefCell<Option<Arc<str>>> = const { RefCell::new(None) };
     /// The innermost error seen so far: its place in the text.
     static INNERMOST: Cell<Option<Span>> = const { Cell::new(None) };
 }
@@ -82,22 +86,31 @@ fn offset_of(text: &str, position: ron::error::Position) -> usize {
 }
 
 fn nested<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
-    nested_seed(text, span, std::marker::PhantomData)
-}
-
-fn nested_seed<'de, S: DeserializeSeed<'de>, E: serde::de::Error>(
-    text: &'de str,
-    span: Span,
-    seed: S,
-) -> Result<S::Value, E> {
-    options().from_str_seed(text, seed).map_err(|error| {
+    options().from_str(text).map_err(|error| {
         if INNERMOST.get().is_none() {
             let start = span.start + offset_of(text, error.span.start);
             let end = span.start + offset_of(text, error.span.end);
             INNERMOST.set(Some(Span { start: start.min(end), end }));
         }
-        E::custom(error.code)
+        E::custom(said::<T>(&error.code, text))
     })
+}
+
+/// What is said about a value of this type that cannot be read from this text.
+fn said<T>(error: &ron::Error, text: &str) -> String {
+    use ron::Error::{ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
+    let whole = match std::any::type_name::<T>() {
+        "u32" | "u64" => "a whole number from 0",
+        "i64" => "a whole number",
+        _ => return plain(error),
+    };
+    match error {
+        // What is left behind the digits is what makes the number another kind of number.
+        ExpectedInteger | IntegerOutOfBounds | TrailingCharacters => {
+            format!("expected {whole} and found {}", text.chars().take(40).collect::<String>())
+        }
+        error => plain(error),
+    }
 }
 
 /// Fails at this place.
@@ -125,17 +138,22 @@ impl<T: Serialize> Serialize for Spanned<T> {
 pub(crate) enum Shape<'de> {
     /// `3`, `-0.5`
     Number(f64),
-    /// `[...]`
-    List(&'de str),
+    /// `[...]`, to be read by [`list_at`].
+    List,
     /// `Npy("...")` and its like.
     Named(&'de str),
 }
 
+/// The text of a value and its place.
+pub(crate) fn raw<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(&'de str, Span), D::Error> {
+    Ok(place_of(<&RawValue>::deserialize(deserializer)?))
+}
+
 /// Reads a value whose kind its first character tells, and its place.
 pub(crate) fn shape_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Shape<'de>, Span), D::Error> {
-    let (text, span) = place_of(<&RawValue>::deserialize(deserializer)?);
+    let (text, span) = raw(deserializer)?;
     let shape = match text.chars().next() {
-        Some('[') => Shape::List(text),
+        Some('[') => Shape::List,
         Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => Shape::Number(nested(text, span)?),
         Some(c) if c.is_ascii_alphabetic() && !text.starts_with("inf") && !text.starts_with("NaN") => {
             Shape::Named(text)
@@ -150,25 +168,13 @@ pub(crate) fn parse_shape<T: DeserializeOwned, E: serde::de::Error>(text: &str, 
     nested(text, span)
 }
 
-/// Parses the text of a [`Shape::List`] with a seed.
-pub(crate) fn parse_list<'de, S: DeserializeSeed<'de>, E: serde::de::Error>(
-    text: &'de str,
-    span: Span,
-    seed: S,
-) -> Result<S::Value, E> {
-    nested_seed(text, span, seed)
-}
-
-/// Parses one raw entry of a list with a seed, and says where it stands; a failure is reported at the entry.
-pub(crate) fn parse_entry<'de, S: DeserializeSeed<'de, Value = ()>, E: serde::de::Error>(
-    raw: &'de RawValue,
-    seed: S,
-) -> Result<Span, E> {
-    let (text, span) = place_of(raw);
-    match options().from_str_seed(text, seed) {
-        Ok(()) => Ok(span),
-        Err(error) => fail(span, error.code),
+/// Reads a list where it stands in the text as it was written.
+pub(crate) fn list_at<T>(span: Span, read: impl FnOnce(&str) -> Result<T, ListError>) -> Result<T, ListError> {
+    let written = WRITTEN.with_borrow(Option::clone).unwrap_or_default();
+    if written.get(span.start..span.end).is_none() {
+        return Err(ListError { span, message: "lists of numbers are read from files only".to_string() });
     }
+    read(&written)
 }
 
 /// Parses a whole RON text.
@@ -176,11 +182,21 @@ pub(crate) fn parse_entry<'de, S: DeserializeSeed<'de, Value = ()>, E: serde::de
 /// # Errors
 /// A [`Diagnostic`] with the position of whatever is malformed; `code` names it.
 pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T, Diagnostic> {
-    let text: &str = source.text();
+    parse_blanked(source, source.text(), code)
+}
+
+/// Parses a text in which the inside of lists may have been blanked out byte for byte; [`list_at`] reads those.
+pub(crate) fn parse_blanked<T: DeserializeOwned>(
+    source: &SourceText,
+    text: &str,
+    code: &'static str,
+) -> Result<T, Diagnostic> {
     let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
+    let written = WRITTEN.replace(Some(source.text().clone()));
     INNERMOST.set(None);
     let result = options().from_str::<T>(text);
     TEXT.set(before);
+    WRITTEN.set(written);
     result.map_err(|error| {
         let span = INNERMOST.take().unwrap_or_else(|| {
             let end = offset_of(text, error.span.end);
@@ -192,6 +208,9 @@ pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Re
 
 /// RON's message in one line.
 fn plain(error: &ron::Error) -> String {
+    if matches!(error, ron::Error::ExceededRecursionLimit) {
+        return "brackets are nested too deeply".to_string();
+    }
     let mut message = error.to_string().replace('\n', " ");
     if message.len() > 300 {
         let cut = (0..=300).rev().find(|&i| message.is_char_boundary(i)).unwrap_or(0);

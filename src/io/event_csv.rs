@@ -41,7 +41,15 @@ impl Columns {
 /// # Errors
 /// `input.csv` with the line, `input.channel`, `input.step`, `input.empty`, `input.too-many`, `io.*`.
 pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-    let source = decode(path, read_bytes(path, MOST_EVENT_TEXT)?)?;
+    of_bytes(path, read_bytes(path, MOST_EVENT_TEXT)?, units)
+}
+
+/// Reads the bytes of a file.
+///
+/// # Errors
+/// As [`read`].
+pub(super) fn of_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    let source = decode(path, bytes)?;
     let comments = Comments::read(&source)?;
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)

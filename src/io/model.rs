@@ -11,7 +11,6 @@ use super::shipped::{self, Origin};
 use super::{npy, safetensors};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::desc::network::{ArrayRef, Network, NetworkFile, array_refs};
-use crate::desc::spanned::parse;
 use crate::desc::tensor::Tensor;
 
 /// Loads a model: a path, `-`, or a shipped name.
@@ -28,7 +27,7 @@ pub fn load_model(argument: &str) -> Result<Network, Diagnostic> {
 /// # Errors
 /// As [`load_model`].
 pub fn network(source: SourceText, origin: Origin) -> Result<Network, Diagnostic> {
-    let file: NetworkFile = parse(&source, "model.syntax")?;
+    let file = NetworkFile::parse(&source)?;
     let arrays = read_arrays(&source, origin, array_refs(&file))?;
     Network::new(file, source, arrays)
 }

@@ -14,6 +14,8 @@ use super::text::{MOST_ARRAY, read_bytes};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::tensor::{Numbers, Tensor};
 
+/// What every file begins with.
+pub const MAGIC: &[u8] = b"\x93NUMPY";
 /// The longest header that is read; NumPy's own reader stops at 10,000 bytes unless told otherwise.
 const MOST_HEADER: usize = 64 << 10;
 /// The deepest brackets of a header: a structured type within a structured type.
@@ -111,7 +113,7 @@ fn kind_of(dtype: &DType) -> &'static str {
 /// is checked by the parser behind it, which recurses, allocates and multiplies as it is told.
 fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
     let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
-    if !bytes.starts_with(b"\x93NUMPY") {
+    if !bytes.starts_with(MAGIC) {
         return match Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY")
             .in_file(path)
         {

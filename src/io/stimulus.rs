@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::text::is_standard_stream;
+use super::text::{MOST_ARRAY, is_standard_stream, read_bytes};
 use super::{dataset, event_csv, npy};
 use crate::base::diagnostic::Diagnostic;
 
@@ -45,8 +45,14 @@ pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Dia
         Some("npy") => read_npy(path, units),
         Some("csv") => event_csv::read(path, units),
         Some("ron") => dataset::read_manifest(path)?.read_only(units),
-        // What comes through a pipe has no name to go by; text is what other programs write.
-        None if is_standard_stream(path) => event_csv::read(path, units),
+        // What comes through a pipe has no name to go by, but arrays say what they are.
+        None if is_standard_stream(path) => {
+            let bytes = read_bytes(path, MOST_ARRAY)?;
+            match bytes.starts_with(npy::MAGIC) {
+                true => of_array(&npy::Array::from_bytes(path, bytes)?, units),
+                false => event_csv::of_bytes(path, bytes, units),
+            }
+        }
         _ if !path.exists() => Err(Diagnostic::new("io.missing", "there is no such file").in_file(path)),
         other => Err(Diagnostic::new(
             "input.kind",
@@ -72,8 +78,11 @@ fn product(axes: &[usize]) -> Option<u64> {
 /// # Errors
 /// `input.shape` when neither reading gives `units` channels; `input.too-long`, `input.too-many`, `npy.*`, `io.*`.
 pub fn read_npy(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-    let array = npy::open(path)?;
-    let shape = array.shape();
+    of_array(&npy::open(path)?, units)
+}
+
+fn of_array(array: &npy::Array, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    let (path, shape) = (array.path(), array.shape());
     let wrong = |message: String| Diagnostic::new("input.shape", message).in_file(path);
     let Some((&steps, leading)) = shape.split_last() else {
         return Err(wrong("a single number is not a recording; [channels.., T] is".to_string()));

@@ -9,8 +9,8 @@ use std::path::Path;
 
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 
-/// The most bytes of a RON file. A list of one-digit numbers costs up to twenty times its text; larger arrays belong beside the
-/// file.
+/// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while it is read, since each
+/// entry keeps its place for messages: this keeps the largest well within a gibibyte. Larger arrays belong beside the file.
 pub const MOST_TEXT: u64 = 32 << 20;
 /// The most bytes of an event list in text.
 pub const MOST_EVENT_TEXT: u64 = 256 << 20;
@@ -103,7 +103,7 @@ pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText, Diagnostic> {
             let mut diagnostic = Diagnostic::new("io.utf8", format!("byte 0x{byte:02x} at offset {good} is not UTF-8"))
                 .at(&SourceText::new(name, text), Span { start: good, end: good });
             diagnostic.help = Some(
-                if bytes.starts_with(b"\x93NUMPY") {
+                if bytes.starts_with(super::npy::MAGIC) {
                     "this is a NumPy array; a text file is expected here"
                 } else if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
                     "this looks like UTF-16; save the file as UTF-8"

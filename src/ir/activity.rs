@@ -156,12 +156,12 @@ impl HopCounts {
         }
     }
 
-    /// Adds one message's way.
-    pub fn add_route(&mut self, route: Route) {
-        self.local += u64::from(route.links() == 0);
-        self.east_west += u64::from(route.east_west);
-        self.north_south += u64::from(route.north_south);
-        self.chip += u64::from(route.chip);
+    /// Adds the way of so many messages.
+    pub fn add_routes(&mut self, route: Route, times: u64) {
+        self.local += u64::from(route.links() == 0) * times;
+        self.east_west += u64::from(route.east_west) * times;
+        self.north_south += u64::from(route.north_south) * times;
+        self.chip += u64::from(route.chip) * times;
     }
 }
 
@@ -205,9 +205,9 @@ impl StepActivity {
         self.messages_from_inputs = 0;
     }
 
-    /// Notes one message's way.
-    pub fn add_route(&mut self, route: Route) {
-        self.hops.add_route(route);
+    /// Notes the way of so many messages.
+    pub fn add_routes(&mut self, route: Route, times: u64) {
+        self.hops.add_routes(route, times);
         self.longest = self.longest.max(route);
     }
 }
@@ -247,6 +247,15 @@ impl Activity {
         self.spikes_in += step.spikes_in * times;
         self.messages_from_inputs += step.messages_from_inputs * times;
         self.steps += times;
+    }
+
+    /// Adds the sum of so many timesteps.
+    ///
+    /// # Panics
+    /// As [`Activity::add_steps`].
+    pub fn add_sum(&mut self, sum: &StepActivity, steps: u64) {
+        self.add_steps(sum, 1);
+        self.steps = self.steps - 1 + steps;
     }
 
     /// Adds another run of the same program.

@@ -1,6 +1,7 @@
-//! The machine: a [`Program`] run timestep by timestep in the chip's integers.
+//! The machine: a `Program` run timestep by timestep in the chip's integers.
 //!
-//! Phases of step t, on every share of the cores ([`shard::Shard`]):
+//! An [`Image`] is the program flattened, which a run only reads; a [`Machine`] is the state of one run over it. Phases of
+//! step t, on every share of the lanes:
 //!
 //! - *Deliver(t)* adds what the input spikes of step t and the compartment spikes of step t - 1 reach to the sums of the
 //!   steps in which it arrives: step t + delay field for both.
@@ -9,176 +10,235 @@
 //!
 //! Deliver(t) precedes Update(t) on the same share; Update(t) on every share precedes Exchange(t): that is the barrier;
 //! Exchange(t) precedes Deliver(t + 1). Sums are wide and addition commutes, so the number of shares and threads cannot
-//! change a result.
+//! change a result. Counts are the mapped program's (`tally`), computed from who spiked.
 //!
 //! What it leaves out on purpose: energy and time, which `cost` computes from the counts, and names.
 
+pub mod image;
+pub mod kernel;
+mod lanes;
 pub mod neuron;
-pub mod shard;
 pub mod tally;
 
 use rayon::prelude::*;
 
-use crate::base::id::{ChannelId, CompartmentId};
+use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
-use crate::ir::program::Program;
+use crate::ir::quantised::SpikeSource;
 use crate::ir::spikes::Engine;
-use neuron::{Fields, Registers};
-use shard::{Shard, ShardError, Sources};
-use tally::Tally;
+pub use image::{Image, ImageError};
+use lanes::{Lanes, Order, Step};
 
 /// How to run, which never changes what comes out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
     /// Leave out compartments at rest.
     pub skip: bool,
-    /// Shares that the cores are split into; they run in parallel.
-    pub shards: usize,
+    /// Keep what each step did by core, for [`Machine::last_step`].
+    pub per_step: bool,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { skip: true, shards: 1 }
+        Settings { skip: true, per_step: false }
     }
 }
 
-/// A program in motion.
+/// Events a granule from which on every granule is visited, instead of noting each arrival: noting costs about as much as
+/// adding, visiting a granule at rest about as much as a few dozen additions.
+const CROWDED: u64 = 8;
+
+/// The state of a run over an image.
 #[derive(Debug)]
-pub struct Machine<'p> {
-    program: &'p Program,
-    tally: Tally,
-    sources: Sources,
-    shards: Vec<Shard>,
+pub struct Machine<'i> {
+    image: &'i Image<'i>,
+    shares: Vec<Lanes>,
     settings: Settings,
+    arch: pulp::Arch,
     /// The step that comes next, and how many the sample has.
     step: u32,
     steps: u32,
     spikes: Vec<CompartmentId>,
+    carried: Vec<CompartmentId>,
+    /// Synaptic events that the last step's spikes make.
+    carried_events: u64,
+    /// Of the sample.
+    totals: Totals,
     last: StepActivity,
-    activity: Activity,
+    /// Spikes of each source since the activity was last taken, but for `late` ones.
+    fired: Vec<u32>,
+    /// Spikes so near a sample's end that a delivery could fall after it: source and steps that its deliveries reach.
+    late: Vec<(SpikeSource, u32)>,
+    /// Steps since the activity was last taken.
+    run_steps: u64,
 }
 
-impl<'p> Machine<'p> {
+impl<'i> Machine<'i> {
     /// A machine at rest.
-    ///
-    /// # Errors
-    /// [`ShardError`] when sums could not be exact or a share has too many synapses.
-    pub fn new(program: &'p Program, settings: Settings) -> Result<Self, ShardError> {
-        let tally = Tally::new(program);
-        let slots = tally.longest_delay() as usize + 1;
-        let shares = shares(program, settings.shards);
-        let shards = shares.into_par_iter().map(|cores| Shard::new(program, cores, slots)).collect::<Result<_, _>>()?;
-        let cores = program.cores().len();
-        Ok(Machine {
-            program,
-            tally,
-            sources: Sources::of(program),
-            shards,
+    #[must_use]
+    pub fn new(image: &'i Image<'i>, settings: Settings) -> Self {
+        let slots = image.longest_delay as usize + 1;
+        Machine {
+            image,
+            shares: image.shares.iter().map(|share| Lanes::new(share, slots)).collect(),
             settings,
+            arch: pulp::Arch::new(),
             step: 0,
             steps: 0,
             spikes: Vec::new(),
-            last: StepActivity::new(cores),
-            activity: Activity::new(cores),
-        })
+            carried: Vec::new(),
+            carried_events: 0,
+            totals: Totals::default(),
+            last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
+            fired: vec![0; image.sources()],
+            late: Vec::new(),
+            run_steps: 0,
+        }
     }
 
-    /// What the last step did.
+    /// What the last step did; empty unless `Settings::per_step` is on.
     #[must_use]
     pub fn last_step(&self) -> &StepActivity {
         &self.last
     }
 
-    /// What all steps since `begin` did.
-    #[must_use]
-    pub fn activity(&self) -> &Activity {
-        &self.activity
+    /// What all steps did since this was last asked, over any number of samples.
+    pub fn take_activity(&mut self) -> Activity {
+        let program = self.image.program();
+        let mut sum = StepActivity::new(program.cores().len());
+        for (source, fired) in self.fired.iter_mut().enumerate().filter(|(_, fired)| **fired > 0) {
+            let times = u64::from(std::mem::take(fired));
+            tally::add_spikes(program, self.image.source(source), u32::MAX, times, &mut sum);
+        }
+        for (source, reach) in self.late.drain(..) {
+            tally::add_spikes(program, source, reach, 1, &mut sum);
+        }
+        tally::add_visits(program, self.run_steps, &mut sum);
+        for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
+            for (count, block) in lanes.active_by_block.iter_mut().zip(&share.blocks) {
+                sum.cores[block.core].active += std::mem::take(count);
+            }
+        }
+        let mut activity = Activity::new(program.cores().len());
+        activity.add_sum(&sum, std::mem::take(&mut self.run_steps));
+        activity
     }
 
-    /// Compartment updates since `begin` that were left out because the compartment was at rest.
+    /// Compartment updates of the sample so far that were left out because the compartment was at rest.
     #[must_use]
     pub fn skipped_updates(&self) -> u64 {
-        let computed: u64 = self.shards.iter().map(Shard::visited).sum();
-        u64::from(self.step) * u64::from(self.program.compartments()) - computed
+        let computed: u64 = self.shares.iter().map(|lanes| lanes.visited).sum();
+        self.totals.compartment_updates - computed
     }
 
     /// Whether nothing will happen until the next input spike.
     #[must_use]
     pub fn at_rest(&self) -> bool {
-        self.spikes.is_empty() && self.shards.iter().all(Shard::at_rest)
+        self.spikes.is_empty() && self.shares.iter().zip(&self.image.shares).all(|(lanes, share)| lanes.at_rest(share))
     }
 
-    fn registers(&self, compartment: CompartmentId) -> (Registers, &Fields) {
-        let found = self.shards.iter().find_map(|shard| shard.registers(compartment));
-        found.expect("every compartment is on one share")
+    /// Bytes of memory that the state holds; the image's are its own.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.shares.iter().map(Lanes::bytes).sum::<usize>() + 4 * self.fired.len()
     }
-}
 
-/// Consecutive cores in shares of about as many compartments.
-fn shares(program: &Program, shards: usize) -> Vec<std::ops::Range<usize>> {
-    let total = u64::from(program.compartments());
-    let shards = shards.clamp(1, program.cores().len().max(1)) as u64;
-    let (mut shares, mut begin, mut seen) = (Vec::new(), 0, 0);
-    for (index, image) in program.cores().iter().enumerate() {
-        seen += image.compartments.len() as u64;
-        if seen * shards >= total * (shares.len() as u64 + 1) || index + 1 == program.cores().len() {
-            shares.push(begin..index + 1);
-            begin = index + 1;
+    /// Notes a step's spikes of one kind; `reach` is how many steps their deliveries may take. Returns the synaptic events
+    /// that they will make if nothing ends.
+    #[inline(always)]
+    fn count<I: Id>(&mut self, first: usize, spikes: &[I], reach: u32) -> u64 {
+        let events: u64 = spikes.iter().map(|spike| u64::from(self.image.events[first + spike.index()])).sum();
+        if reach > self.image.longest_delay {
+            for spike in spikes {
+                self.fired[first + spike.index()] += 1;
+            }
+            self.totals.synaptic_events += events;
+        } else {
+            for spike in spikes {
+                let source = self.image.source(first + spike.index());
+                self.totals.synaptic_events += tally::events_within(self.image.program(), source, reach);
+                self.late.push((source, reach));
+            }
         }
+        events
     }
-    shares
+
+    fn lane(&self, compartment: CompartmentId) -> (&Lanes, usize) {
+        let (share, lane) = self.image.lane(compartment);
+        (&self.shares[share], lane)
+    }
 }
 
 impl Engine for Machine<'_> {
     fn begin(&mut self, steps: u32) {
-        self.shards.iter_mut().for_each(Shard::clear);
+        self.shares.iter_mut().for_each(Lanes::clear);
         (self.step, self.steps) = (0, steps);
         self.spikes.clear();
+        self.carried_events = 0;
+        self.totals = Totals::default();
         self.last.clear();
-        self.activity = Activity::new(self.program.cores().len());
     }
 
     fn step(&mut self, channels: &[ChannelId]) {
-        let (step, skip, sources) = (self.step, self.settings.skip, self.sources);
-        let left = self.steps.saturating_sub(step);
-        let carried = std::mem::take(&mut self.spikes);
-        let work = |shard: &mut Shard| {
-            for &channel in channels {
-                shard.deliver(sources.channel(channel), step);
-            }
-            for &compartment in &carried {
-                shard.deliver(sources.compartment(compartment), step);
-            }
-            shard.update(step, skip);
+        let image = self.image;
+        let left = self.steps.saturating_sub(self.step);
+        std::mem::swap(&mut self.spikes, &mut self.carried);
+        let coming = self.count(0, channels, left) + self.carried_events;
+        let everywhere = coming >= CROWDED * image.granules as u64;
+        let order = Order {
+            step: self.step,
+            channels,
+            carried: &self.carried,
+            everywhere,
+            skip: self.settings.skip,
+            list_active: self.settings.per_step,
         };
-        match self.shards.as_mut_slice() {
-            [shard] => work(shard),
-            shards => shards.par_iter_mut().for_each(work),
+        let arch = self.arch;
+        match (self.shares.as_mut_slice(), image.shares.as_slice()) {
+            ([lanes], [share]) => arch.dispatch(Step { lanes, image, share, order }),
+            (lanes, shares) => lanes
+                .par_iter_mut()
+                .zip(shares)
+                .for_each(|(lanes, share)| arch.dispatch(Step { lanes, image, share, order })),
         }
-        self.spikes = carried;
         self.spikes.clear();
-        self.last.clear();
-        for shard in &self.shards {
-            self.spikes.extend_from_slice(shard.spikes());
-            self.tally.add_active(shard.active(), &mut self.last);
+        for lanes in &self.shares {
+            self.spikes.extend_from_slice(&lanes.spikes);
+            self.totals.active_updates += lanes.active_now;
         }
-        self.spikes.sort_unstable();
-        self.tally.add_visits(self.program, &mut self.last);
-        self.tally.add_inputs(self.program, channels, left, &mut self.last);
-        self.tally.add_spikes(self.program, &self.spikes, left.saturating_sub(1), &mut self.last);
-        self.activity.add_steps(&self.last, 1);
+        if !image.in_order {
+            self.spikes.sort_unstable();
+        }
+        self.totals.spikes_in += channels.len() as u64;
+        self.totals.spikes += self.spikes.len() as u64;
+        self.totals.compartment_updates += image.ids.len() as u64;
+        let spikes = std::mem::take(&mut self.spikes);
+        self.carried_events = self.count(image.channels as usize, &spikes, left.saturating_sub(1));
+        self.spikes = spikes;
+        if self.settings.per_step {
+            self.last.clear();
+            tally::add_visits(image.program(), 1, &mut self.last);
+            for lanes in &self.shares {
+                tally::add_active(&lanes.active, &mut self.last);
+            }
+            tally::add_step(image.program(), channels, &self.spikes, left, &mut self.last);
+        }
         self.step += 1;
+        self.run_steps += 1;
     }
 
     fn rest(&mut self, steps: u32) -> bool {
         if !self.settings.skip || !self.at_rest() {
             return false;
         }
-        self.last.clear();
-        self.tally.add_visits(self.program, &mut self.last);
-        self.activity.add_steps(&self.last, u64::from(steps));
         self.step += steps;
+        self.run_steps += u64::from(steps);
+        self.totals.compartment_updates += u64::from(steps) * self.image.ids.len() as u64;
+        if self.settings.per_step {
+            self.last.clear();
+            tally::add_visits(self.image.program(), 1, &mut self.last);
+        }
         true
     }
 
@@ -187,33 +247,38 @@ impl Engine for Machine<'_> {
     }
 
     fn u(&self, compartment: CompartmentId) -> i32 {
-        self.registers(compartment).0.u
+        let (lanes, lane) = self.lane(compartment);
+        lanes.registers(lane).u
     }
 
     fn v(&self, compartment: CompartmentId) -> i32 {
-        self.registers(compartment).0.v
+        let (lanes, lane) = self.lane(compartment);
+        lanes.registers(lane).v
     }
 
     fn v_register(&self, compartment: CompartmentId) -> i32 {
-        let (registers, fields) = self.registers(compartment);
-        match self.program.parts().semantics {
+        let (lanes, lane) = self.lane(compartment);
+        let registers = lanes.registers(lane);
+        let neuron = self.image.neuron(compartment);
+        match self.image.semantics {
             // Equation (8): the register doubles as the counter of the refractory period.
             Semantics::Hardware if registers.hold > 0 => {
-                (i32::from(fields.refractory) << 7) + i32::from(fields.refractory - registers.hold)
+                let period = neuron.refractory.get().max(1);
+                (i32::from(period) << 7) + i32::from(period - registers.hold)
             }
-            Semantics::Slayer if self.spikes.binary_search(&compartment).is_ok() => i32::from(fields.neuron.dv.get()),
+            Semantics::Slayer if self.spikes.binary_search(&compartment).is_ok() => i32::from(neuron.dv.get()),
             _ => registers.v,
         }
     }
 
     fn totals(&self) -> Totals {
-        self.activity.totals()
+        self.totals
     }
 
     fn overflow(&self) -> Overflow {
         let mut sum = Overflow::default();
-        for shard in &self.shards {
-            sum.merge(shard.overflow());
+        for lanes in &self.shares {
+            sum.merge(&lanes.overflow);
         }
         sum
     }

@@ -7,14 +7,21 @@
 
 use crate::base::id::{ChannelId, CompartmentId, CoreId};
 use crate::ir::activity::StepActivity;
-use crate::ir::placement::Route;
 use crate::ir::program::{AxonTarget, CoreImage, Program};
+use crate::ir::quantised::SpikeSource;
 
-/// Synaptic events of one axon's list that arrive within `steps_left` steps (delay 0 needs one): (dense, sparse).
-fn events(image: &CoreImage, axon: u16, steps_left: u32) -> (u64, u64) {
+/// The longest delay field of a program's synapses.
+#[must_use]
+pub fn longest_delay(program: &Program) -> u32 {
+    let synapses = program.cores().iter().flat_map(|image| image.synapses.items());
+    synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
+}
+
+/// Synaptic events of one axon's list whose delay field is below `reach`: (dense, sparse).
+fn events(image: &CoreImage, axon: u16, reach: u32) -> (u64, u64) {
     let (mut dense, mut sparse) = (0, 0);
     for synapse in image.synapses.get(usize::from(axon)) {
-        if u32::from(synapse.delay.get()) < steps_left {
+        if u32::from(synapse.delay.get()) < reach {
             match image.formats[usize::from(synapse.format)].index_bits {
                 None => dense += 1,
                 Some(_) => sparse += 1,
@@ -24,102 +31,85 @@ fn events(image: &CoreImage, axon: u16, steps_left: u32) -> (u64, u64) {
     (dense, sparse)
 }
 
-/// Events of every axon's list when all of them arrive, by core and axon: (dense, sparse).
-#[derive(Debug)]
-pub struct Tally {
-    whole: Vec<Vec<(u32, u32)>>,
-    /// The longest delay field of the program.
-    longest_delay: u32,
+/// Messages of a spike of this source.
+fn messages(program: &Program, source: SpikeSource) -> &[AxonTarget] {
+    match source {
+        SpikeSource::Channel(channel) => program.channel(channel),
+        SpikeSource::Compartment(compartment) => {
+            let seat = program.seats()[compartment];
+            program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
+        }
+    }
 }
 
-impl Tally {
-    /// The tables of a program.
-    #[must_use]
-    pub fn new(program: &Program) -> Self {
-        let mut longest_delay = 0;
-        let whole = program
-            .cores()
-            .iter()
-            .map(|image| {
-                let delays = image.synapses.items().iter().map(|synapse| u32::from(synapse.delay.get()));
-                longest_delay = longest_delay.max(delays.max().unwrap_or(0));
-                (0..image.synapses.len())
-                    .map(|axon| {
-                        let (dense, sparse) = events(image, axon as u16, u32::MAX);
-                        (dense as u32, sparse as u32)
-                    })
-                    .collect()
-            })
-            .collect();
-        Tally { whole, longest_delay }
-    }
+/// Synaptic events of a spike of this source, of those synapses whose delay field is below `reach`.
+#[must_use]
+pub fn events_within(program: &Program, source: SpikeSource, reach: u32) -> u64 {
+    let of = |message: &AxonTarget| {
+        let (dense, sparse) = events(&program.cores()[message.core], message.axon, reach);
+        dense + sparse
+    };
+    messages(program, source).iter().map(of).sum()
+}
 
-    /// The longest delay field of the program.
-    #[must_use]
-    pub fn longest_delay(&self) -> u32 {
-        self.longest_delay
-    }
-
-    fn add_message(
-        &self,
-        program: &Program,
-        message: AxonTarget,
-        route: Route,
-        steps_left: u32,
-        step: &mut StepActivity,
-    ) {
-        let (dense, sparse) = match steps_left > self.longest_delay {
-            true => {
-                let (dense, sparse) = self.whole[message.core.0 as usize][usize::from(message.axon)];
-                (u64::from(dense), u64::from(sparse))
-            }
-            false => events(&program.cores()[message.core], message.axon, steps_left),
+/// Adds what `times` spikes of one source cause, counting synapses whose delay field is below `reach`.
+pub fn add_spikes(program: &Program, source: SpikeSource, reach: u32, times: u64, sum: &mut StepActivity) {
+    let sent = messages(program, source);
+    let from = match source {
+        SpikeSource::Channel(_) => {
+            sum.spikes_in += times;
+            sum.messages_from_inputs += sent.len() as u64 * times;
+            None
+        }
+        SpikeSource::Compartment(compartment) => {
+            let core = program.seats()[compartment].core;
+            sum.cores[core].spikes += times;
+            sum.cores[core].messages_out += sent.len() as u64 * times;
+            Some(program.cores()[core].site)
+        }
+    };
+    for message in sent {
+        let image = &program.cores()[message.core];
+        let (dense, sparse) = events(image, message.axon, reach);
+        let core = &mut sum.cores[message.core];
+        core.messages_in += times;
+        core.events_dense += dense * times;
+        core.events_sparse += sparse * times;
+        let route = match from {
+            None => program.mesh().route_from_corner(image.site),
+            Some(site) => program.mesh().route(site, image.site),
         };
-        let core = &mut step.cores[message.core];
-        core.messages_in += 1;
-        core.events_dense += dense;
-        core.events_sparse += sparse;
-        step.add_route(route);
+        sum.add_routes(route, times);
     }
+}
 
-    /// Adds what these input spikes cause; `steps_left` counts from their own step to the end of the sample.
-    pub fn add_inputs(&self, program: &Program, channels: &[ChannelId], steps_left: u32, step: &mut StepActivity) {
-        step.spikes_in += channels.len() as u64;
-        for &channel in channels {
-            for &message in program.channel(channel) {
-                step.messages_from_inputs += 1;
-                let route = program.mesh().route_from_corner(program.cores()[message.core].site);
-                self.add_message(program, message, route, steps_left, step);
-            }
-        }
+/// Adds one step's spikes: inputs, whose deliveries reach until `left` steps from this one are gone, and compartments,
+/// which deliver a step later.
+pub fn add_step(
+    program: &Program,
+    channels: &[ChannelId],
+    spikes: &[CompartmentId],
+    left: u32,
+    step: &mut StepActivity,
+) {
+    for &channel in channels {
+        add_spikes(program, SpikeSource::Channel(channel), left, 1, step);
     }
-
-    /// Adds what these compartments' spikes cause; `steps_left` counts from the step after theirs.
-    pub fn add_spikes(&self, program: &Program, spikes: &[CompartmentId], steps_left: u32, step: &mut StepActivity) {
-        for &compartment in spikes {
-            let seat = program.seats()[compartment];
-            let image = &program.cores()[seat.core];
-            let messages = image.axons_out.get(usize::from(seat.slot));
-            step.cores[seat.core].spikes += 1;
-            step.cores[seat.core].messages_out += messages.len() as u64;
-            for &message in messages {
-                let route = program.mesh().route(image.site, program.cores()[message.core].site);
-                self.add_message(program, message, route, steps_left, step);
-            }
-        }
+    for &compartment in spikes {
+        add_spikes(program, SpikeSource::Compartment(compartment), left.saturating_sub(1), 1, step);
     }
+}
 
-    /// Adds every core's compartments, visited once.
-    pub fn add_visits(&self, program: &Program, step: &mut StepActivity) {
-        for (counts, image) in step.cores.iter_mut().zip(program.cores()) {
-            counts.visited += image.compartments.len() as u64;
-        }
+/// Adds every core's compartments, visited in so many steps.
+pub fn add_visits(program: &Program, steps: u64, sum: &mut StepActivity) {
+    for (counts, image) in sum.cores.iter_mut().zip(program.cores()) {
+        counts.visited += image.compartments.len() as u64 * steps;
     }
+}
 
-    /// Adds compartments that were not at rest.
-    pub fn add_active(&self, active: &[(CoreId, u32)], step: &mut StepActivity) {
-        for &(core, count) in active {
-            step.cores[core].active += u64::from(count);
-        }
+/// Adds compartments that were not at rest.
+pub fn add_active(active: &[(CoreId, u32)], step: &mut StepActivity) {
+    for &(core, count) in active {
+        step.cores[core].active += u64::from(count);
     }
 }

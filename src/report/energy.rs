@@ -9,18 +9,33 @@ use comfy_table::{CellAlignment, ContentArrangement, Table};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::{count, wrapped};
 use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Estimate, Row};
 use crate::desc::baseline::Mode;
 use crate::desc::target::{Constants, Status, Unit};
+use crate::drive::decision::Rule;
 
-/// What leaving off early saved.
+/// What ending samples when they are decided would save of the run: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct EarlyExit {
-    /// Timesteps that were not needed.
+pub struct Saved {
+    /// What decides a sample.
+    #[serde(serialize_with = "spelled")]
+    pub rule: Rule,
+    /// Samples that were decided before their end.
+    pub decided: u64,
+    /// Timesteps that were not needed, of all samples.
     pub steps_saved: u64,
-    /// Energy of one copy that they would have cost.
+    /// Time that they took.
+    pub time_saved_us: f64,
+    /// Energy of one copy that they cost, all power included.
     pub energy_saved_uj: f64,
+    /// That as a part of the energy of the whole run; `None` when that is zero.
+    pub energy_saved_share: Option<f64>,
+}
+
+fn spelled<S: serde::Serializer>(rule: &Rule, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(rule)
 }
 
 /// A constant of the report.
@@ -80,8 +95,8 @@ pub struct EnergyReport {
     pub estimate: Estimate,
     /// Rows of other hardware, with their sources.
     pub baselines: Vec<(Row, String)>,
-    /// What leaving off early saved.
-    pub early_exit: Option<EarlyExit>,
+    /// What ending samples when they are decided would save.
+    pub early_exit: Option<Saved>,
     /// The constants of the preset.
     pub constants: Vec<ConstantEntry>,
     /// What is not known and why, for people; also on stderr when the output is for programs.
@@ -195,19 +210,24 @@ impl EnergyReport {
         );
         let _ = writeln!(
             out,
-            "{cores_used} neuron cores used, {cores_powered} powered, {x86_cores} x86 cores, {tiles_used} tiles on \
-             {chips_used} chips; {} samples, {} timesteps\n",
-            self.samples, self.timesteps
+            "{} used, {cores_powered} powered, {}, {} on {}; {}, {}",
+            count(*cores_used, "neuron core"),
+            count(*x86_cores, "x86 core"),
+            count(*tiles_used, "tile"),
+            count(*chips_used, "chip"),
+            count(self.samples, "sample"),
+            count(self.timesteps, "timestep")
         );
-        let energy_header = format!("Energy per timestep\n(uJ, {convention})");
-        let edp_header = format!("Energy-delay product\n(pJ s, {convention})");
+        out.push_str("power of one copy; latency, energy and energy-delay product (EDP) of a timestep\n\n");
+        let energy_header = format!("Energy\n(uJ, {convention})");
+        let edp_header = format!("EDP\n(pJ s, {convention})");
         let mut table = plain(&[
             "Hardware",
             "Unit",
             "Static\n(mW)",
             "Dynamic\n(mW)",
             "Total\n(mW)",
-            "Latency per timestep\n(us)",
+            "Latency\n(us)",
             &energy_header,
             &edp_header,
             "Source",
@@ -215,30 +235,37 @@ impl EnergyReport {
         for cells in self.printed_rows() {
             table.add_row(cells);
         }
-        let _ = writeln!(out, "{table}\n");
+        let _ = writeln!(out, "{}\n", table.trim_fmt());
         out.push_str(&self.ranges());
         out.push_str(&self.breakdown());
         if let Some(saved) = self.early_exit {
             let _ = writeln!(
                 out,
-                "Early exit saved {} timesteps and {} uJ a copy.\n",
+                "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} timesteps, {} us \
+                 and {} uJ a copy{}; the figures above are those of whole samples.\n",
+                saved.rule,
+                saved.decided,
+                self.samples,
                 saved.steps_saved,
-                short(saved.energy_saved_uj)
+                self.timesteps,
+                short(saved.time_saved_us),
+                short(saved.energy_saved_uj),
+                saved.energy_saved_share.map_or(String::new(), |share| format!(" ({:.1} %)", 100.0 * share)),
             );
         }
-        out.push_str(match convention {
+        out.push_str(&wrapped(match convention {
             "published" => {
                 "Convention published: energy is total power in mW divided by the timesteps of a sample, as the VT-SNN paper \
-                 computes it; it is not power times latency.\n"
+                 computes it; it is not power times latency."
             }
-            _ => "Convention physical: energy is power times latency, the energy-delay product energy times latency.\n",
-        });
+            _ => "Convention physical: energy is power times latency, the energy-delay product energy times latency.",
+        }));
         for (row, source) in &self.baselines {
-            let _ = writeln!(out, "{}: {source}", row.hardware);
+            out += &wrapped(&format!("{}: {source}", row.hardware));
         }
         out.push_str(&self.sources());
         for note in &self.notes {
-            let _ = writeln!(out, "Note: {note}");
+            out += &wrapped(&format!("Note: {note}"));
         }
         out
     }
@@ -304,7 +331,7 @@ impl EnergyReport {
                 range(low.energy_uj, high.energy_uj),
             ]);
         }
-        format!("Range over the presets {}, each figure on its own:\n{table}\n\n", self.presets.join(", "))
+        format!("Range over the presets {}, each figure on its own:\n{}\n\n", self.presets.join(", "), table.trim_fmt())
     }
 
     fn breakdown(&self) -> String {
@@ -317,10 +344,10 @@ impl EnergyReport {
             table.add_row([name.to_string(), short(pj), share]);
         }
         table.add_row(["sum".to_string(), short(total), String::new()]);
-        let _ = writeln!(out, "{table}\n");
+        let _ = writeln!(out, "{}\n", table.trim_fmt());
         if let Some(times) = self.estimate.time_us {
             let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", short(*us))).collect();
-            let _ = writeln!(out, "Work of a timestep, mean in us: {}.", listed.join(", "));
+            out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));
         }
         for (what, spread) in [
             ("Energy of a timestep, all power included (uJ, physical)", self.estimate.per_timestep_uj),
@@ -328,7 +355,7 @@ impl EnergyReport {
         ] {
             if let Some(s) = spread {
                 let [min, p50, p99, max] = [s.min, s.p50, s.p99, s.max].map(short);
-                let _ = writeln!(out, "{what}: least {min}, median {p50}, 99th percentile {p99}, greatest {max}.");
+                out += &wrapped(&format!("{what}: least {min}, median {p50}, 99th percentile {p99}, greatest {max}."));
             }
         }
         out.push('\n');
@@ -349,8 +376,8 @@ impl EnergyReport {
         if !assumed.is_empty() {
             let _ = write!(out, " ({})", assumed.join(", "));
         }
-        out.push_str(". --format json lists each with its source.\n");
-        out
+        out.push_str(". --format json lists each with its source.");
+        wrapped(&out)
     }
 }
 
@@ -359,7 +386,7 @@ type Figure = fn(&Row) -> Option<f64>;
 
 fn plain(header: &[&str]) -> Table {
     let mut table = Table::new();
-    table.set_content_arrangement(ContentArrangement::Disabled);
+    table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
     table.set_header(header);
     for (i, column) in table.column_iter_mut().enumerate() {
         let text = i == 0 || matches!(header[i], "Unit" | "Source");

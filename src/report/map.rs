@@ -9,6 +9,7 @@ use std::fmt::Write;
 use comfy_table::{CellAlignment, Table};
 use serde_json::{Value, json};
 
+use super::{count, wrapped};
 use crate::compile::traffic::{DEFAULT_RATE, Traffic};
 use crate::compile::{Compiled, Options, Reason, place};
 use crate::desc::target::Target;
@@ -84,7 +85,9 @@ fn cores_per_copy(compiled: &Compiled) -> f64 {
     compiled.partition.cores() as f64 / f64::from(compiled.options.copies)
 }
 
-fn reason_json(reason: &Reason) -> Value {
+/// A reason as `nsim.map/1` and errors have it.
+#[must_use]
+pub fn reason_json(reason: &Reason) -> Value {
     json!({
         "code": reason.code,
         "population": reason.population,
@@ -173,22 +176,20 @@ fn quoted(field: &str) -> String {
 pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
     let Question { model, target, options } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
-    let mut text =
-        format!("{model}, {copies}, onto {} ({} cores on {} chips): ", target.name(), target.cores(), target.chips());
+    let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
+    let mut text = format!("{model}, {copies}, onto {} ({cores} on {chips}): ", target.name());
     match outcome {
         Outcome::DoesNotFit(reasons) => {
             text += "does not fit\n";
-            for reason in reasons {
-                let _ = writeln!(text, "  - {reason}");
-            }
+            text += &listed(reasons);
         }
         Outcome::Fits(compiled, traffic) => {
             let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
             let _ = writeln!(
                 text,
-                "fits on {cores} core{} of {chips} chip{}, {:.4} cores a copy; checked against its network",
-                if cores == 1 { "" } else { "s" },
-                if chips == 1 { "" } else { "s" },
+                "fits on {} of {}\n{:.4} cores a copy; checked against its network",
+                count(cores as u64, "core"),
+                count(chips, "chip"),
                 cores_per_copy(compiled)
             );
             let _ = writeln!(
@@ -202,15 +203,25 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             text += &table(compiled, target);
             let _ = writeln!(
                 text,
-                "\ntraffic at an assumed {DEFAULT_RATE} spikes a source and step: {:.2} spikes to other cores (inputs' included), {:.2} hops; \
-                 links carry {:.5} messages a step on average, {:.2} at most",
+                "\na step at an assumed {DEFAULT_RATE} spikes a source: {:.2} spikes to other cores (inputs' included), {:.2} hops;\n\
+                 links carry {:.5} messages on average, {:.2} at most",
                 traffic.cut_spikes_per_step, traffic.hops_per_step, traffic.mean_link_load, traffic.max_link_load
             );
-            let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1} ms", seconds * 1e3);
-            let _ = writeln!(text, "{}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", "));
+            let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
+            let _ = writeln!(text, "ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", "));
         }
     }
     text
+}
+
+fn listed(reasons: &[Reason]) -> String {
+    reasons.iter().map(|reason| wrapped(&format!("- {reason}"))).collect()
+}
+
+/// That and why a network does not fit, where a fit was taken for granted.
+#[must_use]
+pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
+    format!("{model} does not fit on {}:\n{}", target.name(), listed(reasons))
 }
 
 /// A table of every core's use of its resources, in numbers and in hundredths of what there is.
@@ -221,8 +232,8 @@ fn table(compiled: &Compiled, target: &Target) -> String {
     let resources = [
         (Resource::Compartments, "compartments"),
         (Resource::AxonsIn, "axons in"),
-        (Resource::AxonsOut, "axon slots out"),
-        (Resource::SynapseWords, "synapse words"),
+        (Resource::AxonsOut, "axons out"),
+        (Resource::SynapseWords, "words"),
         (Resource::SynapseFormats, "formats"),
         (Resource::CompartmentProfiles, "profiles"),
         (Resource::ThresholdProfiles, "thresholds"),
@@ -325,7 +336,7 @@ mod tests {
         assert!(fits["seconds"]["partition"].is_f64());
         assert_eq!(csv(outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
         let spoken = text(question, outcome);
-        assert!(spoken.contains("fits on 3 cores of 1 chip,") && spoken.contains("7452  45%"), "{spoken}");
+        assert!(spoken.contains("fits on 3 cores of 1 chip\n") && spoken.contains("7452  45%"), "{spoken}");
 
         let small = target(1, 1, Limits { axons_in: 1000, ..limits() });
         let question = Question { target: &small, ..question };

@@ -5,5 +5,50 @@
 
 pub mod bench;
 pub mod energy;
+pub mod inspect;
 pub mod map;
 pub mod run;
+
+/// The width of text for people.
+const WIDTH: usize = 100;
+
+/// A number of things, in words.
+fn count(number: impl Into<u64>, thing: &str) -> String {
+    let number = number.into();
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+}
+
+/// A paragraph in lines of [`WIDTH`]; those behind the first are set in.
+fn wrapped(text: &str) -> String {
+    let mut out = String::new();
+    let mut column = 0;
+    for word in text.split_whitespace() {
+        let length = word.chars().count();
+        if column > 0 && column + 1 + length > WIDTH {
+            out += "\n  ";
+            column = 2;
+        } else if column > 0 {
+            out.push(' ');
+            column += 1;
+        }
+        out += word;
+        column += length;
+    }
+    out.push('\n');
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_paragraph_keeps_its_words_and_its_width() {
+        let text = "one two three ".repeat(40);
+        let lines = wrapped(&text);
+        assert!(lines.lines().count() > 5 && lines.lines().all(|line| line.len() <= WIDTH), "{lines}");
+        assert!(lines.split_whitespace().eq(text.split_whitespace()));
+        assert_eq!(wrapped("short"), "short\n");
+        assert_eq!((count(1u32, "chip"), count(2u64, "chip")), ("1 chip".to_string(), "2 chips".to_string()));
+    }
+}

@@ -2,6 +2,8 @@
 
 use serde_json::{Value, json};
 
+use super::count;
+use crate::drive::decision::Rule;
 use crate::drive::{Outcome, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
 use crate::ir::quantised::Quantised;
@@ -27,6 +29,8 @@ pub struct RunReport<'a> {
     pub activity: Option<&'a Activity>,
     /// Compartment updates that were left out.
     pub skipped_updates: u64,
+    /// The rule by which samples ended before their last step.
+    pub early_exit: Option<Rule>,
     /// Seconds spent simulating.
     pub wall_s: f64,
     /// Files that probes were written to.
@@ -46,6 +50,37 @@ impl RunReport<'_> {
 
     fn timesteps(&self) -> u64 {
         self.outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum()
+    }
+
+    fn steps_saved(&self) -> u64 {
+        self.outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum()
+    }
+
+    /// How many samples were decided early, and the least step by which half of those were.
+    fn decided(&self) -> (usize, Option<u32>) {
+        let mut steps: Vec<u32> = self.outcomes.iter().filter_map(|outcome| outcome.decided_at).collect();
+        steps.sort_unstable();
+        (steps.len(), steps.get(steps.len().saturating_sub(1) / 2).copied())
+    }
+
+    fn early_exit_json(&self) -> Value {
+        let Some(rule) = self.early_exit else { return Value::Null };
+        let (decided, median) = self.decided();
+        json!({
+            "rule": rule.to_string(), "decided": decided, "median_step": median, "steps_saved": self.steps_saved(),
+        })
+    }
+
+    fn early_exit_text(&self) -> String {
+        let Some(rule) = self.early_exit else { return String::new() };
+        let ((decided, median), saved) = (self.decided(), self.steps_saved());
+        let share = 100.0 * saved as f64 / (saved + self.timesteps()).max(1) as f64;
+        let median = median.map_or(String::new(), |step| format!(", in the median after step {step}"));
+        format!(
+            "\nearly exit {rule}: {decided} of {} samples decided before their end{median}; {saved} timesteps saved \
+             ({share:.1} %)\n",
+            self.outcomes.len()
+        )
     }
 
     fn totals(&self) -> Totals {
@@ -120,7 +155,8 @@ impl RunReport<'_> {
                 "compartment_updates": self.skipped_updates,
             },
             "overflow": self.overflow_json(),
-            "decided_at": self.outcomes.iter().map(|_| Value::Null).collect::<Vec<_>>(),
+            "decided_at": self.outcomes.iter().map(|outcome| outcome.decided_at).collect::<Vec<_>>(),
+            "early_exit": self.early_exit_json(),
             "wall_s": self.wall_s,
             "us_per_timestep": self.us_per_timestep(),
             "notes": self.network.parts().notes.iter()
@@ -136,15 +172,16 @@ impl RunReport<'_> {
     pub fn csv(&self) -> Result<String, csv::Error> {
         let outputs = self.outcomes.first().map_or(0, |outcome| outcome.counts.len());
         let mut out = csv::Writer::from_writer(Vec::new());
-        let mut head = ["sample", "label", "predicted", "steps", "spikes_in", "spikes", "synaptic_events"]
-            .map(String::from)
-            .to_vec();
+        let mut head =
+            ["sample", "label", "predicted", "steps", "decided_at", "spikes_in", "spikes", "synaptic_events"]
+                .map(String::from)
+                .to_vec();
         head.extend((0..outputs).map(|output| format!("output_{output}")));
         out.write_record(&head)?;
-        let optional = |class: Option<u32>| class.map_or(String::new(), |class| class.to_string());
+        let optional = |number: Option<u32>| number.map_or(String::new(), |number| number.to_string());
         for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).enumerate() {
-            let mut row =
-                vec![sample.to_string(), optional(label), optional(outcome.class()), outcome.steps.to_string()];
+            let mut row = vec![sample.to_string(), optional(label), optional(outcome.class())];
+            row.extend([outcome.steps.to_string(), optional(outcome.decided_at)]);
             let totals = outcome.totals;
             row.extend([totals.spikes_in, totals.spikes, totals.synaptic_events].map(|count| count.to_string()));
             row.extend(outcome.counts.iter().map(ToString::to_string));
@@ -172,7 +209,7 @@ impl RunReport<'_> {
         if let Some(seed) = self.seed {
             out += &format!("  (seed {seed})");
         }
-        out += &format!("\n{} samples, {steps} timesteps\n\n", self.outcomes.len());
+        out += &format!("\n{}, {}\n\n", count(self.outcomes.len() as u64, "sample"), count(steps, "timestep"));
         const SHOWN: usize = 12;
         out += &format!("{:>7} {:>12} {:>12}  spikes of outputs\n", "sample", "label", "predicted");
         for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).take(SHOWN).enumerate() {
@@ -190,8 +227,9 @@ impl RunReport<'_> {
                 &format!("{:>7} {} more; all of them with --format csv or json\n", "..", self.outcomes.len() - SHOWN);
         }
         if let Some(accuracy) = self.accuracy() {
-            out += &format!("\naccuracy {:.4} over {} samples\n", accuracy, self.outcomes.len());
+            out += &format!("\naccuracy {:.4} over {}\n", accuracy, count(self.outcomes.len() as u64, "sample"));
         }
+        out += &self.early_exit_text();
         out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");
         out += &format!("{:<24} {}\n", "input spikes", per_step(totals.spikes_in));
         out += &format!("{:<24} {}\n", "spikes", per_step(totals.spikes));

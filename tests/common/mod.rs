@@ -25,7 +25,7 @@ use nsim::ir::quantised::{
     Connectivity, Neuron, Neurons, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
 };
 use nsim::ir::spikes::Engine;
-use nsim::machine::{Machine, Settings};
+use nsim::machine::{Image, Machine, Settings};
 
 /// Every engine that must give the same answers, ready to begin: the interpreter, and the machine on as few cores as
 /// possible, with every core limit but the number of compartments out of the way.
@@ -37,7 +37,8 @@ pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     let compiled = compile_quantised(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
     // A test's engines live as long as the test.
     let program: &'static Program = Box::leak(Box::new(compiled.program));
-    let machine = |skip| Box::new(Machine::new(program, Settings { skip, shards: 1 }).unwrap());
+    let image: &'static Image = Box::leak(Box::new(Image::new(program, 1).unwrap()));
+    let machine = |skip| Box::new(Machine::new(image, Settings { skip, per_step: false }));
     vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
 }
 
@@ -49,8 +50,14 @@ pub fn data(folder: &str) -> Option<PathBuf> {
     if path.is_dir() {
         return Some(path);
     }
-    println!("skipped: no data at {}", path.display());
+    say(&format!("skipped: no data at {}", path.display()));
     None
+}
+
+/// Says something that is seen even when the test passes: the harness keeps what `println!` prints to itself.
+pub fn say(text: &str) {
+    use std::io::Write;
+    writeln!(std::io::stderr().lock(), "{text}").unwrap();
 }
 
 /// The integers of a NumPy file.

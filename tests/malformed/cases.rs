@@ -111,7 +111,7 @@ pub fn cases() -> Vec<Case> {
 
     // Model files: what replaces what, and what is said where (line 0: the file as a whole).
     let syntax = "model.syntax";
-    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 49] = [
+    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 53] = [
         ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`dw` in `Loihi`"),
         ("unknown kind of population", "Loihi(", "Loki(", syntax, 6, "Loki"),
         ("unknown kind of projection", "Dense(", "Dence(", syntax, 9, "Dence"),
@@ -135,6 +135,17 @@ pub fn cases() -> Vec<Case> {
         ("unknown source", "[[2, 2, 2, 2], [4, 4, 4, 4]]", "Npz(\"a\")", syntax, 9, "Npz"),
         ("unknown sign", "weight_exp: 0", "sign: Both", syntax, 9, "Both"),
         ("number beyond 64 bits", "shape: [4]", "shape: [99999999999999999999999]", syntax, 5, ""),
+        ("fractional delay", "delay: 0", "delay: 1.5", syntax, 9, "expected a whole number and found 1.5"),
+        ("weights without a comma", "[4, 4, 4, 4]", "[4, 4 4, 4]", syntax, 9, "comma"),
+        ("weights that do not end", "[4, 4, 4, 4]]", "[4, 4, 4, 4]", syntax, 9, "']' is due"),
+        (
+            "range from high to low",
+            "[[2, 2, 2, 2], [4, 4, 4, 4]]",
+            "Uniform(low: 2, high: 1, seed: 1)",
+            "model.uniform",
+            9,
+            "2 to 1 is no range",
+        ),
         ("NaN timestep", "1.0", "NaN", "model.timestep", 3, "NaN"),
         ("no timestep", "1.0", "0", "model.timestep", 3, "0"),
         ("decay too large", "du: 1024", "du: 5000", "model.range", 6, "decay 5000 is outside 0..=4096"),

@@ -5,6 +5,8 @@
 #![allow(clippy::unwrap_used)]
 
 mod cases;
+#[path = "../common/memory.rs"]
+mod memory;
 
 use std::path::{Path, PathBuf};
 
@@ -59,16 +61,9 @@ fn each_is_refused_by_name_and_place() {
         }
     }
     assert!(wrong.is_empty(), "{} of {}:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
-    if let Some(peak) = peak_kib() {
+    if let Some(peak) = memory::peak_kib() {
         assert!(peak < 1 << 20, "{peak} KiB at the peak");
     }
-}
-
-/// The most memory that this process ever held.
-fn peak_kib() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
-    line.split_whitespace().nth(1)?.parse().ok()
 }
 
 #[test]

@@ -1,0 +1,463 @@
+//! A program flattened for the simulator: what a run only reads.
+//!
+//! Comes in: a [`Program`]. Goes out: compartments laid out in lanes, and for each share of them one list of synapses a
+//! source of spikes. Counts are not taken from here but from the program (`tally`), so flattening cannot change them.
+//!
+//! Compartments stand in the order of cores and slots. A *block* is consecutive compartments of one core, starting at a
+//! multiple of sixteen lanes; 64 lanes are a *granule*, the unit of skipping and of sharing out. Lanes that hold no
+//! compartment are padding: rows of weights are padded with zeros to whole chunks, so adding into padding changes nothing.
+
+use crate::base::fixed::WEIGHT_SHIFT;
+use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
+use crate::desc::network::Semantics;
+use crate::ir::program::{CoreImage, Program, Synapse};
+use crate::ir::quantised::{Neuron, Reset, SpikeSource};
+use crate::machine::kernel::{LANES, Shared};
+use crate::machine::neuron::Fields;
+use crate::machine::tally::longest_delay;
+
+/// Lanes of a granule.
+pub const GRANULE: usize = 64;
+/// The shortest run of equal fields that is worth a block of its own.
+const SHORTEST_RUN: usize = 8;
+
+/// Why a program cannot be flattened.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ImageError {
+    /// All synapses of a compartment together weigh too much.
+    #[error("compartment {0} has synapses that together exceed 2^31 weight units: their sum cannot be counted exactly")]
+    FanIn(CompartmentId),
+    /// Too many synapses.
+    #[error("{0} synapses on one share of the cores, at most 2^32 - 1 can be indexed; use more threads")]
+    TooMany(usize),
+}
+
+/// Where a spike comes from: channels first, then compartments in the network's order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Source(pub u32);
+
+/// Consecutive lanes that a source reaches.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Row {
+    /// The first lane.
+    pub target: u32,
+    /// The first weight.
+    pub weights: u32,
+    /// Chunks of sixteen lanes.
+    pub chunks: u16,
+    /// Delay field.
+    pub delay: u8,
+}
+
+/// Synapses of one delay by source; weights in units of 64.
+#[derive(Debug)]
+pub(super) struct Sparse {
+    /// Delay field.
+    pub delay: u8,
+    /// One more than sources.
+    pub first: Vec<u32>,
+    /// Lane of each.
+    pub targets: Vec<u32>,
+    /// Weight of each.
+    pub weights: Vec<i16>,
+}
+
+/// Fields of a block.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum BlockFields {
+    /// One set for all, an index into `fields`.
+    Same(u32),
+    /// One set a lane: indices into `field_of`, from this one on.
+    Each(u32),
+}
+
+/// Consecutive compartments of one core within a granule.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Block {
+    /// The first lane, a multiple of sixteen.
+    pub start: u32,
+    /// Compartments; the lanes up to the next multiple of sixteen are padding.
+    pub length: u32,
+    /// The core.
+    pub core: CoreId,
+    /// The fields.
+    pub fields: BlockFields,
+    /// The first compartment's place in `ids`.
+    pub id: u32,
+    /// The earliest step from which one of its compartments is not held at zero.
+    pub starts: u32,
+}
+
+/// One share of the lanes; lanes count from its own first.
+#[derive(Debug)]
+pub(super) struct Share {
+    /// Number of lanes, padding and a last chunk of slack included.
+    pub lanes: usize,
+    /// Blocks in order.
+    pub blocks: Vec<Block>,
+    /// First block of each granule, and one more.
+    pub granules: Vec<u32>,
+    /// Granules that never rest, a bit each.
+    pub driven: Vec<u64>,
+    /// First row of each source, and one more; empty when there is no row at all.
+    pub first_row: Vec<u32>,
+    /// Rows.
+    pub rows: Vec<Row>,
+    /// Weights of rows, in units of 64.
+    pub row_weights: Vec<i16>,
+    /// Lists by delay, ascending.
+    pub sparse: Vec<Sparse>,
+}
+
+/// A program flattened.
+#[derive(Debug)]
+pub struct Image<'p> {
+    program: &'p Program,
+    /// The longest delay field.
+    pub(super) longest_delay: u32,
+    pub(super) semantics: Semantics,
+    pub(super) reset: Option<Reset>,
+    pub(super) fields: Vec<Fields>,
+    pub(super) shared: Vec<Shared>,
+    pub(super) field_of: Vec<u32>,
+    /// The network's number of each compartment, in the order of lanes.
+    pub(super) ids: Vec<CompartmentId>,
+    /// Whether that order is the network's own.
+    pub(super) in_order: bool,
+    /// Share and lane of each compartment of the network.
+    lanes: Vec<u32>,
+    /// First lane of each share, over all.
+    bases: Vec<u32>,
+    pub(super) shares: Vec<Share>,
+    /// Synaptic events of a spike of each source when all of them arrive.
+    pub(super) events: Vec<u32>,
+    pub(super) channels: u32,
+    /// Granules of all shares.
+    pub(super) granules: usize,
+}
+
+impl<'p> Image<'p> {
+    /// Flattens a program into about so many shares.
+    ///
+    /// # Errors
+    /// [`ImageError`] when sums could not be exact or an index would overflow.
+    pub fn new(program: &'p Program, shares: usize) -> Result<Self, ImageError> {
+        let parts = program.parts();
+        let mut image = Image {
+            program,
+            longest_delay: longest_delay(program),
+            semantics: parts.semantics,
+            reset: parts.reset,
+            fields: Vec::new(),
+            shared: Vec::new(),
+            field_of: Vec::new(),
+            ids: Vec::with_capacity(program.compartments() as usize),
+            in_order: true,
+            lanes: vec![0; program.compartments() as usize],
+            bases: Vec::new(),
+            shares: Vec::new(),
+            events: Vec::new(),
+            channels: program.channels(),
+            granules: 0,
+        };
+        let blocks = image.lay_out();
+        image.in_order = image.ids.is_sorted();
+        image.check_fan_in()?;
+        image.share_out(blocks, shares);
+        image.connect()?;
+        Ok(image)
+    }
+
+    /// The program.
+    #[must_use]
+    pub fn program(&self) -> &'p Program {
+        self.program
+    }
+
+    /// A channel's number as a source.
+    #[inline]
+    #[must_use]
+    pub fn channel(&self, channel: ChannelId) -> Source {
+        Source(channel.0)
+    }
+
+    /// A compartment's number as a source.
+    #[inline]
+    #[must_use]
+    pub fn compartment(&self, compartment: CompartmentId) -> Source {
+        Source(self.channels + compartment.0)
+    }
+
+    /// Number of sources.
+    #[must_use]
+    pub fn sources(&self) -> usize {
+        self.channels as usize + self.ids.len()
+    }
+
+    /// The source of a number.
+    #[must_use]
+    pub(super) fn source(&self, number: usize) -> SpikeSource {
+        match number.checked_sub(self.channels as usize) {
+            None => SpikeSource::Channel(ChannelId::new(number)),
+            Some(compartment) => SpikeSource::Compartment(CompartmentId::new(compartment)),
+        }
+    }
+
+    /// The parameters of a compartment.
+    pub(super) fn neuron(&self, compartment: CompartmentId) -> Neuron {
+        let seat = self.program.seats()[compartment];
+        self.program.cores()[seat.core].compartments[usize::from(seat.slot)].neuron
+    }
+
+    /// Share and lane within it of a compartment.
+    pub(super) fn lane(&self, compartment: CompartmentId) -> (usize, usize) {
+        let lane = self.lanes[compartment.index()];
+        let share = self.bases.partition_point(|&base| base <= lane) - 1;
+        (share, (lane - self.bases[share]) as usize)
+    }
+
+    /// Bytes of memory that it holds, the program not included.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let of = |share: &Share| {
+            let sparse: usize = share.sparse.iter().map(|s| 4 * s.first.len() + 6 * s.targets.len()).sum();
+            let rows = size_of::<Row>() * share.rows.len() + 4 * share.first_row.len() + 2 * share.row_weights.len();
+            size_of::<Block>() * share.blocks.len() + 4 * share.granules.len() + 8 * share.driven.len() + rows + sparse
+        };
+        let shares: usize = self.shares.iter().map(of).sum();
+        let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
+        shares + fields + 4 * (self.ids.len() + self.lanes.len() + self.events.len())
+    }
+
+    /// Lays compartments out in lanes over all shares and returns their blocks.
+    fn lay_out(&mut self) -> Vec<Block> {
+        let parts = self.program.parts();
+        let mut known = std::collections::HashMap::new();
+        let (mut blocks, mut lane) = (Vec::new(), 0u32);
+        let firsts: Vec<CompartmentId> = parts.populations.iter().flatten().map(|(first, _)| *first).collect();
+        for (core, core_image) in parts.cores.enumerate() {
+            let field_of: Vec<u32> = core_image
+                .compartments
+                .iter()
+                .map(|compartment| {
+                    *known.entry((compartment.neuron, compartment.start_step)).or_insert_with(|| {
+                        let (neuron, start) = (compartment.neuron, compartment.start_step);
+                        let fields = Fields::new(neuron, start, parts.semantics, parts.threshold);
+                        self.shared.push(Shared::from(&fields));
+                        self.fields.push(fields);
+                        self.fields.len() as u32 - 1
+                    })
+                })
+                .collect();
+            // Rows of weights are aligned when a population begins with a block of its own.
+            let kind_of: Vec<(u32, usize)> = core_image
+                .ids
+                .iter()
+                .zip(&field_of)
+                .map(|(id, &f)| (f, firsts.partition_point(|first| first <= id)))
+                .collect();
+            let mut slot = 0;
+            while slot < field_of.len() {
+                let room = GRANULE - lane as usize % GRANULE;
+                let left = (field_of.len() - slot).min(room);
+                let kinds = &kind_of[slot..slot + left];
+                let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
+                let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
+                let length = match long(0) {
+                    true => run(0),
+                    false => (1..left).find(|&from| kinds[from] != kinds[from - 1] && long(from)).unwrap_or(left),
+                };
+                let fields = match field_of[slot..slot + length].iter().all(|&f| f == field_of[slot]) {
+                    true => BlockFields::Same(field_of[slot]),
+                    false => {
+                        self.field_of.extend(&field_of[slot..slot + length]);
+                        BlockFields::Each((self.field_of.len() - length) as u32)
+                    }
+                };
+                let held = field_of[slot..slot + length].iter().map(|&f| self.fields[f as usize].start_step).min();
+                let (length, id) = (length as u32, self.ids.len() as u32);
+                blocks.push(Block { start: lane, length, core, fields, id, starts: held.unwrap_or(0) });
+                for (offset, &compartment) in core_image.ids[slot..slot + length as usize].iter().enumerate() {
+                    self.ids.push(compartment);
+                    self.lanes[compartment.index()] = lane + offset as u32;
+                }
+                lane = (lane + length).next_multiple_of(LANES as u32);
+                slot += length as usize;
+            }
+        }
+        blocks
+    }
+
+    /// Makes sure that no sum can leave 32 bits: a source spikes once a step, so each synapse adds at most once.
+    fn check_fan_in(&self) -> Result<(), ImageError> {
+        for image in self.program.cores() {
+            let mut weight = vec![0u64; image.compartments.len()];
+            for synapse in image.synapses.items() {
+                weight[usize::from(synapse.slot)] += u64::from(units(image, synapse).unsigned_abs());
+            }
+            if let Some(slot) = weight.iter().position(|&weight| weight > i32::MAX as u64) {
+                return Err(ImageError::FanIn(image.ids[slot]));
+            }
+        }
+        Ok(())
+    }
+
+    /// Cuts the lanes into shares of whole granules with about as many blocks each.
+    fn share_out(&mut self, blocks: Vec<Block>, shares: usize) {
+        let granules = blocks.last().map_or(0, |block| block.start as usize / GRANULE + 1);
+        let size = granules.div_ceil(shares.max(1)).max(1);
+        let mut current: Option<(usize, Share)> = None;
+        for mut block in blocks {
+            let granule = block.start as usize / GRANULE;
+            let share = granule / size;
+            if current.as_ref().is_none_or(|(index, _)| *index != share) {
+                self.shares.extend(current.take().map(|(_, share)| share));
+                self.bases.push((share * size * GRANULE) as u32);
+                current = Some((share, Share::empty()));
+            }
+            let Some((_, share)) = current.as_mut() else { continue };
+            block.start -= self.bases[self.bases.len() - 1];
+            while share.granules.len() <= block.start as usize / GRANULE {
+                share.granules.push(share.blocks.len() as u32);
+            }
+            share.blocks.push(block);
+        }
+        self.shares.extend(current.map(|(_, share)| share));
+        self.granules = granules;
+        for share in &mut self.shares {
+            share.granules.push(share.blocks.len() as u32);
+            let granules = share.granules.len() - 1;
+            // A row that begins in the last lanes reads and writes zeros up to a chunk beyond them.
+            share.lanes = granules * GRANULE + LANES;
+            share.driven = vec![0; granules.div_ceil(64)];
+            for block in &share.blocks {
+                let lanes = 0..block.length;
+                let drives = |f: &Fields| f.bias != 0 || f.fires_from <= 0;
+                let driven = match block.fields {
+                    BlockFields::Same(f) => drives(&self.fields[f as usize]),
+                    BlockFields::Each(first) => {
+                        lanes.into_iter().any(|i| drives(&self.fields[self.field_of[(first + i) as usize] as usize]))
+                    }
+                };
+                if driven {
+                    let granule = block.start as usize / GRANULE;
+                    share.driven[granule / 64] |= 1 << (granule % 64);
+                }
+            }
+        }
+    }
+
+    /// Flattens the axon tables.
+    fn connect(&mut self) -> Result<(), ImageError> {
+        let parts = self.program.parts();
+        let mut delays: Vec<u8> = Vec::new();
+        for image in &parts.cores {
+            for synapse in image.synapses.items() {
+                let delay = synapse.delay.get();
+                if image.formats[usize::from(synapse.format)].index_bits.is_some() && !delays.contains(&delay) {
+                    delays.push(delay);
+                }
+            }
+        }
+        delays.sort_unstable();
+        let empty = |delay| Sparse { delay, first: vec![0], targets: Vec::new(), weights: Vec::new() };
+        for share in &mut self.shares {
+            share.sparse = delays.iter().map(|&delay| empty(delay)).collect();
+            share.first_row.push(0);
+        }
+        for source in 0..self.sources() as u32 {
+            let messages = match source.checked_sub(self.channels) {
+                None => self.program.channel(ChannelId(source)),
+                Some(compartment) => {
+                    let seat = parts.seats[CompartmentId(compartment)];
+                    parts.cores[seat.core].axons_out.get(usize::from(seat.slot))
+                }
+            };
+            let mut events = 0u32;
+            for message in messages {
+                let image = &parts.cores[message.core];
+                let synapses = image.synapses.get(usize::from(message.axon));
+                events += synapses.len() as u32;
+                self.append(image, synapses);
+            }
+            self.events.push(events);
+            for share in &mut self.shares {
+                share.first_row.push(share.rows.len() as u32);
+                for table in &mut share.sparse {
+                    table.first.push(table.targets.len() as u32);
+                }
+            }
+        }
+        for share in &mut self.shares {
+            let most = share.sparse.iter().map(|t| t.targets.len()).max().unwrap_or(0).max(share.row_weights.len());
+            if u32::try_from(most).is_err() {
+                return Err(ImageError::TooMany(most));
+            }
+            for table in &mut share.sparse {
+                table.targets.shrink_to_fit();
+                table.weights.shrink_to_fit();
+            }
+            if share.rows.is_empty() {
+                share.first_row = Vec::new();
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds one axon's list to the source that is being connected.
+    fn append(&mut self, image: &CoreImage, synapses: &[Synapse]) {
+        /// A row in the making.
+        struct Open {
+            share: usize,
+            next: u32,
+            delay: u8,
+        }
+        let mut open: Option<Open> = None;
+        for synapse in synapses {
+            let (share, lane) = self.lane(image.ids[usize::from(synapse.slot)]);
+            let (lane, delay, weight) = (lane as u32, synapse.delay.get(), units(image, synapse) as i16);
+            let share_data = &mut self.shares[share];
+            if image.formats[usize::from(synapse.format)].index_bits.is_some() {
+                let table = share_data.sparse.iter_mut().find(|table| table.delay == delay);
+                let table = table.expect("every delay has a table");
+                table.targets.push(lane);
+                table.weights.push(weight);
+                continue;
+            }
+            let continues =
+                matches!(open, Some(Open { share: s, next, delay: d }) if (s, next, d) == (share, lane, delay));
+            if !continues {
+                let row = Row { target: lane, weights: share_data.row_weights.len() as u32, chunks: 0, delay };
+                share_data.rows.push(row);
+            }
+            let row = share_data.rows.last_mut().expect("a row is open");
+            let offset = lane - row.target;
+            if offset.is_multiple_of(LANES as u32) {
+                row.chunks += 1;
+                share_data.row_weights.extend([0; LANES]);
+            }
+            share_data.row_weights[(row.weights + offset) as usize] = weight;
+            open = Some(Open { share, next: lane + 1, delay });
+        }
+    }
+}
+
+impl Share {
+    fn empty() -> Self {
+        Share {
+            lanes: 0,
+            blocks: Vec::new(),
+            granules: Vec::new(),
+            driven: Vec::new(),
+            first_row: Vec::new(),
+            rows: Vec::new(),
+            row_weights: Vec::new(),
+            sparse: Vec::new(),
+        }
+    }
+}
+
+/// A synapse's weight in units of 64, which fit 16 bits: |w| <= 256 and the exponent is at most 7.
+fn units(image: &CoreImage, synapse: &Synapse) -> i32 {
+    image.formats[usize::from(synapse.format)].synapse.scaled(synapse.weight) >> WEIGHT_SHIFT
+}
