@@ -235,6 +235,80 @@ fn a_saved_mapping_runs_the_same() {
 }
 
 #[test]
+fn pruning_changes_no_output_and_says_what_it_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let spikes = write(folder.path(), "spikes.csv", "timestep,channel\n0,0\n1,0\n3,2\n3,0\n9,2\n");
+    let other = write(folder.path(), "other.csv", "# steps: 10\ntimestep,channel\n0,0\n7,1\n");
+    let saved = folder.path().join("pruned.ron").display().to_string();
+    let row = |object: &Value, kind: &str| {
+        let rows = object["pruned"].as_array().unwrap();
+        rows.iter().find(|row| row["kind"] == kind).map(|row| row["count"].as_u64().unwrap())
+    };
+
+    let none = object(&["map", &model, "--prune", "none"], 0);
+    assert_eq!((&none["pruned"], &none["cores"][0]["synapses"]), (&serde_json::json!([]), &20.into()));
+    let fixed = object(&["map", &model, "--prune", "static"], 0);
+    assert_eq!((row(&fixed, "dead_input"), row(&fixed, "zero_synapse")), (None, Some(4)));
+    assert_eq!(fixed["cores"][0]["synapses"], 16);
+    has_keys(&fixed["pruned"][0], &["kind", "count", "reason"]);
+    let scene = object(&["map", &model, "--prune", &spikes, "-o", &saved], 0);
+    assert_eq!(row(&scene, "dead_input"), Some(1));
+    let (code, stdout, _) = said(&["map", &model, "--prune", &spikes]);
+    assert!(code == 0 && stdout.contains("dead input") && stdout.contains("never fires in"), "{stdout}");
+
+    let whole = object(&["run", &model, "--input", &spikes], 0);
+    assert!(whole["activity"]["spikes"].as_u64().unwrap() > 0);
+    for more in [
+        &["--prune", "static"][..],
+        &["--prune", &spikes],
+        &["--mapping", &saved],
+        &["--prune", &spikes, "--engine", "golden"],
+    ] {
+        let run = object(&[&["run", &model, "--input", &spikes], more].concat(), 0);
+        assert_eq!((&run["digest"], &run["output_counts"]), (&whole["digest"], &whole["output_counts"]), "{more:?}");
+        assert!(run["activity"]["synaptic_events"].as_u64() < whole["activity"]["synaptic_events"].as_u64());
+    }
+    for more in [&["--prune", &spikes][..], &["--mapping", &saved], &["--prune", &spikes, "--engine", "golden"]] {
+        let error = object(&[&["run", &model, "--input", &other], more].concat(), 3);
+        let message = error["message"].as_str().unwrap();
+        assert_eq!(error["code"], "input.pruned");
+        for word in ["sample 0", "channel 1 of 'in'", "step 7"] {
+            assert!(message.contains(word), "{message}");
+        }
+    }
+    let energy = ["energy", &model, "--copies", "2", "--prune", &spikes, "--input"];
+    assert_eq!(object(&[&energy[..], &[&spikes]].concat(), 0)["schema"], "nsim.energy/1");
+    assert_eq!(object(&[&energy[..], &[&other]].concat(), 3)["code"], "input.pruned");
+    assert_eq!(said(&["run", &model, "--mapping", &saved, "--prune", "static"]).0, 2);
+    assert_eq!(said(&["map", &model, "--prune", "static", "--prune", &spikes]).0, 2);
+    assert_eq!(said(&["map", &model, "--prune", "no-such-file.npy"]).0, 3);
+}
+
+#[test]
+fn what_is_probed_is_not_pruned_and_what_is_pruned_not_probed() {
+    let folder = tempfile::tempdir().unwrap();
+    // Compartment 1 of hidden only reaches out over a weight of 0.
+    let model = write(folder.path(), "small.ron", &MODEL.replace("[0, 40, -10, 8]", "[0, 0, -10, 8]"));
+    let spikes = write(folder.path(), "spikes.csv", "timestep,channel\n0,0\n1,1\n3,2\n3,0\n9,1\n");
+    let saved = folder.path().join("pruned.ron").display().to_string();
+    let out = |name: &str| folder.path().join(name).display().to_string();
+    let arguments = ["run", &model, "--input", &spikes, "--probe", "hidden.v", "-o"];
+    object(&[&arguments[..], &[&out("whole")]].concat(), 0);
+    object(&[&arguments[..], &[&out("pruned"), "--prune", "static"]].concat(), 0);
+    let bytes = |name: &str| std::fs::read(folder.path().join(name).join("hidden.v.npy")).unwrap();
+    assert_eq!(bytes("whole"), bytes("pruned"));
+    let map = object(&["map", &model, "--prune", "static", "-o", &saved], 0);
+    let unreachable = &map["pruned"].as_array().unwrap()[2];
+    assert_eq!((&unreachable["kind"], &unreachable["count"]), (&"unreachable_compartment".into(), &1.into()));
+    let refused = object(&[&arguments[..], &[&out("refused"), "--mapping", &saved]].concat(), 3);
+    assert!(refused["message"].as_str().unwrap().contains("'hidden'"));
+    let kept = ["run", &model, "--input", &spikes, "--mapping", &saved, "--probe", "out.u", "-o", &out("kept")];
+    assert_eq!(said(&kept).0, 0);
+    assert_eq!(object(&["inspect", &saved], 0)["pruned"], "static");
+}
+
+#[test]
 fn threads_skipping_and_engines_change_no_result() {
     let of = |more: &[&str]| object(&[&["run", "container-tactile", "--samples", "0..4"], more].concat(), 0);
     let one = of(&["--threads", "1"]);

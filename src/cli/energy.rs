@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use crate::cli::jobs::{self, JobArgs, Prepared};
-use crate::cli::run::{InputArgs, Switch, select};
+use crate::cli::run::{InputArgs, Switch, check_pruned, select};
 use crate::cli::{Answer, Context, Format, common, inputs, simulate};
 
 use crate::base::diagnostic::Diagnostic;
@@ -270,6 +270,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let deployment = deployment(&args.deployment, args.copies, &compiled.placement, target)?;
     let stimulus = inputs::stimulus(&compiled.one, &args.input.input, job.scene(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
+    check_pruned(&compiled.one, &samples, &args.input)?;
     // Copies share nothing, input channels included: each sees the whole sample.
     let copied: Vec<Sample> =
         samples.iter().map(|sample| sample.copies(args.copies, compiled.one.channels())).collect();

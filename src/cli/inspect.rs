@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::{Answer, Context, common};
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::cost::baseline::{Baseline, SHIPPED};
-use crate::desc::mapping::MappingFile;
+use crate::desc::mapping::{MappingFile, PrunedFile};
 use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
 use crate::desc::spanned::parse;
 use crate::desc::target::{Chip, Constants, Target};
@@ -407,10 +407,20 @@ fn of_mapping(mapping: &MappingFile) -> Findings {
             ("copies", json!(mapping.copies)),
             ("strategy", json!(mapping.strategy)),
             ("seed", json!(mapping.seed)),
+            ("pruned", mapping.pruned.as_ref().map_or(json!("none"), of_pruning)),
             ("cores_used", json!(mapping.cores.len())),
             ("chips_used", json!(chips.len())),
         ],
         tables: vec![Rows { key: "cores", columns: &["chip", "x", "y", "core", "compartments", "holds"], rows }],
+    }
+}
+
+/// For what a mapping was pruned.
+fn of_pruning(pruned: &PrunedFile) -> Value {
+    let dead: u64 = pruned.dead.iter().map(|run| u64::from(run.count)).sum();
+    match &pruned.stimulus {
+        Some(stimulus) => json!(format!("for {}, which never fires {dead} channels", stimulus.join(" "))),
+        None => json!("static"),
     }
 }
 

@@ -1,7 +1,11 @@
 //! From MODEL, `--target` and `--mapping` to something that can run.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::PopulationId;
+use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, complain};
 use crate::compile::{self, CompileError, Compiled, Options, Reason};
 use crate::desc::mapping::MappingFile;
@@ -10,6 +14,7 @@ use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
 use crate::ir::program::Program;
+use crate::ir::pruned::Pruned;
 use crate::ir::quantised::Quantised;
 use crate::report;
 
@@ -25,6 +30,9 @@ pub struct JobArgs {
     /// A mapping saved by `nsim map -o`
     #[arg(long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub prune: PruneArgs,
 }
 
 /// A network ready to run.
@@ -91,22 +99,47 @@ impl Job {
     }
 }
 
+impl From<CompileError> for Error {
+    /// What does not fit is an answer; where none is expected it is told as an input that cannot be used.
+    fn from(error: CompileError) -> Self {
+        match error {
+            CompileError::Input(diagnostic) => diagnostic.into(),
+            CompileError::Fault(message) => Error::Fault(message),
+            CompileError::DoesNotFit(_) => Diagnostic::new("map.does-not-fit", error.to_string()).into(),
+        }
+    }
+}
+
 /// Loads a model, and maps it unless only the golden engine is wanted.
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.
 pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> Result<Prepared, Error> {
+    prepare_probed(args, mapped, copies, &[], context)
+}
+
+/// The same, with the populations of these names whole however much is pruned.
+///
+/// # Errors
+/// As [`prepare`].
+pub fn prepare_probed(
+    args: &JobArgs,
+    mapped: bool,
+    copies: u32,
+    probed: &[&str],
+    context: Context,
+) -> Result<Prepared, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     if !mapped {
-        let quantised = compile::quantise::quantise(&compile::lower::lower(&network)?)?;
+        let quantised = front(args, &network, probed)?.into_quantised();
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
     }
     let target = io::target::load_target(&args.target)?;
     let options = Options { copies, ..Options::default() };
     let mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
-    match compiled(&network, &target, &options, mapping.as_ref()) {
+    match compiled(args, &network, &target, &options, mapping.as_ref(), probed)?.0 {
         Ok(compiled) => {
             say_notes(&compiled.quantised);
             Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), Box::new(target), scene)))
@@ -115,20 +148,41 @@ pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> R
     }
 }
 
+/// A network in integers, without what `--prune` leaves out.
+fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
+    let front = compile::front(network)?;
+    let of_name = |name: &&str| front.quantised().population_named(name);
+    let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
+    Ok(match args.prune.plan(front.quantised(), &probed)? {
+        Some(plan) => front.prune(&plan)?,
+        None => front,
+    })
+}
+
+/// A network compiled, and what was pruned from it.
+pub type Fit = (Result<Compiled, CompileError>, Option<Arc<Pruned>>);
+
 /// Compiles a network, onto the cores of a saved mapping when there is one.
 ///
 /// # Errors
-/// As [`compile::compile`].
+/// [`Error`] when the network or what it is pruned for cannot be used.
 pub fn compiled(
+    args: &JobArgs,
     network: &Network,
     target: &Target,
     options: &Options,
     mapping: Option<&MappingFile>,
-) -> Result<Compiled, CompileError> {
-    match mapping {
-        Some(file) => compile::compile_network_with_mapping(network, target, options, file),
-        None => compile::compile(network, target, options),
-    }
+    probed: &[&str],
+) -> Result<Fit, Error> {
+    args.prune.not_with_mapping(mapping.is_some())?;
+    let Some(file) = mapping else {
+        let front = front(args, network, probed)?;
+        let pruned = front.quantised().pruned().cloned();
+        return Ok((front.map(target, options), pruned));
+    };
+    let compiled = compile::compile_network_with_mapping(network, target, options, file);
+    let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
+    Ok((compiled, pruned))
 }
 
 fn say_notes(quantised: &Quantised) {
@@ -143,12 +197,11 @@ fn say_notes(quantised: &Quantised) {
 /// [`Error`] unless the error is that it does not fit.
 pub fn does_not_fit(error: CompileError, model: &str, target: &Target, context: Context) -> Result<Answer, Error> {
     match error {
-        CompileError::Input(diagnostic) => Err(diagnostic.into()),
-        CompileError::Fault(message) => Err(Error::Fault(message)),
         CompileError::DoesNotFit(reasons) => {
             say_reasons(model, target, &reasons, context)?;
             Ok(Answer::No)
         }
+        other => Err(other.into()),
     }
 }
 

@@ -4,10 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crate::cli::jobs::{self, JobArgs};
 use crate::cli::{Answer, Context, common};
-use crate::compile::{CompileError, Compiled, Objective, Options, Reason, Strategy, traffic};
+use crate::compile::{CompileError, Objective, Options, Strategy, traffic};
 use crate::desc::mapping::MappingFile;
-use crate::desc::network::Network;
-use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
 use crate::report::map::{self as report, Outcome, Question};
@@ -18,6 +16,7 @@ EXAMPLES:
   nsim map model.ron --target loihi1-chip           on one chip, or every reason why not
   nsim map --copies 32 -o packed.ron                32 copies; keep the mapping
   nsim map --copies 32 --mapping packed.ron         check and use a kept mapping
+  nsim map --prune static                           without what can change no output, and what that was
   nsim map model.ron --format json                  for scripts";
 
 /// What is typed after `nsim map`.
@@ -73,8 +72,14 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let target = io::target::load_target(&args.job.target)?;
     let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
-    let compiled = fit(&network, &target, &options, mapping.as_ref())?;
-    let question = Question { model: &network.file().name, target: &target, options: &options };
+    let (compiled, pruned) = jobs::compiled(&args.job, &network, &target, &options, mapping.as_ref(), &[])?;
+    let compiled = match compiled {
+        Ok(compiled) => Ok(compiled),
+        Err(CompileError::DoesNotFit(reasons)) => Err(reasons),
+        Err(other) => return Err(other.into()),
+    };
+    let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
+    let question = Question { model: &network.file().name, target: &target, options: &options, pruned };
     let outcome = match &compiled {
         Ok(compiled) => Outcome::Fits(compiled, traffic::traffic(&compiled.program, traffic::DEFAULT_RATE)),
         Err(reasons) => Outcome::DoesNotFit(reasons),
@@ -97,21 +102,6 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
         strategy: args.strategy,
         objective: args.objective,
         seed: mapping.map_or(args.seed, |file| file.seed),
-    }
-}
-
-/// A compiled program or the reasons why there is none.
-fn fit(
-    network: &Network,
-    target: &Target,
-    options: &Options,
-    mapping: Option<&MappingFile>,
-) -> Result<Result<Compiled, Vec<Reason>>, Error> {
-    match jobs::compiled(network, target, options, mapping) {
-        Ok(compiled) => Ok(Ok(compiled)),
-        Err(CompileError::DoesNotFit(reasons)) => Ok(Err(reasons)),
-        Err(CompileError::Input(diagnostic)) => Err(diagnostic.into()),
-        Err(CompileError::Fault(message)) => Err(Error::Fault(message)),
     }
 }
 
@@ -162,13 +152,14 @@ mod tests {
         let network = io::model::load_model("vtsnn-slip").unwrap();
         let asked = |target: &str, copies| {
             let target = io::target::load_target(target).unwrap();
-            fit(&network, &target, &Options { copies, ..Options::default() }, None).unwrap()
+            let (args, options) = (typed(&[]).unwrap(), Options { copies, ..Options::default() });
+            jobs::compiled(&args.job, &network, &target, &options, None, &[]).unwrap().0
         };
         let compiled = asked("nahuku-32", 1).unwrap();
         let used = compiled.partition.usage().as_slice();
         assert_eq!((used.len(), used[0].axons_in, used[0].synapse_words), (1, 3_366, 7_452));
         assert_eq!(asked("nahuku-32", 32).unwrap().partition.cores(), 32);
-        let reasons = asked("tiny", 4096).unwrap_err();
+        let Err(CompileError::DoesNotFit(reasons)) = asked("tiny", 4096) else { panic!("it fits") };
         assert!(reasons.iter().any(|r| r.population.is_some()) && reasons.iter().any(|r| r.population.is_none()));
     }
 }

@@ -11,6 +11,7 @@ pub mod inputs;
 pub mod inspect;
 pub mod jobs;
 pub mod map;
+pub mod prune;
 pub mod run;
 pub mod simulate;
 

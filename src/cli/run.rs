@@ -6,6 +6,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::common::SampleRange;
 use crate::cli::{Answer, Context, common, inputs, jobs, simulate};
+use crate::compile::prune::check_stimulus;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, Outcome, Probe, Quantity};
 use crate::error::Error;
@@ -97,6 +98,12 @@ fn probe(network: &Quantised, text: &str) -> Result<NamedProbe, Error> {
     let quantity = quantity.ok_or_else(|| wrong(format!("'{what}' is none of spikes, u, v, v_register")))?;
     let id = network.population_named(population);
     let found = id.map(|id| &network.populations()[id]);
+    if let Some(lost) = id.and_then(|id| Some(network.units_shown(id) - network.kept(id)?.len() as u32)) {
+        let message =
+            format!("--probe {text}: {lost} compartments of '{population}' were pruned and have no registers");
+        let help = "map again without --prune, or let this run prune (--prune): it leaves what is probed whole";
+        return Err(Diagnostic::new("run.probe-pruned", message).help(help).into());
+    }
     match found.and_then(|p| Some((p.first_compartment()?, p.shape.len()))) {
         Some((first, count)) => Ok(NamedProbe { name: text.to_string(), probe: Probe { first, count, quantity } }),
         None => {
@@ -124,6 +131,16 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
     Ok((0..args.repeat).flat_map(|_| chosen.iter()).collect())
 }
 
+/// Refuses samples that fire what the network was pruned of; samples are numbered as the input has them.
+///
+/// # Errors
+/// `input.pruned`.
+pub fn check_pruned(network: &Quantised, samples: &[&Sample], args: &InputArgs) -> Result<(), Error> {
+    let first = args.samples.as_ref().map_or(0, |range| range.0.start);
+    let once = samples.len() / args.repeat as usize;
+    Ok(check_stimulus(network, &samples[..once], first)?)
+}
+
 /// The command.
 ///
 /// # Errors
@@ -133,13 +150,15 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let message = "--probe records every step of a sample, --early-exit leaves some off: use one of them";
         return Err(Error::Usage(message.to_string()));
     }
-    let job = match jobs::prepare(&args.job, args.engine == EngineChoice::Fast, 1, context)? {
+    let probed: Vec<&str> = args.probe.iter().filter_map(|text| Some(text.rsplit_once('.')?.0)).collect();
+    let job = match jobs::prepare_probed(&args.job, args.engine == EngineChoice::Fast, 1, &probed, context)? {
         jobs::Prepared::Ready(job) => job,
         jobs::Prepared::DoesNotFit(answer) => return Ok(answer),
     };
     let network = job.quantised();
     let stimulus = inputs::stimulus(network, &args.input.input, job.scene(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
+    check_pruned(network, &samples, &args.input)?;
     let probes = args.probe.iter().map(|text| probe(network, text)).collect::<Result<Vec<_>, _>>()?;
     let output = &network.populations()[network.parts().output];
     let first = output.first_compartment().unwrap_or_else(|| Id::new(0));

@@ -61,7 +61,7 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
             parts.projections.push(copy);
         }
     }
-    Quantised::new(parts)
+    Quantised::new(parts)?.with_record(network.pruned().cloned())
 }
 
 fn is_copy_name(name: &str) -> bool {

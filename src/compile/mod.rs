@@ -13,6 +13,7 @@ pub mod lower;
 pub mod packing;
 pub mod partition;
 pub mod place;
+pub mod prune;
 pub mod quantise;
 pub mod reason;
 pub mod route;
@@ -147,7 +148,7 @@ impl Compiled {
 }
 
 /// Measures stages.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Clock(Vec<(&'static str, f64)>);
 
 impl Clock {
@@ -166,9 +167,7 @@ impl Clock {
 /// # Errors
 /// [`CompileError`].
 pub fn compile(network: &Network, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
-    let mut clock = Clock::default();
-    let one = front(network, &mut clock)?;
-    mapped(one, target, options, clock)
+    front(network)?.map(target, options)
 }
 
 /// Compiles a network that is quantised already.
@@ -179,7 +178,8 @@ pub fn compile_quantised(one: Quantised, target: &Target, options: &Options) -> 
     mapped(one, target, options, Clock::default())
 }
 
-/// Compiles a quantised network with a saved mapping's partition and places. `options.copies` must be the file's.
+/// Compiles a quantised network with a saved mapping's partition and places, pruned as it was for the mapping.
+/// `options.copies` must be the file's.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -202,14 +202,61 @@ pub fn compile_network_with_mapping(
     options: &Options,
     file: &MappingFile,
 ) -> Result<Compiled, CompileError> {
-    let mut clock = Clock::default();
-    let one = front(network, &mut clock)?;
+    let Front { one, clock } = front(network)?;
     remapped(one, target, options, file, clock)
 }
 
-fn front(network: &Network, clock: &mut Clock) -> Result<Quantised, CompileError> {
+/// A network in integers, before it is mapped.
+#[derive(Debug)]
+pub struct Front {
+    one: Quantised,
+    clock: Clock,
+}
+
+/// Brings a network into integers.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn front(network: &Network) -> Result<Front, CompileError> {
+    let mut clock = Clock::default();
     let graph = clock.stage("lower", || lower::lower(network)).map_err(CompileError::Input)?;
-    clock.stage("quantise", || quantise::quantise(&graph)).map_err(CompileError::Input)
+    let one = clock.stage("quantise", || quantise::quantise(&graph)).map_err(CompileError::Input)?;
+    Ok(Front { one, clock })
+}
+
+impl Front {
+    /// The network.
+    #[must_use]
+    pub fn quantised(&self) -> &Quantised {
+        &self.one
+    }
+
+    /// The network.
+    #[must_use]
+    pub fn into_quantised(self) -> Quantised {
+        self.one
+    }
+
+    /// The network without what the plan makes superfluous.
+    ///
+    /// # Errors
+    /// [`CompileError`].
+    pub fn prune(mut self, plan: &prune::Plan) -> Result<Front, CompileError> {
+        self.one = self.clock.stage("prune", || pruned(&self.one, plan))?;
+        Ok(self)
+    }
+
+    /// The network on a target.
+    ///
+    /// # Errors
+    /// [`CompileError`].
+    pub fn map(self, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
+        mapped(self.one, target, options, self.clock)
+    }
+}
+
+fn pruned(one: &Quantised, plan: &prune::Plan) -> Result<Quantised, CompileError> {
+    prune::prune(one, plan).map_err(|error| CompileError::Fault(error.to_string()))
 }
 
 fn mapped(one: Quantised, target: &Target, options: &Options, mut clock: Clock) -> Result<Compiled, CompileError> {
@@ -221,7 +268,7 @@ fn mapped(one: Quantised, target: &Target, options: &Options, mut clock: Clock) 
 }
 
 fn remapped(
-    one: Quantised,
+    mut one: Quantised,
     target: &Target,
     options: &Options,
     file: &MappingFile,
@@ -231,6 +278,18 @@ fn remapped(
         let message = format!("the mapping is of {} copies, not {}", file.copies, options.copies);
         return Err(CompileError::Input(Diagnostic::new("mapping.copies", message)));
     }
+    one = match (&file.pruned, one.pruned()) {
+        (Some(said), None) => {
+            let plan = saved::plan(said, &one).map_err(CompileError::Input)?;
+            clock.stage("prune", || pruned(&one, &plan))?
+        }
+        (None, Some(_)) => {
+            let message = "the mapping is of the whole network, not of a pruned one";
+            return Err(CompileError::Input(Diagnostic::new("mapping.pruned", message)));
+        }
+        // What was pruned otherwise than the file says has other compartments to map.
+        (None, None) | (Some(_), Some(_)) => one,
+    };
     clock.stage("bounds", || within_bounds(&one, target, options))?;
     let all = clock.stage("copies", || all_copies(&one, options))?;
     let (partition, placement) = clock.stage("mapping", || from_file(&all, target, file))?;

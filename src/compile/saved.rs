@@ -2,15 +2,18 @@
 //!
 //! Out goes which compartments sit on which core of which chip, as runs of populations. In comes such a file and a network:
 //! the membership and the places are taken from it after checking that they are of this network and target; everything
-//! else (what cores use, tables, messages) is computed again. Limits are checked by the partition that is made of it.
+//! else (what cores use, tables, messages, what is pruned) is computed again. Files count compartments as the model does,
+//! pruned or not. Limits are checked by the partition that is made of it.
 
 use crate::base::diagnostic::Diagnostic;
-use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
+use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::packing::MOST_SLOTS;
-use crate::desc::mapping::{MappedCore, MappingFile, Run};
+use crate::compile::prune::{Plan, Scene};
+use crate::desc::mapping::{MappedCore, MappingFile, PrunedFile, Run};
 use crate::desc::target::Target;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Placement, Site};
+use crate::ir::pruned::Pruned;
 use crate::ir::quantised::Quantised;
 
 /// What a mapping was made for and with.
@@ -38,7 +41,6 @@ pub fn save(network: &Quantised, partition: &Partition, placement: &Placement, o
             let mut holds: Vec<Run> = Vec::new();
             for &id in held {
                 let (name, first) = population_of(id);
-                let first = id.0 - first;
                 match holds.last_mut() {
                     Some(run) if run.population == name && run.first + run.count == first => run.count += 1,
                     _ => holds.push(Run { population: name.to_string(), first, count: 1 }),
@@ -48,20 +50,79 @@ pub fn save(network: &Quantised, partition: &Partition, placement: &Placement, o
         })
         .collect();
     let Origin { target, copies, strategy, seed } = origin;
-    MappingFile { model: network.parts().name.clone(), target, copies, strategy, seed, cores }
+    let pruned = network.pruned().map(|pruned| pruned_file(pruned));
+    MappingFile { model: network.parts().name.clone(), target, copies, strategy, seed, pruned, cores }
 }
 
-/// Finds a compartment's population, its name and first compartment, by bisection.
+/// Finds the name of a compartment's population, and the index that the model file gives it, by bisection.
 fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a str, u32) {
-    let firsts: Vec<(u32, &str)> = network
+    let firsts: Vec<(u32, PopulationId, &str)> = network
         .populations()
-        .iter()
-        .filter_map(|population| Some((population.first_compartment()?.0, population.name.as_str())))
+        .enumerate()
+        .filter_map(|(id, population)| Some((population.first_compartment()?.0, id, population.name.as_str())))
         .collect();
     move |id| {
-        let (first, name) = firsts[firsts.partition_point(|&(first, _)| first <= id.0) - 1];
-        (name, first)
+        let (first, population, name) = firsts[firsts.partition_point(|&(first, ..)| first <= id.0) - 1];
+        (name, network.index_shown(population, id.0 - first))
     }
+}
+
+/// What a file must say so that the same is left out again.
+fn pruned_file(pruned: &Pruned) -> PrunedFile {
+    let populations = pruned.original.populations();
+    let mut dead: Vec<Run> = Vec::new();
+    for (id, population) in pruned.original.inputs() {
+        let Some(first) = population.first_channel() else { continue };
+        let within = pruned.dead.partition_point(|channel| *channel < first);
+        let of_population = pruned.dead[within..].iter().map(|channel| channel.0 - first.0);
+        for index in of_population.take_while(|&index| index < populations[id].shape.len()) {
+            match dead.last_mut() {
+                Some(run) if run.population == population.name && run.first + run.count == index => run.count += 1,
+                _ => dead.push(Run { population: population.name.clone(), first: index, count: 1 }),
+            }
+        }
+    }
+    let probed = pruned.probed.iter().map(|&id| populations[id].name.clone()).collect();
+    PrunedFile { stimulus: pruned.stimulus.clone(), dead, probed }
+}
+
+/// The pruning that a file says was done to a network.
+///
+/// # Errors
+/// A diagnostic that names a population or a run of channels that the network does not have.
+pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> {
+    let wrong = |message: String| Err(Diagnostic::new("mapping.pruned", message));
+    let mut dead = Vec::new();
+    for Run { population, first, count } in &file.dead {
+        let found = network.inputs().find(|(_, input)| input.name == *population);
+        let Some((base, size)) = found.and_then(|(_, input)| Some((input.first_channel()?, input.shape.len()))) else {
+            return wrong(format!(
+                "the mapping was pruned of channels of {population}, which is no input of the model"
+            ));
+        };
+        match first.checked_add(*count) {
+            Some(end) if end <= size => dead.extend((*first..end).map(|index| ChannelId(base.0 + index))),
+            _ => {
+                return wrong(format!(
+                    "the mapping was pruned of {first} + {count} channels of {population}, which has {size}"
+                ));
+            }
+        }
+    }
+    dead.sort_unstable();
+    dead.dedup();
+    if file.stimulus.is_none() && !dead.is_empty() {
+        return wrong("the mapping was pruned of channels, but does not say for which stimulus".to_string());
+    }
+    let mut plan = Plan::fixed();
+    plan.scene = file.stimulus.clone().map(|stimulus| Scene { stimulus, dead });
+    for name in &file.probed {
+        match network.population_named(name).filter(|&id| network.populations()[id].first_compartment().is_some()) {
+            Some(id) => plan.probed.push(id),
+            None => return wrong(format!("the mapping keeps {name} whole, which is no population of compartments")),
+        }
+    }
+    Ok(plan)
 }
 
 /// Compartments of each core in slot order, and where each core is.
@@ -81,10 +142,10 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         let (made, target) = (&file.target, target.name());
         return wrong("mapping.target", format!("the mapping was made for target {made}, not {target}"));
     }
-    let names: std::collections::HashMap<&str, (u32, u32)> = network
+    let names: std::collections::HashMap<&str, (PopulationId, u32, u32)> = network
         .populations()
-        .iter()
-        .filter_map(|p| Some((p.name.as_str(), (p.first_compartment()?.0, p.shape.len()))))
+        .enumerate()
+        .filter_map(|(id, p)| Some((p.name.as_str(), (id, p.first_compartment()?.0, network.units_shown(id)))))
         .collect();
     let mesh = Mesh::of(target);
     let mut seated = vec![false; network.compartments() as usize];
@@ -101,7 +162,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         }
         let mut held = Vec::new();
         for Run { population, first, count } in &core.holds {
-            let Some(&(base, size)) = names.get(population.as_str()) else {
+            let Some(&(id, base, size)) = names.get(population.as_str()) else {
                 return wrong(
                     "mapping.population",
                     format!("core {number} of the mapping holds {population}, which is no population of the model"),
@@ -115,9 +176,17 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
                     ),
                 );
             }
-            for index in *first..first + count {
+            for shown in *first..first + count {
+                let Some(index) = network.index_of_shown(id, shown) else {
+                    return wrong(
+                        "mapping.pruned",
+                        format!(
+                            "compartment {shown} of {population} is mapped, but there is nothing to map: it is pruned"
+                        ),
+                    );
+                };
                 if std::mem::replace(&mut seated[(base + index) as usize], true) {
-                    return wrong("mapping.twice", format!("compartment {index} of {population} is mapped twice"));
+                    return wrong("mapping.twice", format!("compartment {shown} of {population} is mapped twice"));
                 }
                 held.push(CompartmentId(base + index));
             }
@@ -133,8 +202,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         sites.push(site);
     }
     if let Some(missing) = seated.iter().position(|&seated| !seated) {
-        let (name, first) = populations_of(network)(CompartmentId::new(missing));
-        let index = missing as u32 - first;
+        let (name, index) = populations_of(network)(CompartmentId::new(missing));
         return wrong("mapping.missing", format!("compartment {index} of {name} is not in the mapping"));
     }
     match Placement::new(mesh, sites.clone()) {

@@ -24,9 +24,10 @@ pub struct NetworkShape {
 }
 
 impl NetworkShape {
-    /// The shape of one copy of a network.
+    /// The shape of one copy of a network, as it was before any pruning.
     #[must_use]
     pub fn of(network: &Quantised) -> Self {
+        let network = network.original();
         let inputs = network.populations().iter().filter(|population| matches!(population.units, Units::Input(_)));
         let dense = network.projections().iter().filter(|p| matches!(p.connectivity, Connectivity::Dense { .. }));
         let size = |id| network.populations()[id].shape.len();

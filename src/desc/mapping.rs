@@ -5,13 +5,13 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A run of compartments of one population, in slot order.
+/// A run of compartments of one population, in slot order, or of channels.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Run {
     /// The population.
     pub population: String,
-    /// Its first compartment here.
+    /// The first of them, as the model file counts.
     pub first: u32,
     /// How many follow each other.
     pub count: u32,
@@ -33,6 +33,22 @@ pub struct MappedCore {
     pub holds: Vec<Run>,
 }
 
+/// What was left out of the model before it was mapped. Together with the model it says which compartments and synapses
+/// there are to map.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Pruned")]
+pub struct PrunedFile {
+    /// Where the stimulus came from; nothing when the model was pruned for every stimulus.
+    #[serde(default)]
+    pub stimulus: Option<Vec<String>>,
+    /// Runs of channels that the stimulus never fires.
+    #[serde(default)]
+    pub dead: Vec<Run>,
+    /// Populations that stayed whole because they were probed.
+    #[serde(default)]
+    pub probed: Vec<String>,
+}
+
 /// A saved mapping.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Mapping")]
@@ -47,6 +63,9 @@ pub struct MappingFile {
     pub strategy: String,
     /// The seed of the strategy.
     pub seed: u64,
+    /// What was left out of the model.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pruned: Option<PrunedFile>,
     /// The cores in use.
     pub cores: Vec<MappedCore>,
 }

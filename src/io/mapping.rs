@@ -65,6 +65,7 @@ mod tests {
             copies: 1,
             strategy: "greedy".into(),
             seed: u64::MAX,
+            pruned: None,
             cores: vec![core(0), core(1)],
         };
         let text = mapping_text(&mapping).unwrap();

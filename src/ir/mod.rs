@@ -9,5 +9,6 @@ pub mod graph;
 pub mod partition;
 pub mod placement;
 pub mod program;
+pub mod pruned;
 pub mod quantised;
 pub mod spikes;

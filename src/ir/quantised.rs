@@ -14,6 +14,7 @@ use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionI
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::graph::{PerCompartment, Shape, Window};
+use crate::ir::pruned::Pruned;
 
 /// The parameters of one compartment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -361,6 +362,7 @@ pub struct Quantised {
     channels: u32,
     compartments: u32,
     outgoing: IdVec<PopulationId, Vec<ProjectionId>>,
+    pruned: Option<Arc<Pruned>>,
 }
 
 /// Where spikes come from: an input channel or a compartment.
@@ -407,7 +409,70 @@ impl Quantised {
             Some(Units::Loihi { .. }) => {}
             _ => return Err(Inconsistent("the output is not a population of compartments".to_string())),
         }
-        Ok(Quantised { parts, channels, compartments, outgoing })
+        Ok(Quantised { parts, channels, compartments, outgoing, pruned: None })
+    }
+
+    /// The network with the record of what was left out of it: of itself, or of one of its equal copies.
+    ///
+    /// # Errors
+    /// [`Inconsistent`] when what the record says was kept is not what is there.
+    pub fn with_record(mut self, pruned: Option<Arc<Pruned>>) -> Result<Self, Inconsistent> {
+        if let Some(pruned) = &pruned {
+            let before = pruned.original.populations();
+            let copies = self.parts.populations.len() / before.len().max(1);
+            let repeated = (0..copies).flat_map(|_| before.enumerate());
+            let sizes = repeated.map(|(id, population)| match &pruned.kept[id] {
+                Some(kept) => kept.len(),
+                None => population.shape.len() as usize,
+            });
+            if !sizes.eq(self.parts.populations.iter().map(|population| population.shape.len() as usize)) {
+                return Err(Inconsistent("the record of pruning is of another network".to_string()));
+            }
+        }
+        self.pruned = pruned;
+        Ok(self)
+    }
+
+    /// What was left out, when the network was pruned.
+    #[must_use]
+    pub fn pruned(&self) -> Option<&Arc<Pruned>> {
+        self.pruned.as_ref()
+    }
+
+    /// The network as it was before it was pruned: itself, unless it was; of several copies, one.
+    #[must_use]
+    pub fn original(&self) -> &Quantised {
+        self.pruned.as_ref().map_or(self, |pruned| &pruned.original)
+    }
+
+    /// The indices that a population's compartments had before pruning, ascending; `None` when it lost none.
+    #[must_use]
+    pub fn kept(&self, population: PopulationId) -> Option<&[u32]> {
+        let pruned = self.pruned.as_ref()?;
+        let of_copy = PopulationId(population.0 % pruned.kept.len() as u32);
+        pruned.kept[of_copy].as_deref()
+    }
+
+    /// The number of units that a population had before pruning.
+    #[must_use]
+    pub fn units_shown(&self, population: PopulationId) -> u32 {
+        let original = self.original().populations();
+        original[PopulationId(population.0 % original.len() as u32)].shape.len()
+    }
+
+    /// The index in its population by which people know a compartment: the one before pruning.
+    #[must_use]
+    pub fn index_shown(&self, population: PopulationId, index: u32) -> u32 {
+        self.kept(population).map_or(index, |kept| kept[index as usize])
+    }
+
+    /// The inverse of [`Quantised::index_shown`]; `None` for a compartment that was pruned or never was.
+    #[must_use]
+    pub fn index_of_shown(&self, population: PopulationId, shown: u32) -> Option<u32> {
+        match self.kept(population) {
+            Some(kept) => kept.binary_search(&shown).ok().map(|index| index as u32),
+            None => (shown < self.units_shown(population)).then_some(shown),
+        }
     }
 
     /// The parts.

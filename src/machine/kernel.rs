@@ -88,7 +88,7 @@ fn wrap24(x: i32) -> i32 {
 
 /// Equations (2) to (7) for a block of at most 64 lanes, a multiple of sixteen.
 #[inline(always)]
-pub fn hardware(block: Block<'_>, shared: &Shared, flags: &mut [i32; 64]) -> Effects {
+pub fn hardware(block: &mut Block<'_>, shared: &Shared, flags: &mut [i32; 64]) -> Effects {
     let Shared { keep_u, keep_v, bias, fires_from, vmin, vmax, refractory } = *shared;
     let mut effects = Effects::default();
     let (mut busy, mut overflowed) = (0i32, 0i32);
@@ -176,7 +176,8 @@ mod tests {
         type Output = Effects;
         #[inline(always)]
         fn call(self) -> Effects {
-            hardware(self.0, self.1, self.2)
+            let mut block = self.0;
+            hardware(&mut block, self.1, self.2)
         }
     }
 

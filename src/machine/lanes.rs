@@ -295,14 +295,14 @@ impl Lanes {
             self.hold[lanes.clone()].fill(0);
         }
         let shared = &image.shared[fields];
-        let registers = kernel::Block {
+        let mut registers = kernel::Block {
             u: &mut self.u[lanes.clone()],
             v: &mut self.v[lanes.clone()],
             hold: &mut self.hold[lanes.clone()],
             sums: &mut self.ring[cursor][lanes],
         };
         let mut flags = [0; GRANULE];
-        let effects = kernel::hardware(registers, shared, &mut flags);
+        let effects = kernel::hardware(&mut registers, shared, &mut flags);
         let ids = &image.ids[block.id as usize..(block.id + block.length) as usize];
         let mut spiked = effects.spiked & valid;
         while spiked != 0 {

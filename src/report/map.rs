@@ -14,6 +14,7 @@ use crate::compile::traffic::{DEFAULT_RATE, Traffic};
 use crate::compile::{Compiled, Options, Reason, place};
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
+use crate::ir::pruned::Row as PrunedRow;
 
 /// Cores that a table shows before it is shortened, and the number shown at its beginning then.
 const LONGEST_TABLE: usize = 40;
@@ -28,6 +29,8 @@ pub struct Question<'a> {
     pub target: &'a Target,
     /// How to compile.
     pub options: &'a Options,
+    /// What was left out of the model first; empty when nothing was looked for.
+    pub pruned: &'a [PrunedRow],
 }
 
 /// What came out.
@@ -42,7 +45,7 @@ pub enum Outcome<'a> {
 /// The object `nsim.map/1`.
 #[must_use]
 pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
-    let Question { model, target, options } = question;
+    let Question { model, target, options, pruned } = question;
     let mut object = json!({
         "schema": "nsim.map/1",
         "model": model,
@@ -52,6 +55,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "strategy": options.strategy.name(),
         "placed": place::NAME,
         "seed": options.seed,
+        "pruned": pruned_json(pruned),
         "fits": false,
         "cores_used": null,
         "chips_used": null,
@@ -79,6 +83,39 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         Outcome::DoesNotFit(reasons) => object["reasons"] = reasons.iter().map(reason_json).collect(),
     }
     object
+}
+
+/// What was pruned, an object a kind.
+#[must_use]
+pub fn pruned_json(rows: &[PrunedRow]) -> Value {
+    let of = |(name, count): &(String, u64)| json!({ "name": name, "count": count });
+    let row = |row: &PrunedRow| {
+        let of: Vec<Value> = row.of.iter().map(of).collect();
+        json!({ "kind": row.kind.name(), "count": row.count, "reason": row.reason, "of": of })
+    };
+    rows.iter().map(row).collect()
+}
+
+/// Names that a table of what was pruned shows of each kind.
+const SHOWN_NAMES: usize = 6;
+
+/// What was pruned, for people.
+fn pruned_table(rows: &[PrunedRow]) -> String {
+    let mut table = Table::new();
+    table.load_style(comfy_table::presets::NOTHING);
+    table.set_header(["pruned", "count", "of", "why"]);
+    for row in rows {
+        let mut of: Vec<String> =
+            row.of.iter().take(SHOWN_NAMES).map(|(name, count)| format!("{name}: {count}")).collect();
+        if row.of.len() > SHOWN_NAMES {
+            of.push(format!("and {} more", row.of.len() - SHOWN_NAMES));
+        }
+        table.add_row([row.kind.name().replace('_', " "), row.count.to_string(), of.join(", "), row.reason.clone()]);
+    }
+    if let Some(counts) = table.column_mut(1) {
+        counts.set_cell_alignment(CellAlignment::Right);
+    }
+    table.trim_fmt() + "\n"
 }
 
 fn cores_per_copy(compiled: &Compiled) -> f64 {
@@ -174,7 +211,7 @@ fn quoted(field: &str) -> String {
 /// The result for people.
 #[must_use]
 pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
-    let Question { model, target, options } = question;
+    let Question { model, target, options, pruned } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
     let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
     let mut text = format!("{model}, {copies}, onto {} ({cores} on {chips}): ", target.name());
@@ -182,6 +219,10 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
         Outcome::DoesNotFit(reasons) => {
             text += "does not fit\n";
             text += &listed(reasons);
+            if !pruned.is_empty() {
+                text.push('\n');
+                text += &pruned_table(pruned);
+            }
         }
         Outcome::Fits(compiled, traffic) => {
             let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
@@ -200,6 +241,10 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 compiled.placed,
                 options.seed
             );
+            if !pruned.is_empty() {
+                text += &pruned_table(pruned);
+                text.push('\n');
+            }
             text += &table(compiled, target);
             let _ = writeln!(
                 text,
@@ -288,7 +333,7 @@ mod tests {
     use crate::compile::{CompileError, compile, compile_quantised};
     use crate::desc::target::Limits;
 
-    const KEYS: [&str; 18] = [
+    const KEYS: [&str; 19] = [
         "schema",
         "model",
         "target",
@@ -297,6 +342,7 @@ mod tests {
         "strategy",
         "placed",
         "seed",
+        "pruned",
         "fits",
         "cores_used",
         "chips_used",
@@ -317,7 +363,7 @@ mod tests {
     fn both_answers_have_the_same_keys() {
         let options = Options { copies: 3, ..Options::default() };
         let board = target(2, 1, limits());
-        let question = Question { model: "slip", target: &board, options: &options };
+        let question = Question { model: "slip", target: &board, options: &options, pruned: &[] };
         let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
         let outcome = Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE));
         let fits = json(question, outcome);
@@ -361,7 +407,7 @@ mod tests {
         let options = Options::default();
         let compiled = compile_quantised(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);
-        let question = Question { model: "slip", target: &board, options: &options };
+        let question = Question { model: "slip", target: &board, options: &options, pruned: &[] };
         let spoken = text(question, Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE)));
         assert!(spoken.contains("and 42 more") && spoken.lines().count() < 32, "{spoken}");
     }

@@ -7,6 +7,7 @@ use crate::drive::decision::Rule;
 use crate::drive::{Outcome, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
 use crate::ir::quantised::Quantised;
+use crate::report::map::pruned_json;
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -112,6 +113,7 @@ impl RunReport<'_> {
         let (overflow, sample) = self.overflow();
         let first = overflow.first.map(|(step, compartment)| {
             let (population, index) = self.network.population_of(compartment);
+            let index = self.network.index_shown(population, index);
             json!({
                 "population": self.network.populations()[population].name,
                 "compartment": index, "sample": sample, "step": step,
@@ -159,6 +161,7 @@ impl RunReport<'_> {
             "early_exit": self.early_exit_json(),
             "wall_s": self.wall_s,
             "us_per_timestep": self.us_per_timestep(),
+            "pruned": pruned_json(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
             "notes": self.network.parts().notes.iter()
                 .map(|note| format!("{}: {}", note.entity, note.message)).collect::<Vec<_>>(),
             "files": self.files,
@@ -254,6 +257,7 @@ impl RunReport<'_> {
         let (overflow, sample) = self.overflow();
         let (step, compartment) = overflow.first?;
         let (population, index) = self.network.population_of(compartment);
+        let index = self.network.index_shown(population, index);
         Some(format!(
             "values left their fields: {} accumulators and {} currents wrapped, {} voltages clipped; first at '{}' compartment \
              {index}, sample {}, step {step}",

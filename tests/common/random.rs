@@ -243,6 +243,7 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
         copies: 1,
         strategy: "random".to_string(),
         seed,
+        pruned: None,
         cores,
     }
 }

@@ -1,0 +1,51 @@
+//! `--prune none|static|INPUT` -> what to leave out of a network before it is mapped.
+
+use crate::base::id::PopulationId;
+use crate::cli::inputs;
+use crate::compile::prune::Plan;
+use crate::error::Error;
+use crate::ir::quantised::Quantised;
+
+/// What may be left out.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct PruneArgs {
+    /// Leave out what cannot change an output: none, static (for every input), or an INPUT as --input takes it (and then
+    /// channels too that it never fires)
+    #[arg(long, value_name = "none|static|INPUT")]
+    pub prune: Vec<String>,
+}
+
+impl PruneArgs {
+    /// Whether anything is to be pruned.
+    #[must_use]
+    pub fn asked(&self) -> bool {
+        !matches!(self.prune.as_slice(), []) && self.prune != ["none"]
+    }
+
+    /// The plan for a network, if anything is to be pruned, with these populations whole.
+    ///
+    /// # Errors
+    /// [`Error`] when a stimulus cannot be read, or `none` or `static` do not stand alone.
+    pub fn plan(&self, network: &Quantised, probed: &[PopulationId]) -> Result<Option<Plan>, Error> {
+        let plan = match self.prune.as_slice() {
+            _ if !self.asked() => return Ok(None),
+            [only] if only == "static" => Plan::fixed(),
+            several if several.iter().any(|word| word == "none" || word == "static") => {
+                return Err(Error::Usage("--prune none and --prune static stand alone".to_string()));
+            }
+            given => Plan::for_stimulus(network, &inputs::stimulus(network, given, None, None)?),
+        };
+        Ok(Some(plan.probing(probed.iter().copied())))
+    }
+
+    /// Refuses to prune what a saved mapping has pruned or not.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when both are given.
+    pub fn not_with_mapping(&self, mapping: bool) -> Result<(), Error> {
+        if mapping && !self.prune.is_empty() {
+            return Err(Error::Usage("--prune: a saved mapping says itself what was pruned".to_string()));
+        }
+        Ok(())
+    }
+}
