@@ -57,8 +57,8 @@ fn whole_samples(c: &mut Criterion, input: &str, program: &Program, samples: &[S
     group.sample_size(20).measurement_time(Duration::from_secs(2));
     group.throughput(Throughput::Elements(samples.iter().map(|sample| u64::from(sample.steps())).sum()));
     let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let image = Image::new(program, 1).unwrap();
     for (name, skip) in [("on", true), ("off", false)] {
-        let image = Image::new(program, 1).unwrap();
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });
         group.bench_function(name, |b| {
             b.iter(|| {

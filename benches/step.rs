@@ -32,12 +32,12 @@ fn step(c: &mut Criterion) {
                 compile_quantised(bench.network, &target, &Options::default()).unwrap().program
             }
         };
-        for shards in if standard.wants_threads() && cores > 1 { vec![1, 2] } else { vec![1] } {
-            let image = Image::new(&program, shards).unwrap();
+        for shares in if standard.wants_threads() && cores > 1 { vec![1, 2] } else { vec![1] } {
+            let image = Image::new(&program, shares).unwrap();
             let mut machine = Machine::new(&image, Settings::default());
             machine.begin(u32::MAX);
             let mut at = steps(&mut machine, &bench.period, 0, SETTLING);
-            group.bench_function(format!("{}/{shards}", standard.name()), |b| {
+            group.bench_function(format!("{}/{shares}", standard.name()), |b| {
                 b.iter_custom(|count| {
                     let begin = Instant::now();
                     at = steps(&mut machine, &bench.period, at, count);

@@ -1,6 +1,7 @@
 //! `nsim bench`: measures.
 
-use std::time::Duration;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
 
 use crate::bench::networks::{Bench, Standard};
 use crate::bench::{Budget, Environment, measure};
@@ -105,22 +106,29 @@ fn step_rows(
     budget: Budget,
     context: Context,
 ) -> Result<Vec<StepRow>, Error> {
-    // Threads and skipping.
-    let mut settings = vec![(1, true)];
+    let mut wanted = vec![(1, true)];
     if let Budget::Time(_) = budget {
-        settings.push((1, false));
+        wanted.push((1, false));
     }
     if standard.wants_threads() && context.threads > 1 {
-        settings.push((context.threads, true));
+        wanted.push((context.threads, true));
     }
-    let synapses: u64 = program.cores().iter().map(|image| image.synapses.items().len() as u64).sum();
-    let measured = settings.into_iter().map(|(threads, skip)| {
+    let synapses: usize = program.cores().iter().map(|core| core.synapses.items().len()).sum();
+    let measured = wanted.into_iter().map(|(threads, skip)| {
         let image = Image::new(program, threads).map_err(|e| fault(standard, &e))?;
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });
         let measured = measure(&mut machine, period, budget);
-        let bytes = (image.bytes() + machine.bytes()) as f64;
-        let bytes_per_synapse = (synapses > 0).then(|| bytes / synapses as f64);
-        Ok(StepRow { network: standard.name(), threads, skip, measured, bytes_per_synapse })
+        let bytes = image.bytes() + machine.bytes();
+        let begin = Instant::now();
+        black_box(machine.take_activity());
+        Ok(StepRow {
+            network: standard.name(),
+            threads,
+            skip,
+            measured,
+            bytes_per_synapse: bytes as f64 / synapses.max(1) as f64,
+            sums_ms: begin.elapsed().as_secs_f64() * 1e3,
+        })
     });
     measured.collect()
 }

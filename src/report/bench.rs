@@ -16,8 +16,11 @@ pub struct StepRow {
     pub skip: bool,
     /// What was measured.
     pub measured: Measured,
-    /// Resident bytes of the machine divided by synapses, when they are known.
-    pub bytes_per_synapse: Option<f64>,
+    /// Bytes of the machine, state and flattened tables, divided by synapses; the program that was mapped is not counted.
+    pub bytes_per_synapse: f64,
+    /// Milliseconds that the sums by core (messages, hops) take, once a run: the machine notes who spiked and multiplies
+    /// at the end.
+    pub sums_ms: f64,
 }
 
 impl StepRow {
@@ -57,7 +60,8 @@ impl StepReport<'_> {
                 "us_per_timestep": rounded(row.measured.us_per_timestep),
                 "spread": rounded(row.measured.spread),
                 "synaptic_events_per_step": rounded(row.events()),
-                "bytes_per_synapse": row.bytes_per_synapse.map(rounded),
+                "bytes_per_synapse": rounded(row.bytes_per_synapse),
+                "sums_ms": rounded(row.sums_ms),
                 "fastest_us": rounded(row.measured.fastest),
                 "spikes_per_step": rounded(row.spikes()),
                 "repeats": row.measured.repeats,
@@ -97,7 +101,7 @@ impl StepReport<'_> {
                 rounded(row.measured.us_per_timestep).to_string(),
                 rounded(row.measured.spread).to_string(),
                 rounded(row.events()).to_string(),
-                row.bytes_per_synapse.map_or(String::new(), |bytes| rounded(bytes).to_string()),
+                rounded(row.bytes_per_synapse).to_string(),
             ])?;
         }
         let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
@@ -120,6 +124,7 @@ impl StepReport<'_> {
             "spikes",
             "ns an event",
             "bytes a synapse",
+            "ms for sums",
         ]);
         for row in self.rows {
             let (us, events) = (row.measured.us_per_timestep, row.events());
@@ -133,7 +138,8 @@ impl StepReport<'_> {
                 format!("{events:.0}"),
                 format!("{:.1}", row.spikes()),
                 if events > 0.0 { significant(us * 1e3 / events) } else { String::new() },
-                row.bytes_per_synapse.map_or(String::new(), significant),
+                significant(row.bytes_per_synapse),
+                significant(row.sums_ms),
             ]);
         }
         table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
@@ -156,8 +162,8 @@ mod tests {
         let totals = Totals { synaptic_events: 4_000, spikes: 10, ..Totals::default() };
         let measured = Measured { us_per_timestep: 1.25, fastest: 1.2, spread: 0.02, repeats: 5, steps: 2, totals };
         let row =
-            |bytes_per_synapse| StepRow { network: "vtsnn-1pct", threads: 1, skip: true, measured, bytes_per_synapse };
-        check(StepReport { environment: &Environment::here(), rows: &[row(None), row(Some(7.5))] });
+            |skip| StepRow { network: "vtsnn-1pct", threads: 1, skip, measured, bytes_per_synapse: 7.5, sums_ms: 0.1 };
+        check(StepReport { environment: &Environment::here(), rows: &[row(true), row(false)] });
     }
 
     #[test]
@@ -174,15 +180,15 @@ mod tests {
                 (&json!("vtsnn-1pct"), &json!(1), &json!(true))
             );
             assert_eq!((&row["us_per_timestep"], &row["spread"]), (&json!(1.25), &json!(0.02)));
-            assert_eq!((&row["synaptic_events_per_step"], &row["bytes_per_synapse"]), (&json!(400.0), &Value::Null));
-            assert_eq!(json["rows"][1]["bytes_per_synapse"], json!(7.5));
+            assert_eq!((&row["synaptic_events_per_step"], &row["bytes_per_synapse"]), (&json!(400.0), &json!(7.5)));
+            assert_eq!(json["rows"][1]["skip"], false);
         });
     }
 
     #[test]
     fn text_and_csv_have_a_line_for_each_row() {
         report(|report| {
-            assert_eq!(report.csv().unwrap().lines().nth(1), Some("vtsnn-1pct,1,true,1.25,0.02,400,"));
+            assert_eq!(report.csv().unwrap().lines().nth(1), Some("vtsnn-1pct,1,true,1.25,0.02,400,7.5"));
             assert_eq!(report.text().lines().filter(|line| line.contains("vtsnn-1pct")).count(), 2);
         });
     }
