@@ -18,8 +18,11 @@ use crate::machine::tally::longest_delay;
 
 /// Lanes of a granule.
 pub const GRANULE: usize = 64;
-/// The shortest run of lanes that is worth a row: a row costs about as much as so many single synapses.
+/// The shortest run of lanes that is worth a row where many are short: a row costs about as much as so many synapses.
 const SHORTEST_ROW: usize = 5;
+/// Where fewer synapses than one in so many stand in lists shorter than [`SHORTEST_ROW`], those become rows too: a table
+/// of single synapses would have to be looked through for every spike.
+const MANY: usize = 16;
 /// The shortest run of equal fields that is worth a block of its own.
 const SHORTEST_RUN: usize = 8;
 
@@ -362,6 +365,9 @@ impl<'p> Image<'p> {
             }
         }
         delays.sort_unstable();
+        let lists = || parts.cores.iter().flat_map(|image| image.synapses.iter().map(<[Synapse]>::len));
+        let in_short: usize = lists().filter(|&length| length < SHORTEST_ROW).sum();
+        let shortest_row = if in_short * MANY < lists().sum() { 1 } else { SHORTEST_ROW };
         let empty = |delay| Sparse { delay, first: vec![0], targets: Vec::new(), weights: Vec::new() };
         for share in &mut self.shares {
             share.sparse = delays.iter().map(|&delay| empty(delay)).collect();
@@ -380,7 +386,7 @@ impl<'p> Image<'p> {
                 let image = &parts.cores[message.core];
                 let synapses = image.synapses.get(usize::from(message.axon));
                 events += synapses.len() as u32;
-                self.append(image, synapses);
+                self.append(image, synapses, shortest_row);
             }
             self.events.push(events);
             for share in &mut self.shares {
@@ -408,7 +414,7 @@ impl<'p> Image<'p> {
     }
 
     /// Adds one axon's list to the source that is being connected: consecutive lanes as a row, others one by one.
-    fn append(&mut self, image: &CoreImage, synapses: &[Synapse]) {
+    fn append(&mut self, image: &CoreImage, synapses: &[Synapse], shortest_row: usize) {
         let place = |image_of: &Self, synapse: &Synapse| {
             let (share, lane) = image_of.lane(image.ids[usize::from(synapse.slot)]);
             (share, lane, synapse.delay.get())
@@ -420,7 +426,7 @@ impl<'p> Image<'p> {
             let run = synapses[from..].iter().enumerate().take_while(follows).count();
             let weights = synapses[from..from + run].iter().map(|synapse| units(image, synapse) as i16);
             let data = &mut self.shares[share];
-            if run >= SHORTEST_ROW {
+            if run >= shortest_row {
                 let chunks = run.div_ceil(LANES);
                 data.rows.push(Row {
                     target: lane as u32,
