@@ -7,6 +7,7 @@ pub mod bench;
 pub mod common;
 pub mod complain;
 pub mod energy;
+pub mod import;
 pub mod inputs;
 pub mod inspect;
 pub mod jobs;
@@ -97,6 +98,8 @@ enum Command {
     /// Report power, latency and energy of a network, beside other hardware
     Energy(energy::EnergyArgs),
     Bench(bench::Args),
+    /// Turn a model of another tool into one of nsim's own
+    Import(import::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
     /// Print shell completions
@@ -113,6 +116,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
         Command::Bench(args) => bench::run(args, context),
+        Command::Import(args) => import::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {
             let mut command = Cli::command();
