@@ -225,7 +225,7 @@ impl Scale {
             true => return None,
             false => (number - self.low) / (self.high - self.low),
         };
-        share.is_finite().then(|| self.from + share * (self.to - self.from))
+        share.is_finite().then_some(self.from + share * (self.to - self.from))
     }
 
     fn ticks(&self) -> Vec<(f64, String)> {
