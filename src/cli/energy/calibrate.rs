@@ -5,7 +5,7 @@ use crate::base::units::Picoseconds;
 use crate::cli::energy::EnergyArgs;
 use crate::cli::energy::options::{DeploymentArg, deployment};
 use crate::cli::energy::workload::Workload;
-use crate::cli::jobs::{self, JobArgs, Prepared};
+use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::run::Switch;
 use crate::cli::{Answer, Context, common};
 use crate::cost::calibrate::{Cell, Unknown, fit};
@@ -154,7 +154,7 @@ pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, E
     }
     let table = io::measurement::load_measurements(table)?;
     let asked = JobArgs { model: table.model.clone(), target: table.target.clone(), ..args.job.clone() };
-    let job = match jobs::prepare(&asked, true, table.copies)? {
+    let job = match jobs::prepare(&asked, Wanted::Mapped, table.copies)? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => return refusal.say(CalibrationReport::nothing(&table.name), context),
     };

@@ -15,7 +15,7 @@ use self::job::{EnergyJob, saved};
 use self::options::{ConventionArg, DeploymentArg, ModeArg, TransportArg, baselines, deployment, tables, with_preset};
 use self::workload::Workload;
 use crate::base::units::Picoseconds;
-use crate::cli::jobs::{self, JobArgs, Prepared};
+use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::run::{InputArgs, Switch};
 use crate::cli::{Answer, Context, Format, common};
 use crate::cost::baseline::NetworkShape;
@@ -94,7 +94,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     }
     let baselines = baselines(args.baseline.as_deref())?;
     let (mode, convention) = (Mode::from(args.mode), Convention::from(args.convention));
-    let job = match jobs::prepare(&args.job, true, args.copies)? {
+    let job = match jobs::prepare(&args.job, Wanted::Mapped, args.copies)? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
             return refusal.say(reports::energy::nothing(args.copies, mode, convention), context);
