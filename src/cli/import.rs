@@ -13,7 +13,7 @@ use crate::compile::lower::lower;
 use crate::desc::network::ThresholdTest;
 use crate::error::Error;
 use crate::io::draft::{Draft, DraftKind};
-use crate::io::foreign::{self, Imported, Options};
+use crate::io::foreign::{self, Imported, Options, ResetMode};
 use crate::report::inspect::{Findings, Rows};
 
 /// When a compartment spikes.
@@ -25,12 +25,22 @@ pub enum Comparison {
     Inclusive,
 }
 
+/// What the voltage does when a neuron spikes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum AtSpike {
+    /// It returns to zero, as on the chip.
+    Zero,
+    /// The threshold is subtracted, which a core cannot do.
+    Subtract,
+}
+
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim import network.net -o model.ron              a network of lava-dl's netx
   nsim import network.net --image digit.npy         its input layer driven by an image
   nsim import weights.pt --neuron slip_loihi.yml    a checkpoint of SLAYER, or one of its sets of .npy
+  nsim import graph.nir --dt 0.1 -o model.ron       NIR, with the timestep that its file does not have
   nsim import network.net                           only say what it holds")]
 pub struct Args {
     /// The foreign file
@@ -41,6 +51,9 @@ pub struct Args {
     /// Parameters of the neuron, where the file has none: SLAYER's YAML
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
+    /// What v does at a spike, where the file does not say (NIR)
+    #[arg(long, value_enum, value_name = "HOW")]
+    reset: Option<AtSpike>,
     /// How v is compared with the threshold
     #[arg(long, value_enum, value_name = "HOW")]
     threshold: Option<Comparison>,
@@ -75,6 +88,10 @@ impl Args {
         Ok(Options {
             dt_ms: self.dt,
             neuron: self.neuron.clone(),
+            reset: self.reset.map(|reset| match reset {
+                AtSpike::Zero => ResetMode::Zero,
+                AtSpike::Subtract => ResetMode::Subtract,
+            }),
             threshold: self.threshold.map(|comparison| match comparison {
                 Comparison::Strict => ThresholdTest::Strict,
                 Comparison::Inclusive => ThresholdTest::Inclusive,
@@ -124,17 +141,22 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
         &imported.draft;
     let reset = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
     let populations = populations.iter().map(|population| {
+        let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
         let parameters = population.loihi.iter().flatten().map(|(key, value)| match value {
             crate::io::draft::Value::Same(value) => format!("{key} {value}"),
             crate::io::draft::Value::Each(_) => format!("{key} each"),
         });
-        let kind = if population.loihi.is_some() { "loihi" } else { "input" };
+        let kind = match (&population.loihi, population.srm) {
+            (Some(_), _) => "loihi",
+            (None, Some(_)) => "srm",
+            (None, None) => "input",
+        };
         vec![
             json!(population.name),
             json!(kind),
             json!(population.shape),
             json!(population.start_step),
-            json!(parameters.collect::<Vec<_>>().join(", ")),
+            json!(parameters.chain(real).collect::<Vec<_>>().join(", ")),
         ]
     });
     let projections = projections.iter().map(|projection| {

@@ -7,6 +7,7 @@ pub mod bench;
 pub mod common;
 pub mod complain;
 pub mod energy;
+pub mod export;
 pub mod import;
 pub mod inputs;
 pub mod inspect;
@@ -100,6 +101,8 @@ enum Command {
     Bench(bench::Args),
     /// Turn a model of another tool into one of nsim's own
     Import(import::Args),
+    /// Write a model in a form that other tools read
+    Export(export::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
     /// Print shell completions
@@ -116,6 +119,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
         Command::Bench(args) => bench::run(args, context),
+        Command::Export(args) => export::run(args, context),
         Command::Import(args) => import::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {

@@ -15,7 +15,11 @@ use safetensors::tensor::TensorView;
 use super::write;
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::base::fixed::SignMode;
-use crate::desc::network::{ArrayRef, Network, NetworkFile, ResetDesc, Semantics, ThresholdTest};
+use crate::desc::network::{
+    ArrayRef, Network, NetworkFile, ParameterValue, PopulationDesc, ProjectionDesc, ResetDesc, Semantics, Source,
+    ThresholdTest, WeightRounding,
+};
+use crate::desc::spanned::Spanned;
 use crate::desc::tensor::{Numbers, Tensor};
 
 /// Lists of at most so many numbers stand in the text.
@@ -69,13 +73,27 @@ pub struct DraftPopulation {
     pub name: String,
     /// `[n]` or `[channels, height, width]`.
     pub shape: Vec<u64>,
-    /// Parameters of Loihi compartments by the names that model files use, in order; `None` for an input.
+    /// Parameters of Loihi compartments by the names that model files use, in order.
     pub loihi: Option<Vec<(&'static str, Value)>>,
+    /// Parameters of spike response neurons by the names that model files use; without either, it is an input.
+    pub srm: Option<[(&'static str, f64); 4]>,
     /// The step before which it is held at zero.
     pub start_step: u32,
 }
 
 impl DraftPopulation {
+    /// Channels that a stimulus drives.
+    #[must_use]
+    pub fn input(name: &str, shape: Vec<u64>) -> Self {
+        DraftPopulation { name: name.to_string(), shape, loihi: None, srm: None, start_step: 0 }
+    }
+
+    /// Compartments with these parameters.
+    #[must_use]
+    pub fn loihi(name: &str, shape: Vec<u64>, parameters: Vec<(&'static str, Value)>) -> Self {
+        DraftPopulation { loihi: Some(parameters), ..DraftPopulation::input(name, shape) }
+    }
+
     /// Channels or compartments.
     #[must_use]
     pub fn units(&self) -> u64 {
@@ -161,7 +179,7 @@ impl DraftProjection {
 }
 
 /// A model in the making.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Draft {
     /// The network's name.
     pub name: String,
@@ -181,6 +199,10 @@ pub struct Draft {
     pub threshold: ThresholdTest,
     /// Which arithmetic.
     pub semantics: Semantics,
+    /// How weights are rounded.
+    pub weight_rounding: WeightRounding,
+    /// The stimulus to use when none is given.
+    pub scene: Option<String>,
     /// Where the network comes from.
     pub provenance: Option<String>,
 }
@@ -199,8 +221,89 @@ impl Draft {
             reset: None,
             threshold: ThresholdTest::Strict,
             semantics: Semantics::Hardware,
+            weight_rounding: WeightRounding::Even,
+            scene: None,
             provenance: None,
         }
+    }
+
+    /// The draft of a model, with its arrays in full.
+    ///
+    /// # Errors
+    /// `export.unsupported` for arrays that a seed stands for.
+    pub fn of(network: &Network) -> Result<Draft, Diagnostic> {
+        let file = network.file();
+        let mut draft = Draft::new(&file.name, file.timestep_ms.value);
+        for population in &file.populations {
+            let desc = &population.value;
+            let (name, shape) = (&desc.name().value, desc.shape().value.clone());
+            draft.populations.push(match desc {
+                PopulationDesc::Input { .. } => DraftPopulation::input(name, shape),
+                PopulationDesc::Srm(srm) => {
+                    let parameters = [
+                        ("tau_sr_ms", srm.tau_sr_ms.value),
+                        ("tau_ref_ms", srm.tau_ref_ms.value),
+                        ("scale_ref", srm.scale_ref.value),
+                        ("theta", srm.theta.value),
+                    ];
+                    DraftPopulation { srm: Some(parameters), ..DraftPopulation::input(name, shape) }
+                }
+                PopulationDesc::Loihi(loihi) => {
+                    let mut parameters = Vec::new();
+                    for (key, parameter) in PARAMETERS.into_iter().zip(loihi.parameters()) {
+                        if let Some(parameter) = parameter {
+                            parameters.push((key, value_of(network, &parameter.value)?));
+                        }
+                    }
+                    let start = loihi.start_step.as_ref().map_or(0, |step| step.value);
+                    let start_step = u32::try_from(start).map_err(|_| seeded(&format!("start_step {start}")))?;
+                    DraftPopulation { start_step, ..DraftPopulation::loihi(name, shape, parameters) }
+                }
+            });
+        }
+        for projection in &file.projections {
+            let synapse = projection.value.synapse();
+            let pair = |pair: &Option<Spanned<(u64, u64)>>, default| pair.as_ref().map_or(default, |pair| pair.value);
+            let kind = match &projection.value {
+                ProjectionDesc::Dense(dense) => DraftKind::Dense(array_of(network, &dense.weights.source)?),
+                ProjectionDesc::Sparse(sparse) => {
+                    DraftKind::Sparse(sparse.synapses.iter().map(|synapse| synapse.value).collect())
+                }
+                ProjectionDesc::Conv2d(conv) => DraftKind::Conv2d {
+                    weights: array_of(network, &conv.weights.source)?,
+                    stride: pair(&conv.stride, (1, 1)),
+                    padding: pair(&conv.padding, (0, 0)),
+                    dilation: pair(&conv.dilation, (1, 1)),
+                    groups: conv.groups.as_ref().map_or(1, |groups| groups.value),
+                },
+                ProjectionDesc::SumPool2d(pool) => DraftKind::SumPool2d {
+                    kernel: pool.kernel.value,
+                    stride: pair(&pool.stride, pool.kernel.value),
+                    padding: pair(&pool.padding, (0, 0)),
+                    weight: pool.weight.value,
+                },
+                ProjectionDesc::Random(_) => return Err(seeded("a Random projection")),
+            };
+            let delay = synapse.delay.map_or(0, |delay| delay.value);
+            draft.projections.push(DraftProjection {
+                from: synapse.from.iter().map(|name| name.value.clone()).collect(),
+                delay: u32::try_from(delay).map_err(|_| seeded(&format!("a delay of {delay}")))?,
+                weight_exp: synapse.weight_exp.map_or(0, |exponent| exponent.value),
+                sign: synapse.sign.map_or(SignMode::Mixed, |sign| sign.value),
+                weight_bits: synapse.weight_bits.map_or(8, |bits| bits.value),
+                weight_scale: synapse.weight_scale.map(|scale| scale.value),
+                ..DraftProjection::new("", &synapse.to.value, kind)
+            });
+        }
+        draft.output = file.output.value.clone();
+        draft.classes = file.classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone());
+        draft.reset = file.reset.as_ref().map(|reset| reset.value);
+        draft.threshold = file.threshold;
+        draft.semantics = file.semantics;
+        draft.weight_rounding = file.weight_rounding;
+        draft.scene = file.scene.clone();
+        draft.provenance = file.provenance.clone();
+        Ok(draft)
     }
 
     /// A population by name.
@@ -237,6 +340,12 @@ impl Draft {
         }
         if self.semantics != Semantics::Hardware {
             let _ = writeln!(out, "    semantics: {:?},", self.semantics);
+        }
+        if self.weight_rounding != WeightRounding::Even {
+            let _ = writeln!(out, "    weight_rounding: {:?},", self.weight_rounding);
+        }
+        if let Some(scene) = &self.scene {
+            let _ = writeln!(out, "    scene: {},", quoted(scene));
         }
         if let Some(provenance) = &self.provenance {
             let _ = writeln!(out, "    provenance: {},", quoted(provenance));
@@ -284,6 +393,49 @@ impl Draft {
         }
         write::text(path, force, &text)?;
         Ok(files)
+    }
+}
+
+/// The names of [`crate::desc::network::LoihiDesc::parameters`], in its order.
+const PARAMETERS: [&str; 12] = [
+    "du",
+    "dv",
+    "tau_u_ms",
+    "tau_v_ms",
+    "vth_mant",
+    "vth",
+    "bias_mant",
+    "bias_exp",
+    "bias",
+    "refractory",
+    "vmin_exp",
+    "vmax_exp",
+];
+
+fn seeded(what: &str) -> Diagnostic {
+    Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
+        .help("numbers that a seed stands for have no form in other tools: give them as an array")
+}
+
+fn array_of(network: &Network, source: &Source) -> Result<Tensor, Diagnostic> {
+    match source {
+        Source::InPlace(tensor, _) => Ok(self::tensor(tensor.shape().to_vec(), reals_of(tensor))),
+        Source::File(reference) => {
+            let tensor = network.array(reference);
+            Ok(self::tensor(tensor.shape().to_vec(), reals_of(tensor)))
+        }
+        Source::Uniform { .. } => Err(seeded("a Uniform array")),
+    }
+}
+
+fn reals_of(tensor: &Tensor) -> Vec<f64> {
+    (0..tensor.len()).map(|index| tensor.real(index)).collect()
+}
+
+fn value_of(network: &Network, value: &ParameterValue) -> Result<Value, Diagnostic> {
+    match value {
+        ParameterValue::Same(value) => Ok(Value::Same(*value)),
+        ParameterValue::Each(source) => Ok(Value::Each(reals_of(&array_of(network, source)?))),
     }
 }
 
@@ -361,6 +513,14 @@ impl Writer<'_> {
     }
 
     fn population(&mut self, population: &DraftPopulation, out: &mut String) {
+        if let Some(parameters) = population.srm {
+            let _ = write!(out, "        Srm(name: {}, shape: {:?}", quoted(&population.name), population.shape);
+            for (key, value) in parameters {
+                let _ = write!(out, ", {key}: {}", number(value));
+            }
+            out.push_str("),\n");
+            return;
+        }
         let Some(parameters) = &population.loihi else {
             let _ = writeln!(out, "        Input(name: {}, shape: {:?}),", quoted(&population.name), population.shape);
             return;

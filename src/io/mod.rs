@@ -10,6 +10,7 @@ pub mod event_csv;
 pub mod foreign;
 pub mod half;
 pub mod mapping;
+pub mod measurement;
 pub mod model;
 pub mod npy;
 pub mod safetensors;

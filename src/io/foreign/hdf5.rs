@@ -31,7 +31,7 @@ const MOST_AXES: usize = 8;
 const MOST_STRINGS: u64 = 1 << 16;
 
 /// A group's members by name.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Group {
     /// Its members.
     pub items: BTreeMap<String, Item>,
@@ -49,7 +49,7 @@ pub enum Attribute {
 }
 
 /// A member of a group.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Item {
     /// A group.
     Group(Group),
@@ -70,7 +70,7 @@ enum Element {
 }
 
 /// An array of numbers in the bytes of its own type.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Numbers {
     shape: Vec<usize>,
     element: Element,
@@ -94,6 +94,12 @@ impl Numbers {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
+    }
+
+    /// Whether they are integers.
+    #[must_use]
+    pub fn is_integer(&self) -> bool {
+        !matches!(self.element, Element::F(_))
     }
 
     /// Reals of 64 bits.

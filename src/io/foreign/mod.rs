@@ -8,6 +8,8 @@
 pub mod encode;
 pub mod hdf5;
 pub mod netx;
+pub mod nir;
+pub mod nir_export;
 pub mod pickle;
 pub mod slayer;
 pub mod torch;
@@ -27,6 +29,8 @@ pub struct Options {
     pub dt_ms: Option<f64>,
     /// A file with the neuron's parameters (SLAYER's YAML).
     pub neuron: Option<PathBuf>,
+    /// What a neuron does to its voltage when it spikes (NIR).
+    pub reset: Option<ResetMode>,
     /// When a compartment spikes, if not strictly above its threshold.
     pub threshold: Option<ThresholdTest>,
     /// An image to drive the input layer's bias.
@@ -39,6 +43,15 @@ pub struct Options {
     pub reset_offset: u32,
     /// Channels, height, width of the input of a network that begins with a convolution.
     pub input_shape: Option<Vec<u64>>,
+}
+
+/// What a neuron does to its voltage when it spikes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ResetMode {
+    /// It returns to zero, as on the chip.
+    Zero,
+    /// The threshold is subtracted.
+    Subtract,
 }
 
 /// A model that was read from a foreign file.
@@ -119,6 +132,8 @@ fn of_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, D
     let name = name_of(path);
     if root.group("layer").is_some() {
         netx::read(&root, &name, options)
+    } else if root.group("node").is_some() {
+        nir::read(&root, &name, options)
     } else {
         let members: Vec<&str> = root.items.keys().take(8).map(String::as_str).collect();
         let message = format!("this HDF5 file holds no network: at its root are {}", listed(&members));

@@ -278,6 +278,7 @@ impl Reader<'_> {
             name: name.to_string(),
             shape: shape.clone(),
             loihi,
+            srm: None,
             start_step,
         });
         self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });

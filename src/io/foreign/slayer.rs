@@ -267,10 +267,9 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
             .help("add --neuron CONFIG.yml, the network config that it was trained with"));
     };
     let neuron = read_config(config)?;
-    let NeuronKind::Loihi { vth_mant, dv, du, refractory, weight_exp } = neuron.kind else {
-        return Err(Diagnostic::new("import.unsupported", "SRMALPHA is no neuron of a Loihi core")
-            .help("train with the neuron type LOIHI")
-            .in_file(config));
+    let weight_exp = match &neuron.kind {
+        NeuronKind::Loihi { weight_exp, .. } => *weight_exp,
+        NeuronKind::SrmAlpha { .. } => 0.0,
     };
     if weight_exp.fract() != 0.0 || !(-8.0..=7.0).contains(&weight_exp) {
         return Err(slayer(format!("wgtExp {weight_exp} is outside -8..=7")).in_file(config));
@@ -280,28 +279,30 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
     }
     let mut draft = Draft::new(name, options.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
     draft.threshold = options.threshold.unwrap_or_default();
-    let mut notes = vec![format!(
-        "neurons of {}: du {du}, dv {dv}, vth_mant {vth_mant}, refractory {refractory}, weight_exp {weight_exp}",
-        config.display()
-    )];
-    notes.push("weights are round(w / 2) * 2, ties to even; one step of delay between layers".to_string());
-    let loihi = |name: &str, units: usize| DraftPopulation {
-        name: name.to_string(),
-        shape: vec![units as u64],
-        loihi: Some(vec![
-            ("du", Value::Same(du)),
-            ("dv", Value::Same(dv)),
-            ("vth_mant", Value::Same(vth_mant)),
-            ("refractory", Value::Same(refractory)),
-        ]),
-        start_step: 0,
+    let (described, rounded) = match &neuron.kind {
+        NeuronKind::Loihi { vth_mant, dv, du, refractory, weight_exp } => (
+            format!("du {du}, dv {dv}, vth_mant {vth_mant}, refractory {refractory}, weight_exp {weight_exp}"),
+            "weights are round(w / 2) * 2, ties to even; one step of delay between layers",
+        ),
+        NeuronKind::SrmAlpha { theta, tau_sr_ms, tau_ref_ms, scale_ref } => (
+            format!("theta {theta}, tauSr {tau_sr_ms} ms, tauRef {tau_ref_ms} ms, scaleRef {scale_ref}"),
+            "spike response neurons in real numbers, no neurons of a core: they run with --engine reference",
+        ),
     };
-    let input = |name: &str, units: usize| DraftPopulation {
-        name: name.to_string(),
-        shape: vec![units as u64],
-        loihi: None,
-        start_step: 0,
+    let mut notes = vec![format!("neurons of {}: {described}", config.display()), rounded.to_string()];
+    let neurons = |name: &str, units: usize| match neuron.kind {
+        NeuronKind::Loihi { vth_mant, dv, du, refractory, .. } => {
+            let parameters = [("du", du), ("dv", dv), ("vth_mant", vth_mant), ("refractory", refractory)];
+            let parameters = parameters.into_iter().map(|(key, value)| (key, Value::Same(value))).collect();
+            DraftPopulation::loihi(name, vec![units as u64], parameters)
+        }
+        NeuronKind::SrmAlpha { theta, tau_sr_ms, tau_ref_ms, scale_ref } => {
+            let parameters =
+                [("tau_sr_ms", tau_sr_ms), ("tau_ref_ms", tau_ref_ms), ("scale_ref", scale_ref), ("theta", theta)];
+            DraftPopulation { srm: Some(parameters), ..DraftPopulation::input(name, vec![units as u64]) }
+        }
     };
+    let input = |name: &str, units: usize| DraftPopulation::input(name, vec![units as u64]);
     // Which populations each layer hears.
     let joined = matrices.len() == 3 && matrices[2].sources == matrices[0].targets + matrices[1].targets;
     let chained = |k: usize| k == 0 || matrices[k].sources == matrices[k - 1].targets;
@@ -322,7 +323,13 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
         return Err(slayer(format!("the layers do not follow each other: {}", shapes.join(", "))));
     };
     for (matrix, from) in matrices.into_iter().zip(sources) {
-        draft.populations.push(loihi(&matrix.name, matrix.targets));
+        draft.populations.push(neurons(&matrix.name, matrix.targets));
+        if matches!(neuron.kind, NeuronKind::SrmAlpha { .. }) {
+            let kind = DraftKind::Dense(tensor(vec![matrix.targets, matrix.sources], matrix.weights));
+            draft.projections.push(DraftProjection { from, ..DraftProjection::new("", &matrix.name, kind) });
+            draft.output = matrix.name;
+            continue;
+        }
         let total = matrix.weights.len();
         let even: Vec<f64> = matrix.weights.iter().map(|w| (w / 2.0).round_ties_even() * 2.0 + 0.0).collect();
         let encoded = encode::encode(even, weight_exp as i64);
