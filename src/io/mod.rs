@@ -7,6 +7,7 @@
 pub mod dataset;
 pub mod draft;
 pub mod event_csv;
+pub mod events;
 pub mod foreign;
 pub mod half;
 pub mod mapping;
