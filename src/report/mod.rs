@@ -5,6 +5,7 @@
 
 pub mod agree;
 pub mod bench;
+pub mod calibration;
 pub mod energy;
 pub mod inspect;
 pub mod map;
