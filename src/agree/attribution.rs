@@ -110,7 +110,7 @@ pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attrib
         let below = if place == 0 { 0.0 } else { 1.0 - ladder[place - 1].coincidence };
         1.0 - ladder[place].coincidence - below
     };
-    let disagreement = forward.last().map_or(0.0, |last| 1.0 - last.coincidence);
+    let disagreement = forward.last().map_or(0.0, |last| (1.0 - last.coincidence).max(0.0));
     let share = |(place, &cause): (usize, &Cause)| {
         let (up, down) = (added(forward, place), added(reversed, causes.len() - 1 - place));
         let share = if disagreement.abs() < 1e-12 { 0.0 } else { (up + down) / 2.0 / disagreement };

@@ -10,10 +10,11 @@ use crate::agree::search::{self, Found};
 use crate::agree::trace::{Comparison, Layer, Trace, measured_shift};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::CompartmentId;
+use crate::cli::jobs::Refusal;
 use crate::cli::run::{InputArgs, Switch, select};
-use crate::cli::{Answer, Context, common, inputs, jobs};
+use crate::cli::{Answer, Context, common, inputs};
 use crate::compile::convert::{self, Fit};
-use crate::compile::{self, Options};
+use crate::compile::{self, CompileError, Options};
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
 use crate::golden::Golden;
@@ -129,16 +130,18 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let samples = select(&stimulus.samples, &args.input)?;
     let against = against(args, &graph, &analytic)?;
 
-    let found = match (graph.has_srm(), args.conversion) {
-        (true, Conversion::Search) => Some(searched(args, &graph, &analytic, scene.as_deref(), &samples)?),
-        _ => None,
-    };
-    let fits = found.as_ref().map_or_else(|| convert::starts(&graph), |found| found.fits.clone());
+    let wanted = args.calibration_samples as usize;
+    let scene = scene.as_deref();
+    let (fits, found) =
+        fits(args.conversion, &args.calibrate, wanted, &args.input, &graph, &analytic, scene, &samples)?;
     let ladder = Ladder::new(&graph, &fits)?;
     let target = io::target::load_target(&args.target)?;
     let compiled = match compile::compile_quantised(ladder.deployed().clone(), &target, &Options::default()) {
         Ok(compiled) => compiled,
-        Err(error) => return jobs::does_not_fit(error, &args.model, &target, context),
+        Err(CompileError::DoesNotFit(reasons)) => {
+            return Refusal::new(&args.model, target, reasons).say(crate::report::agree::nothing(), context);
+        }
+        Err(other) => return Err(other.into()),
     };
     let outcome = compare(args, &graph, &fits, &ladder, &compiled.program, &against, &samples, context)?;
     let attribution = match (&against, args.attribution) {
@@ -230,15 +233,26 @@ fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Against, E
 /// The seeds of calibration and of the run lie so far apart.
 const CALIBRATION_SEED: u64 = 1_000_003;
 
-fn searched(
-    args: &Args,
+/// What stands for the spike response populations of a network, and the search that found it, if there was one. It is made
+/// on so many samples: those of `calibrate`, or else of the input's scene with another seed, or else the first of the input.
+///
+/// # Errors
+/// [`Error`] when a source cannot be used.
+#[allow(clippy::too_many_arguments)]
+pub fn fits(
+    conversion: Conversion,
+    calibrate: &[String],
+    wanted: usize,
+    input: &InputArgs,
     graph: &Graph,
     network: &Quantised,
     scene: Option<&str>,
     samples: &[&Sample],
-) -> Result<Found, Error> {
-    let wanted = args.calibration_samples as usize;
-    let own = match (args.calibrate.as_slice(), args.input.input.as_slice()) {
+) -> Result<(Vec<Option<Fit>>, Option<Found>), Error> {
+    if !graph.has_srm() || conversion == Conversion::Analytic {
+        return Ok((convert::starts(graph), None));
+    }
+    let own = match (calibrate, input.input.as_slice()) {
         ([], inputs) => {
             let text = match inputs {
                 [] => scene.map(str::to_string),
@@ -254,13 +268,13 @@ fn searched(
         Some(scene) => {
             let mut scene = SceneArg::parse(&scene)?;
             let seed = |(key, value): &(String, String)| (key == "seed").then(|| value.parse::<u64>().ok()).flatten();
-            let given = args.input.seed.or_else(|| scene.parameters.iter().find_map(seed)).unwrap_or(1);
+            let given = input.seed.or_else(|| scene.parameters.iter().find_map(seed)).unwrap_or(1);
             scene.parameters.retain(|(key, _)| key != "seed" && key != "samples");
             scene.parameters.push(("samples".to_string(), wanted.to_string()));
             let seed = given.wrapping_add(CALIBRATION_SEED);
             Some(inputs::stimulus(network, &[scene.spelled()], None, Some(seed))?)
         }
-        None if !args.calibrate.is_empty() => Some(inputs::stimulus(network, &args.calibrate, None, None)?),
+        None if !calibrate.is_empty() => Some(inputs::stimulus(network, calibrate, None, None)?),
         None => None,
     };
     let calibration: Vec<&Sample> = match &stimulus {
@@ -271,7 +285,7 @@ fn searched(
         }
     };
     let found = search::search(graph, &calibration, |population| tracing::info!("searching '{population}'"))?;
-    Ok(found)
+    Ok((found.fits.clone(), Some(found)))
 }
 
 struct Compared {

@@ -12,6 +12,7 @@ pub mod inputs;
 pub mod inspect;
 pub mod jobs;
 pub mod map;
+pub mod pareto;
 pub mod prune;
 pub mod run;
 pub mod simulate;

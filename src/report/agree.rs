@@ -50,9 +50,19 @@ pub struct AgreeReport<'a> {
     pub attribution_samples: usize,
 }
 
+/// `nsim.agree/1` of a network that could not be deployed.
+#[must_use]
+pub fn nothing() -> Value {
+    json!({
+        "schema": "nsim.agree/1", "model": null, "target": null, "fits": false, "reasons": [], "samples": 0,
+        "class_agreement": null, "layers": [], "conversion": null, "attribution": [],
+    })
+}
+
 /// Digits that a figure is good for.
 fn rounded(x: f64) -> f64 {
-    format!("{x:.6}").parse().unwrap_or(x)
+    // A zero without a sign.
+    format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
 fn score_json(score: &Score) -> Value {
@@ -311,9 +321,11 @@ impl AgreeReport<'_> {
                 out += &format!("'{}': every spike agrees\n", row.name);
                 continue;
             };
-            let says = |spikes: bool, potential: Option<f64>| {
-                let word = if spikes { "spikes" } else { "does not" };
-                potential.map_or(word.to_string(), |p| format!("{word} (potential {p:.4} thresholds)"))
+            let says = |spikes: bool, potential: Option<f64>| match (spikes, potential) {
+                // After a spike the potential is what the reset left.
+                (true, _) => "spikes".to_string(),
+                (false, Some(potential)) => format!("does not, its potential at {potential:.4} thresholds"),
+                (false, None) => "does not".to_string(),
             };
             out += &format!(
                 "'{}' first parts at sample {}, step {}, neuron {}: a {}, b {}\n",

@@ -9,6 +9,7 @@ pub mod calibration;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod pareto;
 pub mod plot;
 pub mod run;
 pub mod stress;
