@@ -140,11 +140,11 @@ fn is_the_machine(graph: &Graph, fits: &[Option<Fit>], samples: &[Sample], some:
         assert_eq!(trace.trains, a.trains);
         assert_eq!(a, b);
         let thresholds: Vec<f64> = layers(network).iter().flat_map(|layer| thresholds(network, layer)).collect();
-        for c in 0..count as usize {
+        for (c, threshold) in thresholds.iter().enumerate() {
             for t in 0..150u32 {
                 if trace.trains[c].binary_search(&t).is_err() {
                     let at = c * 150 + t as usize;
-                    assert_eq!(trace.potentials[at], (f64::from(a.potentials[at]) / thresholds[c]) as f32, "{c} {t}");
+                    assert_eq!(trace.potentials[at], (f64::from(a.potentials[at]) / threshold) as f32, "{c} {t}");
                 }
             }
         }
@@ -239,8 +239,7 @@ fn the_search_comes_nearer_than_the_analytic_start() {
         distances(&ladder, trained, &[Rung::MACHINE], &output, &borrowed(&unseen))[0]
     };
     let (start, end) = (on_unseen(&convert::starts(&graph)), on_unseen(&found.fits));
-    assert!(end.class_agreement >= start.class_agreement, "{start:?} {end:?}");
-    assert!(end.coincidence > start.coincidence, "{start:?} {end:?}");
+    assert!(end.class_agreement > start.class_agreement + 0.1, "{start:?} {end:?}");
 }
 
 const SILICON: &str = r#"Network(name: "silicon", timestep_ms: 1.0, populations: [

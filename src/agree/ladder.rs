@@ -603,9 +603,9 @@ impl State {
             self.newest = (self.newest + rows - 1) % rows;
             self.past[self.newest].copy_from_slice(arrivals);
         }
-        for i in 0..self.neurons.len() {
+        for (i, &arrived) in arrivals.iter().enumerate() {
             let n = self.neurons[i];
-            let x = narrow(arrivals[i] * n.gain);
+            let x = narrow(arrived * n.gain);
             let q = if self.integers { wrapped(x, 21) } else { x };
             let free = if truncated {
                 self.past[self.newest][i] = q;

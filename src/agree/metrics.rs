@@ -3,10 +3,10 @@
 //! Comes in: spike trains as ascending steps, potentials relative to their thresholds. Goes out: sums that can be added over
 //! neurons and samples in any grouping that keeps their order, and from them the figures. All times are timesteps.
 //!
-//! - *Coincidence factor* (Kistler, Gerstner, van Hemmen 1997; Jolivet, Lewis, Gerstner 2004): (N_coinc - <N_coinc>) /
-//!   ((N_a + N_b) / 2) / (1 - nu w), with nu the rate of b, w the steps of a window of +-Delta, <N_coinc> = nu w N_a what a
-//!   Poisson train of that rate would give. 1 means equal, 0 chance. Delta is 2 steps, or less where the rates are so
-//!   high that nu w would pass 1/2: at such rates any train coincides with any other.
+//! - *Coincidence factor* (Kistler, Gerstner, van Hemmen 1997; Jolivet, Lewis, Gerstner 2004): (N_coinc - p N_a) /
+//!   ((N_a + N_b) / 2) / (1 - p), with p the chance that a train of b's rate nu without memory has a spike within +-Delta of
+//!   a given step: `1 - (1 - nu)^(2 Delta + 1)`, which for low rates is their 2 nu Delta. 1 means equal, 0 chance. Delta is
+//!   2 steps, or less where nu (2 Delta + 1) would pass 1/2: at such rates any train coincides with any other.
 //! - *van Rossum distance* (2001): of the trains filtered with a decaying exponential of 10 steps; a spike too many is worth
 //!   the square root of 1/2.
 //! - *Victor-Purpura distance* (1996): the cheapest way to turn one train into the other, where adding or removing a spike
@@ -118,7 +118,7 @@ fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
     };
     let found = a.iter().filter(near).count() as f64;
     // A train that spikes in every step leaves nothing to chance and nothing beyond it: count it as it is.
-    let chance = (rate * window(delta)).min(0.999);
+    let chance = (1.0 - libm::pow(1.0 - rate, window(delta))).min(0.999);
     let mean = (a.len() + b.len()) as f64 / 2.0;
     (found - chance * a.len() as f64, mean * (1.0 - chance))
 }

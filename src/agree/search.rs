@@ -9,9 +9,10 @@
 //!    voltage, so that a faster voltage than the start's often serves better.
 //! 2. *Compartments*: for each its own gain of the incoming weights and its own bias, both free integers of the hardware.
 //!
-//! The distance is van Rossum's squared, and a tenth of the squared difference of counts, over all calibration samples. At
-//! the end the start, the shapes alone and the whole are run as integers, and the one that is nearest to the trained network
-//! is returned: the search never makes things worse on the calibration samples. No randomness; ties go to the first.
+//! The distance is van Rossum's squared, and a tenth of the squared difference of counts (the whole of it for the output,
+//! whose counts are classes), over all calibration samples. This is done three times, with compartments of their own
+//! nowhere, in the output, everywhere; these and the start are run as integers, and what is nearest to the trained network is
+//! returned: the search never makes things worse on the calibration samples. No randomness; ties go to the first.
 
 use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
@@ -70,6 +71,8 @@ struct Task {
     arrivals: Vec<Vec<f64>>,
     /// Which steps should have a spike.
     wanted: Vec<Vec<bool>>,
+    /// What a squared difference of counts weighs beside the distance of trains.
+    count_weight: f64,
 }
 
 /// A candidate for one neuron.
@@ -107,7 +110,7 @@ impl Task {
                 sum += height * height * share;
                 height *= fades;
             }
-            sum += height * height / 2.0 + count * count / 10.0;
+            sum += height * height / 2.0 + self.count_weight * count * count;
         }
         sum
     }
@@ -164,34 +167,70 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
         Ok(scored(&Ladder::new(graph, fits)?, &layers, output, samples, &trained))
     };
 
-    let (mut shapes, mut whole) = (starts.clone(), starts.clone());
-    let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
-    let mut tried = 0;
-    let mut converted: Vec<Trace> = trained.iter().map(earlier).collect();
-    for node in order {
-        let PopulationKind::Srm(srm) = &graph.population(node).kind else { continue };
-        progress(&graph.population(node).name);
-        let Some(layer) = layers.iter().find(|layer| layer.name == graph.population(node).name) else { continue };
-        let task = task(graph, node, layer, samples, &converted, &trained);
-        let shape = best_shape(&task, srm, graph.facts().timestep_ms, &mut tried);
-        let fit = fit_of(&shape, srm, graph.facts().timestep_ms);
-        let single = takes_gains(graph, node);
-        let (gains, biases) = compartments(&task, &shape.candidate(srm, graph.facts().timestep_ms), single, &mut tried);
-        shapes[node.index()] = Some(fit.clone());
-        whole[node.index()] = Some(Fit { gains, biases, ..fit });
-        // What follows is to be calibrated on what this population will really send.
-        let so_far = Ladder::new(graph, &whole)?;
-        converted = samples.par_iter().map(|sample| so_far.run(Rung::MACHINE, sample, false)).collect();
-    }
     let start = score(&starts)?;
-    let mut best = (starts, start);
-    for fits in [shapes, whole] {
+    let mut best = (starts.clone(), start);
+    let mut tried = 0;
+    let material = Material { graph, layers: &layers, samples, trained: &trained, starts: &starts };
+    for own in [Own::Nowhere, Own::Output, Own::Everywhere] {
+        let fits = material.pipeline(own, &mut tried, &mut progress)?;
         let score = score(&fits)?;
         if score.distance() < best.1.distance() {
             best = (fits, score);
         }
     }
     Ok(Found { fits: best.0, start, end: best.1, tried, samples: samples.len() })
+}
+
+/// Which populations' compartments get gains and biases of their own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Own {
+    Nowhere,
+    Output,
+    Everywhere,
+}
+
+struct Material<'a> {
+    graph: &'a Graph,
+    layers: &'a [Layer],
+    samples: &'a [&'a Sample],
+    trained: &'a [Trace],
+    starts: &'a [Option<Fit>],
+}
+
+impl Material<'_> {
+    /// Goes through the populations from the input on.
+    fn pipeline(
+        &self,
+        own: Own,
+        tried: &mut u64,
+        progress: &mut impl FnMut(&str),
+    ) -> Result<Vec<Option<Fit>>, Diagnostic> {
+        let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
+        let mut fits = self.starts.to_vec();
+        let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
+        let mut converted: Vec<Trace> = self.trained.iter().map(earlier).collect();
+        for node in order {
+            let population = graph.population(node);
+            let PopulationKind::Srm(srm) = &population.kind else { continue };
+            let Some(layer) = self.layers.iter().find(|layer| layer.name == population.name) else { continue };
+            progress(&population.name);
+            let output = node == graph.output();
+            // Classes are counts of the output; timing serves the layers behind.
+            let count_weight = if output { 1.0 } else { 0.1 };
+            let task = task(graph, node, layer, (self.samples, &converted, self.trained), count_weight);
+            let shape = best_shape(&task, srm, timestep_ms, tried);
+            let mut fit = fit_of(&shape, srm, timestep_ms);
+            if own == Own::Everywhere || (own == Own::Output && output) {
+                let shared = shape.candidate(srm, timestep_ms);
+                (fit.gains, fit.biases) = compartments(&task, &shared, takes_gains(graph, node), tried);
+            }
+            fits[node.index()] = Some(fit);
+            // What follows is to be calibrated on what this population will really send.
+            let so_far = Ladder::new(graph, &fits)?;
+            converted = self.samples.par_iter().map(|sample| so_far.run(Rung::MACHINE, sample, false)).collect();
+        }
+        Ok(fits)
+    }
 }
 
 /// A trace one step earlier, as a converted layer answers.
@@ -239,9 +278,8 @@ fn task(
     graph: &Graph,
     node: NodeIndex,
     layer: &Layer,
-    samples: &[&Sample],
-    converted: &[Trace],
-    trained: &[Trace],
+    (samples, converted, trained): (&[&Sample], &[Trace], &[Trace]),
+    count_weight: f64,
 ) -> Task {
     let neurons = layer.count as usize;
     let mut firsts = Vec::new();
@@ -290,7 +328,7 @@ fn task(
         (arrivals, wanted)
     };
     let (arrivals, wanted) = samples.par_iter().zip(converted).zip(trained).map(of_sample).unzip();
-    Task { neurons, arrivals, wanted }
+    Task { neurons, arrivals, wanted, count_weight }
 }
 
 /// Thresholds that are tried for each pair of decays, relative to the matched one.

@@ -32,6 +32,9 @@ pub struct ParetoArgs {
     /// How a spike response network becomes integers
     #[arg(long, value_enum, default_value = "search")]
     conversion: Conversion,
+    /// Samples to search on, as --input takes them [default: the scene with another seed, or the first of the input]
+    #[arg(long, value_name = "SOURCE")]
+    calibrate: Vec<String>,
     /// Seconds that each variant is measured for, five repeats at least
     #[arg(long, value_name = "S", default_value = "0.5", value_parser = super::bench::seconds)]
     seconds: Duration,
@@ -74,7 +77,8 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();
-    let (fits, _) = fits(args.conversion, &[], 100, &args.input, &graph, &analytic, scene.as_deref(), &samples)?;
+    let (fits, _) =
+        fits(args.conversion, &args.calibrate, 100, &args.input, &graph, &analytic, scene.as_deref(), &samples)?;
     let target = io::target::load_target(&args.target)?;
     let subject = Subject::new(&graph, &fits, &target, samples, args.seconds)?;
     let variants = Variant::all(graph.has_srm());
