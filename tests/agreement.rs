@@ -72,8 +72,15 @@ const REAL: &str = r#"Network(name: "real", timestep_ms: 1.0, populations: [
 
 fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
     let one = |seed: u64| {
-        // Each class has channels of its own that spike more.
-        let rate = |c: u32| if u64::from(c) % 4 == seed % 4 { 0.12 } else { 0.03 };
+        // Each class has channels of its own that spike more, and so does another, less.
+        let draw = |what: u64| rng::unit(seed, 1_000, what);
+        let (strong, weak) = (0.06 + 0.06 * draw(0), 0.035 + 0.05 * draw(1));
+        let other = (seed + 1 + (3.0 * draw(2)) as u64) % 4;
+        let rate = |c: u32| match u64::from(c) % 4 {
+            class if class == seed % 4 => strong,
+            class if class == other => weak,
+            _ => 0.03,
+        };
         let all = (0..150).flat_map(|t| (0..30).map(move |c| (t, ChannelId(c))));
         let events = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
         Sample::new(150, events, Some((seed % 4) as u32)).unwrap()
