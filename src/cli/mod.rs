@@ -3,6 +3,7 @@
 //! stdout carries the result, stderr everything else. Exit status: 0 done; 1 the answer is no; 2 wrong usage; 3 an input
 //! cannot be read or is not supported; 4 a fault of nsim itself.
 
+pub mod agree;
 pub mod bench;
 pub mod common;
 pub mod complain;
@@ -13,9 +14,11 @@ pub mod inputs;
 pub mod inspect;
 pub mod jobs;
 pub mod map;
+pub mod pareto;
 pub mod prune;
 pub mod run;
 pub mod simulate;
+pub mod stress;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -98,11 +101,13 @@ enum Command {
     Run(run::Args),
     /// Report power, latency and energy of a network, beside other hardware
     Energy(energy::EnergyArgs),
+    Agree(agree::Args),
     Bench(bench::Args),
     /// Turn a model of another tool into one of nsim's own
     Import(import::Args),
     /// Write a model in a form that other tools read
     Export(export::Args),
+    Stress(stress::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
     /// Print shell completions
@@ -118,9 +123,11 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Map(args) => map::run(args, context),
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
+        Command::Agree(args) => agree::run(args, context),
         Command::Bench(args) => bench::run(args, context),
         Command::Export(args) => export::run(args, context),
         Command::Import(args) => import::run(args, context),
+        Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {
             let mut command = Cli::command();
