@@ -79,9 +79,9 @@ pub(super) struct Sparse {
 /// Lanes and weights.
 #[derive(Debug)]
 pub(super) enum Synapses {
-    /// In one word: the weight above [`TARGET_BITS`] bits of the lane.
-    Packed(Vec<u32>),
-    /// Where a lane or a weight does not fit.
+    /// In one word.
+    Packed(Packing, Vec<u32>),
+    /// Where a weight does not fit beside its lane.
     Apart {
         /// Lane of each.
         targets: Vec<u32>,
@@ -90,40 +90,59 @@ pub(super) enum Synapses {
     },
 }
 
-/// Bits of a lane in a packed synapse: two million lanes a share. Eleven bits are left to the weight, which hold any of
-/// exponent 0, and all but the largest of exponents 1 and 2.
-pub(super) const TARGET_BITS: u32 = 21;
+/// How a synapse is packed: the lane in as many low bits as the share's lanes need, the weight in the others. A share of
+/// 65,536 lanes leaves the weight all of its 16 bits, one of a million twelve: any of exponents 0 to 3.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Packing {
+    target_bits: u32,
+}
 
-/// Takes a packed synapse apart.
-#[inline(always)]
-pub(super) fn unpack(synapse: u32) -> (usize, i16) {
-    ((synapse & ((1 << TARGET_BITS) - 1)) as usize, (synapse as i32 >> TARGET_BITS) as i16)
+impl Packing {
+    fn new(lanes: usize) -> Self {
+        Packing { target_bits: (usize::BITS - lanes.leading_zeros()).clamp(1, 31) }
+    }
+
+    /// The word of a synapse, if it fits.
+    fn pack(self, target: u32, weight: i16) -> Option<u32> {
+        let packed = (i32::from(weight) << self.target_bits) as u32 | target;
+        Some(packed).filter(|&packed| self.unpack(packed) == (target as usize, weight))
+    }
+
+    /// Takes a word apart.
+    #[inline(always)]
+    pub fn unpack(self, word: u32) -> (usize, i16) {
+        ((word & ((1 << self.target_bits) - 1)) as usize, (word as i32 >> self.target_bits) as i16)
+    }
 }
 
 impl Synapses {
+    /// None yet, of a share with so many lanes.
+    fn new(lanes: usize) -> Self {
+        Synapses::Packed(Packing::new(lanes), Vec::new())
+    }
+
     /// Number of synapses.
     pub fn len(&self) -> usize {
         match self {
-            Synapses::Packed(words) => words.len(),
+            Synapses::Packed(_, words) => words.len(),
             Synapses::Apart { targets, .. } => targets.len(),
         }
     }
 
     fn bytes(&self) -> usize {
         match self {
-            Synapses::Packed(words) => 4 * words.len(),
+            Synapses::Packed(_, words) => 4 * words.len(),
             Synapses::Apart { targets, .. } => 6 * targets.len(),
         }
     }
 
     /// Appends a synapse; the first that does not fit a word takes all apart.
     fn push(&mut self, target: u32, weight: i16) {
-        if let Synapses::Packed(words) = self {
-            let packed = (i32::from(weight) << TARGET_BITS) as u32 | target;
-            if target >> TARGET_BITS == 0 && unpack(packed) == (target as usize, weight) {
-                return words.push(packed);
+        if let Synapses::Packed(packing, words) = self {
+            if let Some(word) = packing.pack(target, weight) {
+                return words.push(word);
             }
-            let (targets, weights) = words.iter().map(|&word| unpack(word)).map(|(t, w)| (t as u32, w)).unzip();
+            let (targets, weights) = words.iter().map(|&w| packing.unpack(w)).map(|(t, w)| (t as u32, w)).unzip();
             *self = Synapses::Apart { targets, weights };
         }
         if let Synapses::Apart { targets, weights } = self {
@@ -134,7 +153,7 @@ impl Synapses {
 
     fn shrink_to_fit(&mut self) {
         match self {
-            Synapses::Packed(words) => words.shrink_to_fit(),
+            Synapses::Packed(_, words) => words.shrink_to_fit(),
             Synapses::Apart { targets, weights } => {
                 targets.shrink_to_fit();
                 weights.shrink_to_fit();
@@ -445,9 +464,9 @@ impl<'p> Image<'p> {
         let lists = || parts.cores.iter().flat_map(|image| image.synapses.iter().map(<[Synapse]>::len));
         let in_short: usize = lists().filter(|&length| length < SHORTEST_ROW).sum();
         let shortest_row = if in_short * MANY < lists().sum() { 1 } else { SHORTEST_ROW };
-        let empty = |delay| Sparse { delay, first: vec![0], synapses: Synapses::Packed(Vec::new()) };
         for share in &mut self.shares {
-            share.sparse = delays.iter().map(|&delay| empty(delay)).collect();
+            let empty = |&delay: &u8| Sparse { delay, first: vec![0], synapses: Synapses::new(share.lanes) };
+            share.sparse = delays.iter().map(empty).collect();
         }
         let mut rows = vec![Vec::new(); self.shares.len()];
         for source in 0..self.sources() as u32 {

@@ -9,7 +9,7 @@ use std::ops::Range;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
-use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Synapses, unpack};
+use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Synapses};
 use crate::machine::kernel::{self, LANES, Sum};
 use crate::machine::neuron::{Registers, update};
 use crate::machine::prefetch::{prefetch, prefetch_range};
@@ -331,7 +331,7 @@ impl<S: Sum> Ring<S> {
         let range = |s: usize| table.first[s] as usize..table.first[s + 1] as usize;
         let mut events = 0;
         match &table.synapses {
-            Synapses::Packed(words) => {
+            Synapses::Packed(packing, words) => {
                 for index in 0..sources.ids.len() {
                     if let Some(s) = sources.get(index + FAR) {
                         prefetch(&table.first, s);
@@ -342,7 +342,7 @@ impl<S: Sum> Ring<S> {
                     let list = &words[range(sources.number(sources.ids[index]))];
                     events += list.len();
                     for &word in list {
-                        let (target, weight) = unpack(word);
+                        let (target, weight) = packing.unpack(word);
                         add(target, weight);
                     }
                 }
