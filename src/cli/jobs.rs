@@ -9,10 +9,11 @@ use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, complain};
 use crate::compile::{self, CompileError, Compiled, Options, Reason};
 use crate::desc::mapping::MappingFile;
-use crate::desc::network::Network;
+use crate::desc::network::{Network, PopulationDesc};
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
+use crate::ir::graph::Graph;
 use crate::ir::program::Program;
 use crate::ir::pruned::Pruned;
 use crate::ir::quantised::Quantised;
@@ -42,6 +43,21 @@ pub enum Job {
     Mapped(Box<Compiled>, Box<Target>, Option<String>),
     /// Only quantised, for the golden engine.
     Quantised(Box<Quantised>, Option<String>),
+    /// In real numbers, for the reference engine; and in integers, which number its units alike.
+    Real(Box<Graph>, Box<Quantised>, Option<String>),
+}
+
+/// What a job is to be ready for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wanted {
+    /// The fast engine: mapped onto a target.
+    Mapped,
+    /// The golden engine.
+    Quantised,
+    /// The reference engine.
+    Real,
+    /// The reference engine when the model has spike response neurons, the fast one otherwise.
+    ByModel,
 }
 
 /// A job, or the answer that there is none.
@@ -49,8 +65,34 @@ pub enum Job {
 pub enum Prepared {
     /// It can run.
     Ready(Job),
-    /// It does not fit; the reasons have been said.
-    DoesNotFit(Answer),
+    /// It does not fit.
+    DoesNotFit(Refusal),
+}
+
+/// Why something does not fit.
+#[derive(Debug)]
+pub struct Refusal {
+    model: String,
+    target: Box<Target>,
+    reasons: Vec<Reason>,
+}
+
+impl Refusal {
+    /// Says why, and prints the command's own object, in which every key stands that a run would have filled.
+    ///
+    /// # Errors
+    /// When stdout cannot be written.
+    pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer, Error> {
+        complain::say(&report::map::refusal(&self.model, &self.target, &self.reasons));
+        if context.format == crate::cli::Format::Json {
+            object["model"] = self.model.as_str().into();
+            object["target"] = self.target.name().into();
+            object["fits"] = false.into();
+            object["reasons"] = self.reasons.iter().map(report::map::reason_json).collect();
+            io::write::stdout(&format!("{object:#}\n"))?;
+        }
+        Ok(Answer::No)
+    }
 }
 
 impl Job {
@@ -59,7 +101,7 @@ impl Job {
     pub fn quantised(&self) -> &Quantised {
         match self {
             Job::Mapped(compiled, _, _) => &compiled.quantised,
-            Job::Quantised(quantised, _) => quantised,
+            Job::Quantised(quantised, _) | Job::Real(_, quantised, _) => quantised,
         }
     }
 
@@ -68,7 +110,7 @@ impl Job {
     pub fn program(&self) -> Option<&Program> {
         match self {
             Job::Mapped(compiled, _, _) => Some(&compiled.program),
-            Job::Quantised(..) => None,
+            Job::Quantised(..) | Job::Real(..) => None,
         }
     }
 
@@ -77,7 +119,16 @@ impl Job {
     pub fn mapped(&self) -> Option<(&Compiled, &Target)> {
         match self {
             Job::Mapped(compiled, target, _) => Some((compiled, target)),
-            Job::Quantised(..) => None,
+            Job::Quantised(..) | Job::Real(..) => None,
+        }
+    }
+
+    /// The network in real numbers, when it is to run in them.
+    #[must_use]
+    pub fn graph(&self) -> Option<&Graph> {
+        match self {
+            Job::Real(graph, _, _) => Some(graph),
+            Job::Mapped(..) | Job::Quantised(..) => None,
         }
     }
 
@@ -86,7 +137,7 @@ impl Job {
     pub fn target_name(&self) -> &str {
         match self {
             Job::Mapped(_, target, _) => target.name(),
-            Job::Quantised(..) => "",
+            Job::Quantised(..) | Job::Real(..) => "",
         }
     }
 
@@ -94,7 +145,7 @@ impl Job {
     #[must_use]
     pub fn scene(&self) -> Option<&str> {
         match self {
-            Job::Mapped(_, _, scene) | Job::Quantised(_, scene) => scene.as_deref(),
+            Job::Mapped(_, _, scene) | Job::Quantised(_, scene) | Job::Real(_, _, scene) => scene.as_deref(),
         }
     }
 }
@@ -110,28 +161,36 @@ impl From<CompileError> for Error {
     }
 }
 
-/// Loads a model, and maps it unless only the golden engine is wanted.
+/// Loads a model and makes it ready for an engine.
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.
-pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> Result<Prepared, Error> {
-    prepare_probed(args, mapped, copies, &[], context)
+pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, Error> {
+    prepare_probed(args, wanted, copies, &[])
 }
 
 /// The same, with the populations of these names whole however much is pruned.
 ///
 /// # Errors
 /// As [`prepare`].
-pub fn prepare_probed(
-    args: &JobArgs,
-    mapped: bool,
-    copies: u32,
-    probed: &[&str],
-    context: Context,
-) -> Result<Prepared, Error> {
+pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: u32, probed: &[&str]) -> Result<Prepared, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
-    if !mapped {
+    let real = match wanted {
+        Wanted::Mapped | Wanted::Quantised => false,
+        Wanted::Real => true,
+        // A mapping and pruning are of integers.
+        Wanted::ByModel => has_srm(&network) && args.mapping.is_none() && !args.prune.asked(),
+    };
+    if real {
+        if args.mapping.is_some() || args.prune.asked() {
+            let message = "--engine reference runs the whole network in real numbers, without --mapping or --prune";
+            return Err(Error::Usage(message.to_string()));
+        }
+        let (graph, quantised) = compile::front(&network)?.into_both();
+        return Ok(Prepared::Ready(Job::Real(Box::new(graph), Box::new(quantised), scene)));
+    }
+    if wanted == Wanted::Quantised {
         let quantised = front(args, &network, probed)?.into_quantised();
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
@@ -144,13 +203,33 @@ pub fn prepare_probed(
             say_notes(&compiled.quantised);
             Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), Box::new(target), scene)))
         }
-        Err(error) => does_not_fit(error, &args.model, &target, context).map(Prepared::DoesNotFit),
+        Err(CompileError::DoesNotFit(reasons)) => {
+            let model = network.file().name.clone();
+            Ok(Prepared::DoesNotFit(Refusal { model, target: Box::new(target), reasons }))
+        }
+        Err(other) => Err(other.into()),
+    }
+}
+
+fn has_srm(network: &Network) -> bool {
+    network.file().populations.iter().any(|population| matches!(population.value, PopulationDesc::Srm(_)))
+}
+
+/// Says on stderr that a network means other neurons than those that it is about to become.
+fn say_converted(network: &Network) {
+    if has_srm(network) {
+        tracing::warn!(
+            "{}: its spike response neurons become Loihi compartments by analysis (equal decays, peaks matched); `nsim agree` \
+             says how far they agree",
+            network.file().name
+        );
     }
 }
 
 /// A network in integers, without what `--prune` leaves out.
 fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
     let front = compile::front(network)?;
+    say_converted(network);
     let of_name = |name: &&str| front.quantised().population_named(name);
     let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
@@ -180,6 +259,7 @@ pub fn compiled(
         let pruned = front.quantised().pruned().cloned();
         return Ok((front.map(target, options), pruned));
     };
+    say_converted(network);
     let compiled = compile::compile_network_with_mapping(network, target, options, file);
     let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
     Ok((compiled, pruned))
@@ -189,31 +269,4 @@ fn say_notes(quantised: &Quantised) {
     for note in &quantised.parts().notes {
         tracing::info!("{}: {}", note.entity, note.message);
     }
-}
-
-/// Says why something does not fit; other errors pass through.
-///
-/// # Errors
-/// [`Error`] unless the error is that it does not fit.
-pub fn does_not_fit(error: CompileError, model: &str, target: &Target, context: Context) -> Result<Answer, Error> {
-    match error {
-        CompileError::DoesNotFit(reasons) => {
-            say_reasons(model, target, &reasons, context)?;
-            Ok(Answer::No)
-        }
-        other => Err(other.into()),
-    }
-}
-
-fn say_reasons(model: &str, target: &Target, reasons: &[Reason], context: Context) -> Result<(), Error> {
-    complain::say(&report::map::refusal(model, target, reasons));
-    if context.format == crate::cli::Format::Json {
-        let reasons: Vec<_> = reasons.iter().map(report::map::reason_json).collect();
-        let object = serde_json::json!({
-            "schema": "nsim.error/1", "code": "does-not-fit", "message": format!("{model} does not fit on {}", target.name()),
-            "help": "see reasons; nsim map shows the same", "reasons": reasons,
-        });
-        io::write::stdout(&format!("{object:#}\n"))?;
-    }
-    Ok(())
 }

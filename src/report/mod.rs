@@ -4,9 +4,11 @@
 //! rounding of what is printed.
 
 pub mod bench;
+pub mod calibration;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod plot;
 pub mod run;
 
 /// The width of text for people.
