@@ -10,6 +10,7 @@ pub mod inspect;
 pub mod map;
 pub mod plot;
 pub mod run;
+pub mod scene;
 
 /// The width of text for people.
 const WIDTH: usize = 100;
