@@ -15,6 +15,7 @@ pub mod map;
 pub mod pareto;
 pub mod prune;
 pub mod run;
+pub mod scene;
 pub mod simulate;
 pub mod stress;
 
@@ -101,6 +102,7 @@ enum Command {
     Energy(energy::EnergyArgs),
     Agree(agree::Args),
     Bench(bench::Args),
+    Scene(scene::Args),
     Stress(stress::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
@@ -119,6 +121,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Energy(args) => energy::run(args, context),
         Command::Agree(args) => agree::run(args, context),
         Command::Bench(args) => bench::run(args, context),
+        Command::Scene(args) => scene::run(args, context),
         Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {

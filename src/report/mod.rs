@@ -12,6 +12,7 @@ pub mod map;
 pub mod pareto;
 pub mod plot;
 pub mod run;
+pub mod scene;
 pub mod stress;
 
 /// The width of text for people.
