@@ -108,6 +108,79 @@ fn every_command_prints_its_object() {
     }
 }
 
+const SRM: &str = "Network(name: \"srm\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [6]),
+    Srm(name: \"hidden\", shape: [5], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10),
+    Srm(name: \"out\", shape: [2], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10)],
+  projections: [Dense(from: [\"in\"], to: \"hidden\", weights: Uniform(low: -1, high: 4, seed: 1)),
+    Dense(from: [\"hidden\"], to: \"out\", weights: Uniform(low: -2, high: 4, seed: 2))], output: \"out\")";
+
+#[test]
+fn a_spike_response_model_runs_in_real_numbers_and_agrees_or_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "srm.ron", SRM);
+    let scene = "scene:noise?samples=6&rate=0.1";
+    let run =
+        object(&["run", &model, "--input", scene, "--probe", "hidden.u", "-o", folder.path().to_str().unwrap()], 0);
+    assert_eq!((&run["engine"], &run["samples"]), (&"reference".into(), &6.into()));
+    let bytes = std::fs::read(folder.path().join("hidden.u.npy")).unwrap();
+    assert!(String::from_utf8_lossy(&bytes[..80]).contains("<f8"));
+    let (code, _, stderr) = said(&["run", &model, "--input", scene, "--engine", "fast"]);
+    assert!(code == 0 && stderr.contains("analysis") && stderr.contains("nsim agree"), "{stderr}");
+    assert_eq!(said(&["run", &model, "--input", scene, "--engine", "reference", "--prune", "static"]).0, 2);
+
+    let agree = object(&["agree", &model, "--input", scene, "--calibration-samples", "8"], 0);
+    assert_eq!((&agree["schema"], &agree["samples"]), (&"nsim.agree/1".into(), &6.into()));
+    has_keys(&agree, &["class_agreement", "layers", "attribution", "conversion"]);
+    let keys =
+        ["name", "shift", "spikes_a", "spikes_b", "coincidence", "van_rossum", "victor_purpura", "potential_rmse"];
+    has_keys(&agree["layers"][0], &keys);
+    has_keys(&agree["layers"][0]["first_divergence"], &["sample", "timestep", "neuron", "a", "b"]);
+    assert!(agree["attribution"].as_array().unwrap().len() >= 5);
+    has_keys(&agree["attribution"][0], &["cause", "class_agreement", "coincidence", "potential_rmse", "share"]);
+    let search = &agree["conversion"]["search"];
+    assert!(search["residual"]["count_error"].as_f64() <= search["start"]["count_error"].as_f64(), "{search}");
+    let analytic = ["agree", &model, "--input", scene, "--conversion", "analytic"];
+    object(&[&analytic[..], &["--require-exact"]].concat(), 1);
+    object(&[&analytic[..], &["--against", "golden", "--require-exact"]].concat(), 0);
+    assert_eq!(said(&[&analytic[..], &["--require-class-agreement", "1.5"]].concat()).0, 2);
+    assert_eq!(said(&["agree", "vtsnn-slip", "--against", "srm"]).0, 2);
+    let one_thread = object(&[&analytic[..], &["--threads", "1"]].concat(), 0);
+    assert_eq!(one_thread, object(&[&analytic[..], &["--threads", "2"]].concat(), 0));
+}
+
+#[test]
+fn the_stability_suite_and_the_front_print_their_objects() {
+    let stress = object(&["stress", "--case", "fan-in-4096-negative", "refractory-1-and-63"], 0);
+    assert_eq!((&stress["schema"], &stress["cases"][1]["verdict"]), (&"nsim.stress/1".into(), &"pass".into()));
+    assert_eq!(said(&["stress", "--case", "no-such"]).0, 2);
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "srm.ron", SRM);
+    let svg = folder.path().join("front.svg");
+    let document = write(folder.path(), "d.md", "a\n<!-- pareto srm -->\nreplace me\n<!-- end pareto srm -->\nb\n");
+    let scene = "scene:noise?samples=4&rate=0.1";
+    let pareto = ["bench", "pareto", &model, "--input", scene, "--seconds", "0", "--conversion", "analytic", "--force"];
+    let files = ["--svg", svg.to_str().unwrap(), "--update", &document];
+    let pareto = object(&[&pareto[..], &files].concat(), 0);
+    assert_eq!((&pareto["schema"], &pareto["name"]), (&"nsim.bench/1".into(), &"pareto".into()));
+    let rows = pareto["rows"].as_array().unwrap();
+    assert!(rows.len() >= 20);
+    for row in rows {
+        has_keys(
+            row,
+            &["variant", "us_per_timestep", "spread", "class_agreement", "coincidence", "potential_rmse", "on_front"],
+        );
+        assert!(row["exact"] != false, "{row}");
+    }
+    let exact: Vec<&str> =
+        rows.iter().filter(|row| row["exact"] == true).filter_map(|row| row["variant"].as_str()).collect();
+    assert_eq!(exact, ["golden", "fast", "fast-no-skip", "metered-analytic", "metered-queued"]);
+    let trained = &rows[0];
+    assert_eq!((&trained["variant"], &trained["coincidence"]), (&"reference-f64-recursion".into(), &1.0.into()));
+    let written = std::fs::read_to_string(&document).unwrap();
+    assert!(written.contains("| golden |") && !written.contains("replace me") && svg.exists());
+    assert!(folder.path().join("pareto-srm.svg").exists());
+}
+
 #[test]
 fn what_does_not_fit_is_an_answer() {
     let map = object(&["map", "--target", "tiny", "--copies", "4096"], 1);
