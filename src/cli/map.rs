@@ -32,9 +32,15 @@ pub struct MapArgs {
     /// What the mapping is to be good for: cores, energy or latency
     #[arg(long, default_value = "cores", value_parser = objective)]
     pub objective: Objective,
-    /// How compartments are gathered on cores: sequential
-    #[arg(long, default_value = "sequential", value_parser = strategy)]
+    /// How compartments are gathered on cores: sequential, greedy or multilevel
+    #[arg(long, default_value = "multilevel", value_parser = strategy)]
     pub strategy: Strategy,
+    /// Leave cores in the order of the partition instead of placing them near what they talk to
+    #[arg(long)]
+    pub unplaced: bool,
+    /// Seconds to spend on a better partition and placement, counted in work so that the result is the same everywhere
+    #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
+    pub time_budget: u32,
     /// Seed of strategies that draw
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
@@ -81,7 +87,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
     let question = Question { model: &network.file().name, target: &target, options: &options, pruned };
     let outcome = match &compiled {
-        Ok(compiled) => Outcome::Fits(compiled, traffic::traffic(&compiled.program, traffic::DEFAULT_RATE)),
+        Ok(compiled) => Outcome::Fits(compiled, traffic::traffic(&compiled.program, &compiled.rates)),
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
     // A mapping that goes to stdout goes there alone.
@@ -102,6 +108,8 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
         strategy: args.strategy,
         objective: args.objective,
         seed: mapping.map_or(args.seed, |file| file.seed),
+        place: !args.unplaced,
+        effort_s: args.time_budget,
     }
 }
 

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use crate::base::fixed::{Delay, WeightBits};
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::compile::fanin::FanIn;
-use crate::compile::fanout::Formats;
+use crate::compile::formats::Formats;
 use crate::compile::packing::{self, Group, MOST_SLOTS, Widths};
 use crate::compile::usage::profiles;
 use crate::desc::target::Limits;

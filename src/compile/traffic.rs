@@ -1,14 +1,17 @@
-//! How far messages go, at an assumed rate of spikes.
+//! How far messages go, at given rates of spikes.
 //!
 //! In come a program and a rate for every source; out goes a [`Traffic`]. Each source sends one message to each of its
 //! cores. A message goes along its row of tiles first, then along its column (see [`crate::ir::placement`]); an input's
 //! message enters at the corner of its target's chip. Links are counted in both directions separately, over the whole
-//! board. Ways are added as differences at their ends, so that a message costs the same however long it is. Everything is
-//! counted in whole messages before it is multiplied by the rate.
+//! board. Ways are added as differences at their ends, so that a message costs the same however long it is. A spike that
+//! is copied where ways part crosses each link once, however many of its messages do: those are multicast hops. Everything
+//! is counted in whole numbers ([`Rates`]) before it is brought to a step.
 
 use serde::Serialize;
 
 use crate::base::id::CoreId;
+use crate::compile::place::nets::Columns;
+use crate::compile::rates::{Rates, UNIT};
 use crate::ir::placement::Mesh;
 use crate::ir::program::Program;
 
@@ -20,8 +23,10 @@ pub const DEFAULT_RATE: f64 = 0.01;
 pub struct Traffic {
     /// Messages to another core than the source's own; an input's are all of this kind.
     pub cut_spikes_per_step: f64,
-    /// Links crossed.
+    /// Links crossed, each message by itself.
     pub hops_per_step: f64,
+    /// Links crossed when a spike is copied where the ways of its messages part.
+    pub hops_multicast_per_step: f64,
     /// Messages over a link, on average over all links of the board.
     pub mean_link_load: f64,
     /// Messages over the busiest link.
@@ -41,10 +46,10 @@ impl Lines {
     }
 
     /// Adds a way from tile `low` to tile `high` of a line, `low <= high`.
-    fn add(&mut self, line: u32, low: u32, high: u32) {
+    fn add(&mut self, line: u32, low: u32, high: u32, weight: i64) {
         let start = line as usize * self.length;
-        self.differences[start + low as usize] += 1;
-        self.differences[start + high as usize] -= 1;
+        self.differences[start + low as usize] += weight;
+        self.differences[start + high as usize] -= weight;
     }
 
     /// The greatest load and the sum of loads.
@@ -62,34 +67,49 @@ impl Lines {
     }
 }
 
-/// The expected traffic of a program in which every source spikes at `rate` spikes a step.
+/// The expected traffic of a program whose sources spike at these rates.
 #[must_use]
-pub fn traffic(program: &Program, rate: f64) -> Traffic {
+pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
     let mesh = program.mesh();
     let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
     let (mut east, mut west) = (Lines::new(rows, columns), Lines::new(rows, columns));
     let (mut south, mut north) = (Lines::new(columns, rows), Lines::new(columns, rows));
-    let mut add = |(fx, fy): (u32, u32), (tx, ty): (u32, u32)| {
+    let mut add = |(fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64| {
         match fx <= tx {
-            true => east.add(fy, fx, tx),
-            false => west.add(fy, tx, fx),
+            true => east.add(fy, fx, tx, weight),
+            false => west.add(fy, tx, fx, weight),
         }
         match fy <= ty {
-            true => south.add(tx, fy, ty),
-            false => north.add(tx, ty, fy),
+            true => south.add(tx, fy, ty, weight),
+            false => north.add(tx, ty, fy, weight),
         }
     };
     let tile = |core: CoreId| mesh.tile(program.cores()[core].site);
-    let mut cut = 0u64;
+    let mut tree = Columns::new(mesh);
+    let (mut cut, mut multicast) = (0u64, 0u64);
     for (core, image) in program.cores().enumerate() {
-        for message in image.axons_out.items() {
-            cut += u64::from(message.core != core);
-            add(tile(core), tile(message.core));
+        for (slot, messages) in image.axons_out.iter().enumerate() {
+            let weight = rates.of(program.channels() + image.ids[slot].0);
+            for message in messages {
+                cut += u64::from(message.core != core) * weight;
+                add(tile(core), tile(message.core), weight as i64);
+            }
+            multicast += weight * tree.links(tile(core), messages.iter().map(|m| tile(m.core))).0;
         }
     }
-    for message in program.parts().channels.items() {
-        cut += 1;
-        add(corner(mesh, tile(message.core)), tile(message.core));
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        let weight = rates.of(channel as u32);
+        cut += weight * messages.len() as u64;
+        for message in messages {
+            add(corner(mesh, tile(message.core)), tile(message.core), weight as i64);
+        }
+        // Inputs enter each chip at its corner; chips of a list are not in order when chips were exchanged.
+        let mut of_chip: Vec<(u32, (u32, u32))> =
+            messages.iter().map(|m| (program.cores()[m.core].site.chip, tile(m.core))).collect();
+        of_chip.sort_unstable();
+        for same in of_chip.chunk_by(|a, b| a.0 == b.0) {
+            multicast += weight * tree.links(corner(mesh, same[0].1), same.iter().map(|&(_, tile)| tile)).0;
+        }
     }
     let loads = [east.loads(), west.loads(), south.loads(), north.loads()];
     let (most, hops) = loads.iter().fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
@@ -97,10 +117,11 @@ pub fn traffic(program: &Program, rate: f64) -> Traffic {
     let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
     let mean = if links == 0 { 0.0 } else { hops as f64 / links as f64 };
     Traffic {
-        cut_spikes_per_step: cut as f64 * rate,
-        hops_per_step: hops as f64 * rate,
-        mean_link_load: mean * rate,
-        max_link_load: most as f64 * rate,
+        cut_spikes_per_step: cut as f64 / UNIT,
+        hops_per_step: hops as f64 / UNIT,
+        hops_multicast_per_step: multicast as f64 / UNIT,
+        mean_link_load: mean / UNIT,
+        max_link_load: most as f64 / UNIT,
     }
 }
 
@@ -157,7 +178,7 @@ mod tests {
             let limits = Limits { compartments: 1, axons_out_per_compartment: 4096, ..limits() };
             let target = target(2, 2, limits);
             let compiled = compile_quantised(random_network(seed), &target, &Options::default()).unwrap();
-            let traffic = traffic(&compiled.program, 1.0);
+            let traffic = traffic(&compiled.program, &Rates::assumed(1.0));
             let (cut, hops, most) = walked(&compiled.program);
             assert_eq!((traffic.cut_spikes_per_step, traffic.hops_per_step), (cut as f64, hops as f64));
             assert_eq!(traffic.max_link_load, most as f64);

@@ -16,12 +16,14 @@
 use std::collections::BTreeSet;
 
 use crate::base::fixed::Delay;
-use crate::base::id::{CompartmentId, CoreId, IdVec};
-use crate::compile::fanout::{self, Formats};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
+use crate::compile::formats::Formats;
+use crate::compile::gather::{self, Key};
 use crate::compile::packing::{self, Group, Widths};
+use crate::compile::sent;
 use crate::desc::target::Limits;
 use crate::ir::partition::{CoreUsage, Seat};
-use crate::ir::quantised::{Neuron, Quantised, SpikeSource, Units};
+use crate::ir::quantised::{Neuron, Quantised, Units};
 
 /// A compartment's share of the profile tables: (du, dv, refractory period), threshold mantissa.
 #[must_use]
@@ -58,61 +60,58 @@ pub fn usage(
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
     let longest = longest_delays(network, seats, members.len());
-    let mut usage: IdVec<CoreId, CoreUsage> = members
-        .enumerate()
-        .map(|(core, held)| {
-            let compartments = held.len() as u32;
-            let accumulators = compartments.saturating_mul(packing::delay_slots(longest[core]));
-            CoreUsage { compartments, accumulators, ..CoreUsage::default() }
-        })
-        .collect();
-    count_profiles(network, seats, &mut usage);
-    let widths: IdVec<CoreId, Widths> =
-        members.enumerate().map(|(core, held)| Widths::of(held.len() as u32, longest[core], limits.packing)).collect();
     let formats = Formats::of(network);
-    let mut used_formats: IdVec<CoreId, BTreeSet<(u16, bool, bool)>> = vec![BTreeSet::new(); members.len()].into();
-    let mut reaches = Vec::new();
-    for (source, place) in fanout::sources(network) {
-        fanout::collect(network, &formats, seats, place, &mut reaches);
-        let own = match source {
-            SpikeSource::Channel(_) => None,
-            SpikeSource::Compartment(id) => Some(seats[id].core),
-        };
-        let (mut axons, mut slots) = (0, 0);
-        for axon in reaches.chunk_by(|a, b| a.core == b.core) {
-            let core = axon[0].core;
-            let mut words = 0;
-            for list in fanout::groups(axon) {
-                let group = Group {
-                    weight_bits: formats.get(list[0].format).bits,
-                    synapses: list.len() as u32,
-                    delayed: list.iter().any(|reach| reach.delay > 0),
-                    dense: fanout::is_dense(list),
-                };
-                words += packing::words(group, widths[core], limits);
-                used_formats[core].insert((list[0].format, group.delayed, group.dense));
-            }
-            let used = &mut usage[core];
-            used.axons_in += 1;
-            used.synapses += axon.len() as u64;
-            used.synapse_words += u64::from(words);
-            used.synapse_words_per_axon = used.synapse_words_per_axon.max(words);
-            axons += 1;
-            if let Some(own) = own {
-                let near = chips[core] == chips[own];
-                slots += if near { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
-            }
-        }
-        if let Some(own) = own {
-            let used = &mut usage[own];
-            used.axons_out = used.axons_out.saturating_add(slots);
-            used.axons_out_per_compartment = used.axons_out_per_compartment.max(axons);
-        }
-    }
-    for (used, formats) in usage.iter_mut().zip(&used_formats) {
-        used.synapse_formats = formats.len() as u32;
+    let counted = gather::by_core(network, &formats, seats, members.len(), |core, keys| {
+        of_core(keys, members[core].len() as u32, longest[core], &formats, limits)
+    });
+    let mut usage: IdVec<CoreId, CoreUsage> = counted.into();
+    count_profiles(network, seats, &mut usage);
+    let core_of = seats.iter().map(|seat| seat.core).collect();
+    let sent = sent::sent(network, &core_of, chips, limits);
+    for (used, held) in usage.iter_mut().zip(members) {
+        used.axons_out = u32::try_from(sent::slots_of(held, &sent)).unwrap_or(u32::MAX);
+        used.axons_out_per_compartment = held.iter().map(|id| sent.axons[id.index()]).max().unwrap_or(0);
     }
     usage
+}
+
+/// What a core's synapses use.
+fn of_core(keys: &[Key], compartments: u32, longest: Delay, formats: &Formats, limits: &Limits) -> CoreUsage {
+    let widths = Widths::of(compartments, longest, limits.packing);
+    let mut used_formats = BTreeSet::new();
+    let accumulators = compartments.saturating_mul(packing::delay_slots(longest));
+    let mut used = CoreUsage { compartments, accumulators, synapses: keys.len() as u64, ..CoreUsage::default() };
+    let mut last = None;
+    for list in gather::lists(keys) {
+        let mut words = 0;
+        for group in gather::groups(list) {
+            let (format, group) = group_of(group, formats);
+            words += packing::words(group, widths, limits);
+            // Neighbours mostly agree.
+            let kind = (format, group.delayed, group.dense);
+            if last.replace(kind) != Some(kind) {
+                used_formats.insert(kind);
+            }
+        }
+        used.axons_in += 1;
+        used.synapse_words += u64::from(words);
+        used.synapse_words_per_axon = used.synapse_words_per_axon.max(words);
+    }
+    used.synapse_formats = used_formats.len() as u32;
+    used
+}
+
+/// The make-up of a group, and its format.
+#[must_use]
+pub fn group_of(group: &[Key], formats: &Formats) -> (u16, Group) {
+    let format = group[0].format();
+    let made = Group {
+        weight_bits: formats.get(format).bits,
+        synapses: group.len() as u32,
+        delayed: group.iter().any(|key| key.delay() > 0),
+        dense: group.windows(2).all(|pair| pair[1].slot() == pair[0].slot() + 1),
+    };
+    (format, made)
 }
 
 fn count_profiles(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, usage: &mut IdVec<CoreId, CoreUsage>) {

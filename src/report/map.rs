@@ -53,7 +53,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "copies": options.copies,
         "objective": options.objective.name(),
         "strategy": options.strategy.name(),
-        "placed": place::NAME,
+        "placed": if options.place { place::ANNEALED } else { place::SEQUENTIAL },
         "seed": options.seed,
         "pruned": pruned_json(pruned),
         "fits": false,
@@ -248,9 +248,13 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             text += &table(compiled, target);
             let _ = writeln!(
                 text,
-                "\na step at an assumed {DEFAULT_RATE} spikes a source: {:.2} spikes to other cores (inputs' included), {:.2} hops;\n\
-                 links carry {:.5} messages on average, {:.2} at most",
-                traffic.cut_spikes_per_step, traffic.hops_per_step, traffic.mean_link_load, traffic.max_link_load
+                "\na step at an assumed {DEFAULT_RATE} spikes a source: {:.2} spikes to other cores (inputs' included), {:.2} hops, {:.2} as \
+                 multicast;\nlinks carry {:.5} messages on average, {:.2} at most",
+                traffic.cut_spikes_per_step,
+                traffic.hops_per_step,
+                traffic.hops_multicast_per_step,
+                traffic.mean_link_load,
+                traffic.max_link_load
             );
             let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
             let _ = writeln!(text, "ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", "));
@@ -365,7 +369,7 @@ mod tests {
         let board = target(2, 1, limits());
         let question = Question { model: "slip", target: &board, options: &options, pruned: &[] };
         let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
-        let outcome = Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE));
+        let outcome = Outcome::Fits(&compiled, traffic(&compiled.program, &compiled.rates));
         let fits = json(question, outcome);
         assert_eq!(keys(&fits), KEYS);
         assert_eq!(
@@ -377,7 +381,9 @@ mod tests {
             "synapses": 39_420, "synapse_words": 7_452,
         });
         assert_eq!(fits["cores"][2], core);
-        assert_eq!(keys(&fits["traffic"]), ["cut_spikes_per_step", "hops_per_step", "mean_link_load", "max_link_load"]);
+        let of_traffic =
+            ["cut_spikes_per_step", "hops_per_step", "hops_multicast_per_step", "mean_link_load", "max_link_load"];
+        assert_eq!(keys(&fits["traffic"]), of_traffic);
         assert_eq!(fits["limits"]["axons_in"], 4096);
         assert!(fits["seconds"]["partition"].is_f64());
         assert_eq!(csv(outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
@@ -408,7 +414,7 @@ mod tests {
         let compiled = compile_quantised(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);
         let question = Question { model: "slip", target: &board, options: &options, pruned: &[] };
-        let spoken = text(question, Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE)));
+        let spoken = text(question, Outcome::Fits(&compiled, traffic(&compiled.program, &compiled.rates)));
         assert!(spoken.contains("and 42 more") && spoken.lines().count() < 32, "{spoken}");
     }
 

@@ -4,6 +4,7 @@
 //! rounding of what is printed.
 
 pub mod bench;
+pub mod bench_map;
 pub mod energy;
 pub mod inspect;
 pub mod map;
