@@ -11,7 +11,7 @@ use crate::bench::networks::Bench;
 use crate::bench::suite::{Case, STEPS};
 use crate::compile::rates::Rates;
 use crate::compile::traffic::{DEFAULT_RATE, Traffic, traffic};
-use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, partitioned};
+use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, partitioned};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::StepMeter;
@@ -104,7 +104,13 @@ pub fn map_all(
         let gathered = begin.elapsed().as_secs_f64();
         for &place in places {
             let begin = Instant::now();
-            let compiled = partitioned.placed(target, &Options { place, ..options }).map_err(failed)?;
+            let compiled = match objective {
+                Objective::Cores => partitioned.placed(target, &Options { place, ..options }),
+                Objective::Energy | Objective::Latency => {
+                    compile_quantised(bench.network.clone(), target, &Options { place, ..options })
+                }
+            };
+            let compiled = compiled.map_err(failed)?;
             let seconds = gathered + begin.elapsed().as_secs_f64();
             let peak_mib = peak_mib();
             let (energy_uj, step_us) = simulated(case, &compiled, target, &sample, &meant)?;

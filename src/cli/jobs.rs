@@ -7,6 +7,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
 use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, complain};
+use crate::compile::saved;
 use crate::compile::{self, CompileError, Compiled, Options, Reason};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
@@ -177,7 +178,12 @@ pub fn prepare_probed(
     }
     let target = io::target::load_target(&args.target)?;
     let options = Options { copies, ..Options::default() };
-    let mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
+        // Copies share nothing, so one of them is the whole of what a run shows.
+        tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);
+        *file = saved::one_copy(file);
+    }
     match compiled(args, &network, &target, &options, mapping.as_ref(), probed)?.0 {
         Ok(compiled) => {
             say_notes(&compiled.quantised);

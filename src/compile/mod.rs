@@ -7,6 +7,7 @@
 pub mod check;
 pub mod convert;
 pub mod copies;
+pub mod expect;
 pub mod fanin;
 pub mod fill;
 pub mod formats;
@@ -21,6 +22,7 @@ pub mod rates;
 pub mod reason;
 pub mod route;
 pub mod saved;
+pub mod search;
 pub mod sent;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -324,6 +326,11 @@ fn mapped(
     rates: &Rates,
     clock: Clock,
 ) -> Result<Compiled, CompileError> {
+    if options.objective != Objective::Cores {
+        let mut best = search::best(&one, target, options, rates)?;
+        best.seconds.splice(0..0, clock.0);
+        return Ok(best);
+    }
     let Partitioned { one, all, partition, rates, mut clock } = partitioned_from(one, target, options, rates, clock)?;
     let placed = clock.stage("place", || placed(&all, &partition, target, options, &rates));
     let (placement, name) = placed.map_err(does_not_fit)?;
@@ -368,6 +375,17 @@ fn partitioned_from(
 }
 
 impl Partitioned {
+    /// Makes sure that it fits a target with other limits than it was made for.
+    ///
+    /// # Errors
+    /// [`CompileError::DoesNotFit`] when it has more cores; [`CompileError::Fault`] when the limits are lower.
+    pub fn within(&mut self, target: &Target) -> Result<(), CompileError> {
+        let (members, usage) = (self.partition.members().clone(), self.partition.usage().clone());
+        let partition = Partition::new(self.all.compartments(), members, usage, target.limits());
+        self.partition = partition.map_err(|e| CompileError::Fault(e.to_string()))?;
+        Ok(())
+    }
+
     /// Places it and brings it to an end, with the options that it was made with but for how it is placed.
     ///
     /// # Errors

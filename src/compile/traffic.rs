@@ -52,6 +52,19 @@ impl Lines {
         self.differences[start + high as usize] -= weight;
     }
 
+    /// The load of the link after each tile.
+    fn each(&self) -> Vec<u64> {
+        let mut loads = Vec::with_capacity(self.differences.len());
+        for line in self.differences.chunks(self.length.max(1)) {
+            let mut load = 0i64;
+            for difference in line {
+                load += difference;
+                loads.push(load as u64);
+            }
+        }
+        loads
+    }
+
     /// The greatest load and the sum of loads.
     fn loads(&self) -> (u64, u64) {
         let (mut most, mut sum) = (0, 0);
@@ -67,9 +80,76 @@ impl Lines {
     }
 }
 
+/// Messages over each link, both directions of it together, in a step.
+#[derive(Debug, Clone)]
+pub struct Links {
+    columns: usize,
+    rows: usize,
+    /// From each tile eastwards, row by row.
+    east_west: Vec<f64>,
+    /// From each tile southwards, column by column.
+    north_south: Vec<f64>,
+}
+
+impl Links {
+    /// Over the link from a tile of the board to its eastern neighbour and back.
+    #[must_use]
+    pub fn east_west(&self, x: u32, y: u32) -> f64 {
+        self.east_west.get(y as usize * self.columns + x as usize).copied().unwrap_or(0.0)
+    }
+
+    /// Over the link from a tile of the board to its southern neighbour and back.
+    #[must_use]
+    pub fn north_south(&self, x: u32, y: u32) -> f64 {
+        self.north_south.get(x as usize * self.rows + y as usize).copied().unwrap_or(0.0)
+    }
+
+    /// The most over any link.
+    #[must_use]
+    pub fn busiest(&self) -> f64 {
+        self.east_west.iter().chain(&self.north_south).copied().fold(0.0, f64::max)
+    }
+}
+
+/// The expected messages over each link.
+#[must_use]
+pub fn links(program: &Program, rates: &Rates) -> Links {
+    let ([east, west, south, north], _, _) = counted(program, rates);
+    let together = |a: &Lines, b: &Lines| -> Vec<f64> {
+        let sums = a.each().into_iter().zip(b.each());
+        sums.map(|(a, b)| (a + b) as f64 / UNIT).collect()
+    };
+    let mesh = program.mesh();
+    Links {
+        columns: (mesh.chips_x * mesh.width) as usize,
+        rows: (mesh.chips_y * mesh.height) as usize,
+        east_west: together(&east, &west),
+        north_south: together(&south, &north),
+    }
+}
+
 /// The expected traffic of a program whose sources spike at these rates.
 #[must_use]
 pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
+    let mesh = program.mesh();
+    let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
+    let ([east, west, south, north], cut, multicast) = counted(program, rates);
+    let loads = [east.loads(), west.loads(), south.loads(), north.loads()];
+    let (most, hops) = loads.iter().fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
+    let (columns, rows) = (u64::from(columns), u64::from(rows));
+    let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
+    let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
+    Traffic {
+        cut_spikes_per_step: cut as f64 / UNIT,
+        hops_per_step: hops as f64 / UNIT,
+        hops_multicast_per_step: multicast as f64 / UNIT,
+        mean_link_load: mean,
+        max_link_load: most as f64 / UNIT,
+    }
+}
+
+/// Loads eastwards, westwards, southwards and northwards; messages between cores; links of multicast trees.
+fn counted(program: &Program, rates: &Rates) -> ([Lines; 4], u64, u64) {
     let mesh = program.mesh();
     let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
     let (mut east, mut west) = (Lines::new(rows, columns), Lines::new(rows, columns));
@@ -111,18 +191,7 @@ pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
             multicast += weight * tree.links(corner(mesh, same[0].1), same.iter().map(|&(_, tile)| tile)).0;
         }
     }
-    let loads = [east.loads(), west.loads(), south.loads(), north.loads()];
-    let (most, hops) = loads.iter().fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
-    let (columns, rows) = (u64::from(columns), u64::from(rows));
-    let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
-    let mean = if links == 0 { 0.0 } else { hops as f64 / links as f64 };
-    Traffic {
-        cut_spikes_per_step: cut as f64 / UNIT,
-        hops_per_step: hops as f64 / UNIT,
-        hops_multicast_per_step: multicast as f64 / UNIT,
-        mean_link_load: mean / UNIT,
-        max_link_load: most as f64 / UNIT,
-    }
+    ([east, west, south, north], cut, multicast)
 }
 
 /// The tile at the north-west corner of a tile's chip, where inputs enter.

@@ -462,6 +462,13 @@ impl Target {
         self
     }
 
+    /// The same board with another chip, for tests and for asking what if.
+    #[must_use]
+    pub fn with_chip(mut self, chip: Chip) -> Self {
+        self.chip = chip;
+        self
+    }
+
     /// The target's name.
     #[must_use]
     pub fn name(&self) -> &str {

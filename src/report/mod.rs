@@ -8,6 +8,7 @@ pub mod bench_map;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod map_svg;
 pub mod plot;
 pub mod run;
 

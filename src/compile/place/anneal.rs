@@ -2,7 +2,8 @@
 //!
 //! In come nets, places to start from and how much may be tried; out go places, never worse under the objective. A
 //! proposal takes a core and another site of its chip, half of the time the one nearest to the middle of what the core
-//! talks to (the force-directed part), else any; who sits there changes places with it. It is accepted when it saves
+//! talks to (the force-directed part), else any; who sits there changes places with it, and onto a tile that is not in use
+//! a whole tile moves, so that no more tiles are powered than before. It is accepted when it saves
 //! links, and otherwise with a probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
 //! simulated annealing", Science 220, 1983). The best places are kept.
 //!
@@ -84,6 +85,7 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
     }
     let (mut now, mut least, mut best) = (0i64, 0i64, own(&sites));
     let mut affected: Vec<u32> = Vec::new();
+    let mut moves: Vec<(usize, Site, Site)> = Vec::new();
     let mut heat = None::<f64>;
     for step in 0..proposals {
         let draw = |k: u64, n: u64| rng::below(n, seed, step, k);
@@ -102,11 +104,25 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
         let (x, y) = wanted.unwrap_or_else(any);
         let to = Site { chip, x, y, core: draw(5, u64::from(mesh.cores_per_tile)) as u32 };
         let Some(number) = mesh.number(to).filter(|_| (to.x, to.y) != (from.x, from.y)) else { continue };
-        let other = held[(number - start) as usize];
+        moves.clear();
+        let tile = |site: Site| (0..mesh.cores_per_tile).map(move |core| Site { core, ..site });
+        let holder = |held: &[Option<usize>], site: Site| held[(mesh.number(site)? - start) as usize];
+        if tile(to).any(|site| holder(&held, site).is_some()) {
+            moves.push((core, from, to));
+            moves.extend(held[(number - start) as usize].map(|other| (other, to, from)));
+        } else {
+            // Power comes in tiles, so that no further one is begun: all of this one move.
+            for site in tile(from) {
+                let there = Site { core: site.core, ..to };
+                moves.extend(holder(&held, site).filter(|_| mesh.number(there).is_some()).map(|c| (c, site, there)));
+            }
+            if moves.len() != tile(from).filter(|&site| holder(&held, site).is_some()).count() {
+                continue;
+            }
+        }
         affected.clear();
-        affected.extend(nets.of_core.get(core as u32));
-        if let Some(other) = other {
-            affected.extend(nets.of_core.get(other as u32));
+        moves.iter().for_each(|&(core, _, _)| affected.extend(nets.of_core.get(core as u32)));
+        if moves.len() > 1 {
             affected.sort_unstable();
             affected.dedup();
         }
@@ -114,10 +130,7 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
             affected.iter().map(|&net| worth(nets, net, mesh, sites, columns)).sum()
         };
         let before = sum(&sites, &mut columns);
-        sites[core] = to;
-        if let Some(other) = other {
-            sites[other] = from;
-        }
+        moves.iter().for_each(|&(core, _, to)| sites[core] = to);
         let change = sum(&sites, &mut columns) - before;
         // The first cost is the first temperature.
         let first_heat = *heat.get_or_insert_with(|| 0.2 * change.unsigned_abs().max(1) as f64);
@@ -125,18 +138,18 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
         let accepted = change <= 0 || rng::unit(seed, step, 6) < (-(change as f64) / temperature).exp();
         if accepted {
             now += change;
-            if let Some(from) = mesh.number(from) {
-                held[(from - start) as usize] = other;
-            }
-            held[(number - start) as usize] = Some(core);
+            let mut hold = |site: Site, core: Option<usize>| {
+                if let Some(number) = mesh.number(site) {
+                    held[(number - start) as usize] = core;
+                }
+            };
+            moves.iter().for_each(|&(_, from, _)| hold(from, None));
+            moves.iter().for_each(|&(core, _, to)| hold(to, Some(core)));
             if now < least {
                 (least, best) = (now, own(&sites));
             }
         } else {
-            sites[core] = from;
-            if let Some(other) = other {
-                sites[other] = to;
-            }
+            moves.iter().for_each(|&(core, from, _)| sites[core] = from);
         }
     }
     best
