@@ -12,7 +12,8 @@
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
 //! - `random-N`: N compartments, each with a driving channel and 64 random synapses ([`crate::bench::networks::random`]).
 //! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
-//!   neighbourhood; one synapse in ten goes to any other instead (Watts & Strogatz 1998, on a sheet instead of a ring).
+//!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between
+//!   one in a hundred and one in ten, on a sheet instead of a ring).
 //! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 / sqrt(j), as hubs of preferential
 //!   attachment do (Barabasi & Albert 1999); no compartment takes more than 2,000, so that its input axons fit a core.
 
@@ -270,9 +271,9 @@ fn small_world(name: &'static str, side: u32) -> Result<Bench, Unbuildable> {
     listed(name, n, |source, targets| {
         let (y, x) = (i64::from(source / side), i64::from(source % side));
         for (k, &(dy, dx)) in near.iter().enumerate() {
-            let draw = |what| rng::below(u64::from(n) * 10, 7, u64::from(source), 2 * k as u64 + what);
-            if draw(0).is_multiple_of(10) {
-                targets.push((draw(1) / 10) as u32);
+            let draw = |n: u32, what| rng::below(u64::from(n), 7, u64::from(source), 2 * k as u64 + what) as u32;
+            if draw(50, 0) == 0 {
+                targets.push(draw(n, 1));
             } else if (0..i64::from(side)).contains(&(y + dy)) && (0..i64::from(side)).contains(&(x + dx)) {
                 targets.push(((y + dy) * i64::from(side) + x + dx) as u32);
             }

@@ -209,7 +209,10 @@ fn say_converted(network: &Network) {
 }
 
 /// A network in integers, without what `--prune` leaves out.
-fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
+///
+/// # Errors
+/// [`Error`] when the network or what it is pruned for cannot be used.
+pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
     let front = compile::front(network)?;
     say_converted(network);
     let of_name = |name: &&str| front.quantised().population_named(name);

@@ -13,6 +13,7 @@ pub mod fill;
 pub mod formats;
 pub mod gather;
 pub mod lower;
+pub mod memory;
 pub mod packing;
 pub mod partition;
 pub mod place;
@@ -20,6 +21,7 @@ pub mod prune;
 pub mod quantise;
 pub mod rates;
 pub mod reason;
+pub mod remedy;
 pub mod route;
 pub mod saved;
 pub mod search;
@@ -111,7 +113,7 @@ impl Default for Options {
 /// The effort of a mapping of which nothing else is said.
 pub const DEFAULT_EFFORT_S: u32 = 4;
 /// Destinations of nets that placing looks at in a second, roughly.
-const PLACED_PER_SECOND: u64 = 100_000_000;
+const PLACED_PER_SECOND: u64 = 25_000_000;
 
 /// Why there is no program.
 #[derive(Debug, thiserror::Error)]
@@ -296,6 +298,19 @@ impl Front {
     pub fn prune(mut self, plan: &prune::Plan) -> Result<Front, CompileError> {
         self.one = self.clock.stage("prune", || pruned(&self.one, plan))?;
         Ok(self)
+    }
+
+    /// Candidates of mappings onto a target.
+    ///
+    /// # Errors
+    /// As [`search::candidates`].
+    pub fn candidates(
+        &self,
+        target: &Target,
+        options: &Options,
+        rates: &Rates,
+    ) -> Result<Vec<search::Found>, CompileError> {
+        search::candidates(&self.one, target, options, rates)
     }
 
     /// The network on a target.

@@ -15,8 +15,8 @@ use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
-use crate::compile::packing::Widths;
-use crate::compile::usage::{group_of, longest_delays};
+use crate::compile::packing::{self, Compression, Widths};
+use crate::compile::usage::{Tallies, group_of, longest_delays};
 use crate::desc::target::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
@@ -45,7 +45,8 @@ pub fn route(
     let written = gather::by_core(network, &formats, partition.seats(), partition.cores(), |core, keys| {
         let held = &partition.members()[core];
         let widths = Widths::of(held.len() as u32, longest[core], limits.packing);
-        let (formats, synapses, sources) = write_lists(core, keys, &formats, widths)?;
+        let runs = Tallies::of(keys, &formats, widths, limits).runs(limits);
+        let (formats, synapses, sources) = write_lists(core, keys, &formats, widths, runs.then_some(limits))?;
         let image = CoreImage {
             site: placement.site(core),
             compartments: compartments(network, held),
@@ -114,12 +115,14 @@ fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment>
         .collect()
 }
 
-/// The formats of a core, its lists by input axon, and the source of each input axon.
+/// The formats of a core, its lists by input axon, and the source of each input axon; with run-length lists where that
+/// takes fewer words, if limits are given.
 fn write_lists(
     core: CoreId,
     keys: &[Key],
     formats: &Formats,
     widths: Widths,
+    runs: Option<&Limits>,
 ) -> Result<(Vec<CoreFormat>, Lists<Synapse>, Vec<u32>), String> {
     let (mut known, mut sources): (Vec<CoreFormat>, Vec<u32>) = (Vec::new(), Vec::new());
     let mut synapses = Lists::with_capacity(0, keys.len());
@@ -134,6 +137,10 @@ fn write_lists(
                 synapse: formats.get(format),
                 delay_bits: if made.delayed { widths.delay } else { 0 },
                 index_bits: (!made.dense).then_some(widths.index),
+                skip_bits: match runs.map(|limits| packing::best(made, widths, limits).0) {
+                    Some(Compression::RunLength(bits)) => Some(bits),
+                    _ => None,
+                },
             };
             let number = number_of(&mut known, format).ok_or_else(|| format!("{core} has too many synapse formats"))?;
             for key in group {

@@ -74,6 +74,8 @@ pub fn candidates(
     let sequential = Candidate { strategy: Strategy::Sequential, divisor: 1 };
     let mut all = vec![sequential];
     all.extend(wanted.into_iter().filter(|&candidate| candidate != sequential).take(affordable));
+    // The effort is for all of them together.
+    let options = &Options { effort_s: options.effort_s.div_ceil(all.len() as u32), ..*options };
     let first_error = Mutex::new(None);
     let found: Vec<Option<Found>> = all
         .into_par_iter()
@@ -126,7 +128,7 @@ pub fn best(one: &Quantised, target: &Target, options: &Options, rates: &Rates) 
             best = other;
         }
     }
-    best.compiled.options.strategy = options.strategy;
+    best.compiled.options = *options;
     Ok(best.compiled)
 }
 

@@ -6,8 +6,8 @@
 //! - input axons: distinct sources with a synapse on the core;
 //! - output axons: one for each compartment and destination core; it takes `axon_out_slots` slots when the destination is
 //!   on the same chip (the own core included), `axon_out_slots_off_chip` otherwise;
-//! - words: as [`crate::compile::packing`] counts them; formats: distinct (synapse format, delayed or not, dense or
-//!   sparse), because widths are the same for all groups of a core;
+//! - words: as [`crate::compile::packing`] counts them, without runs or with them ([`Tallies`]); formats: distinct (synapse
+//!   format, delayed or not, compression), because widths are the same for all groups of a core;
 //! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct mantissas;
 //! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse into the core.
 //!
@@ -19,7 +19,7 @@ use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
 use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
-use crate::compile::packing::{self, Group, Widths};
+use crate::compile::packing::{self, Compression, Group, Widths};
 use crate::compile::sent;
 use crate::desc::target::Limits;
 use crate::ir::partition::{CoreUsage, Seat};
@@ -78,27 +78,97 @@ pub fn usage(
 /// What a core's synapses use.
 fn of_core(keys: &[Key], compartments: u32, longest: Delay, formats: &Formats, limits: &Limits) -> CoreUsage {
     let widths = Widths::of(compartments, longest, limits.packing);
-    let mut used_formats = BTreeSet::new();
-    let accumulators = compartments.saturating_mul(packing::delay_slots(longest));
-    let mut used = CoreUsage { compartments, accumulators, synapses: keys.len() as u64, ..CoreUsage::default() };
-    let mut last = None;
-    for list in gather::lists(keys) {
-        let mut words = 0;
-        for group in gather::groups(list) {
-            let (format, group) = group_of(group, formats);
-            words += packing::words(group, widths, limits);
-            // Neighbours mostly agree.
-            let kind = (format, group.delayed, group.dense);
-            if last.replace(kind) != Some(kind) {
-                used_formats.insert(kind);
-            }
-        }
-        used.axons_in += 1;
-        used.synapse_words += u64::from(words);
-        used.synapse_words_per_axon = used.synapse_words_per_axon.max(words);
+    let tallies = Tallies::of(keys, formats, widths, limits);
+    let stored = tallies.stored(limits);
+    CoreUsage {
+        compartments,
+        axons_in: tallies.axons,
+        synapses: keys.len() as u64,
+        synapse_words: stored.words,
+        synapse_words_per_axon: stored.widest,
+        synapse_formats: stored.formats.len() as u32,
+        accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
+        ..CoreUsage::default()
     }
-    used.synapse_formats = used_formats.len() as u32;
-    used
+}
+
+/// What lists take in one way of storing them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Words of all lists.
+    pub words: u64,
+    /// The most words of a list.
+    pub widest: u32,
+    /// Formats in use.
+    pub formats: BTreeSet<(u16, bool, Compression)>,
+}
+
+impl Tally {
+    fn group(&mut self, kind: (u16, bool, Compression), last: &mut Option<(u16, bool, Compression)>) {
+        // Neighbours mostly agree.
+        if last.replace(kind) != Some(kind) {
+            self.formats.insert(kind);
+        }
+    }
+
+    fn list(&mut self, words: u32) {
+        self.words += u64::from(words);
+        self.widest = self.widest.max(words);
+    }
+}
+
+/// A core's lists without and with runs.
+#[derive(Debug, Clone, Default)]
+pub struct Tallies {
+    /// Input axons.
+    pub axons: u32,
+    plain: Tally,
+    with_runs: Tally,
+}
+
+impl Tallies {
+    /// Of the synapses of a core.
+    #[must_use]
+    pub fn of(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits) -> Self {
+        let mut tallies = Tallies::default();
+        let (mut last, mut last_of_runs) = (None, None);
+        for list in gather::lists(keys) {
+            let (mut plain, mut with_runs) = (0, 0);
+            for group in gather::groups(list) {
+                let (format, group) = group_of(group, formats);
+                let words = packing::words(group, widths, limits);
+                let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
+                tallies.plain.group((format, group.delayed, compression), &mut last);
+                let (compression, fewest) = packing::best(group, widths, limits);
+                tallies.with_runs.group((format, group.delayed, compression), &mut last_of_runs);
+                (plain, with_runs) = (plain + words, with_runs + fewest);
+            }
+            tallies.axons += 1;
+            tallies.plain.list(plain);
+            tallies.with_runs.list(with_runs);
+        }
+        tallies
+    }
+
+    /// Whether the core stores runs: where that takes fewer words and its formats suffice.
+    #[must_use]
+    pub fn runs(&self, limits: &Limits) -> bool {
+        let Tallies { plain, with_runs, .. } = self;
+        with_runs.words < plain.words && with_runs.formats.len() as u64 <= u64::from(limits.synapse_formats)
+    }
+
+    /// The way of storing that is taken.
+    #[must_use]
+    pub fn stored(&self, limits: &Limits) -> &Tally {
+        if self.runs(limits) { &self.with_runs } else { &self.plain }
+    }
+}
+
+/// The fewest bits of runs over these distances between slots.
+#[must_use]
+pub fn skip_of(mut distances: impl Iterator<Item = u16>) -> Option<u8> {
+    let widest = distances.try_fold(0, |widest: u16, distance| Some(widest.max(distance.checked_sub(1)?)))?;
+    packing::skip_bits(widest)
 }
 
 /// The make-up of a group, and its format.
@@ -110,6 +180,7 @@ pub fn group_of(group: &[Key], formats: &Formats) -> (u16, Group) {
         synapses: group.len() as u32,
         delayed: group.iter().any(|key| key.delay() > 0),
         dense: group.windows(2).all(|pair| pair[1].slot() == pair[0].slot() + 1),
+        skip: skip_of(group.windows(2).map(|pair| pair[1].slot() - pair[0].slot())),
     };
     (format, made)
 }

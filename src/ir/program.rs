@@ -155,6 +155,8 @@ pub struct CoreFormat {
     pub delay_bits: u8,
     /// Bits of its target indices; `None` for a dense list, whose targets follow each other.
     pub index_bits: Option<u8>,
+    /// Bits of the slots left out before each synapse, in a list that has an index for its first one only.
+    pub skip_bits: Option<u8>,
 }
 
 /// A compartment's parameters on its core.

@@ -294,7 +294,7 @@ impl<'a> State<'a> {
                     let Ok(weight_bits) = bits else { return 0 };
                     let synapses = synapses as u32;
                     packing::words(
-                        Group { weight_bits, synapses, delayed: net.bits.1, dense: net.dense },
+                        Group { weight_bits, synapses, delayed: net.bits.1, dense: net.dense, skip: None },
                         widths,
                         limits,
                     )

@@ -200,6 +200,9 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
 
 /// The members with the fewest cores, then the fewest messages; the first of equals.
 fn fewest<'m>(filler: &Filler<'_>, found: &'m [Members], rates: &Rates) -> Option<&'m Members> {
+    if let [only] = found {
+        return Some(only);
+    }
     let cores = found.iter().map(IdVec::len).min()?;
     let of_these = found.iter().filter(|members| members.len() == cores);
     of_these.min_by_key(|members| {

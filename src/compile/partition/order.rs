@@ -13,6 +13,8 @@
 
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
+
 use crate::base::id::{CompartmentId, Id, PopulationId};
 use crate::compile::fanin::FanIn;
 use crate::compile::fill::{Filling, Newcomer};
@@ -27,6 +29,10 @@ use crate::ir::quantised::{Quantised, Units};
 const ROUNDS: u32 = 14;
 /// The first margin is a 2^5th of what was sent.
 const FIRST_MARGIN: u32 = 5;
+
+/// Compartments from which on an order is filled in parts, and those of a part.
+const LARGE: u64 = 1 << 18;
+const PART: u32 = 1 << 15;
 
 /// What is assumed of the chips of cores while output axons are counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,6 +83,25 @@ impl Indices {
             Indices::Listed(indices) => indices[at as usize],
         }
     }
+}
+
+/// Parts of an order that are filled side by side, when it is so long that the core left open at the end of each is
+/// nothing; long segments are cut.
+fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
+    let all: u64 = order.iter().map(|segment| u64::from(segment.indices.len())).sum();
+    let longest = order.iter().map(|segment| segment.indices.len()).max()?;
+    if all < LARGE || longest < PART {
+        return None;
+    }
+    let mut parts = Vec::new();
+    for Segment { population, indices } in order {
+        for from in (0..indices.len()).step_by(PART as usize) {
+            let to = (from + PART).min(indices.len());
+            let indices = Indices::Listed((from..to).map(|at| indices.get(at)).collect());
+            parts.push(Segment { population: *population, indices });
+        }
+    }
+    Some(parts)
 }
 
 /// Every population a segment, in the order of the model file.
@@ -148,8 +173,7 @@ impl<'a> Filler<'a> {
     /// # Errors
     /// As [`Filler::fewest_cores`].
     pub fn once(&self, order: &[Segment]) -> Result<Members, Failure> {
-        let mut filling = Filling::new(self.network, &self.fan_in, self.target.limits());
-        self.fill(&mut filling, order, &vec![0; self.network.compartments() as usize], true)
+        self.fill(order, &vec![0; self.network.compartments() as usize], true)
     }
 
     /// Fills until output axons fit too.
@@ -158,10 +182,9 @@ impl<'a> Filler<'a> {
     /// As [`Filler::fewest_cores`].
     pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Members, Failure> {
         let limits = self.target.limits();
-        let mut filling = Filling::new(self.network, &self.fan_in, limits);
         let mut estimate = vec![0u32; self.network.compartments() as usize];
         for round in 0.. {
-            let members = self.fill(&mut filling, order, &estimate, keep_whole)?;
+            let members = self.fill(order, &estimate, keep_whole)?;
             let chips = match chips {
                 Chips::Row => row_of_chips(members.len(), self.target),
                 Chips::Apart => (0..members.len() as u32).collect(),
@@ -215,13 +238,39 @@ impl<'a> Filler<'a> {
     }
 
     /// Fills cores in order, with these estimates of output axon slots.
-    fn fill(
+    fn fill(&self, order: &[Segment], estimate: &[u32], keep_whole: bool) -> Result<Members, Failure> {
+        let limits = self.target.limits();
+        let filling = || Filling::new(self.network, &self.fan_in, limits);
+        let (members, misfits) = match parts(order) {
+            None => self.fill_part(&mut filling(), order, estimate, keep_whole),
+            Some(parts) => {
+                let filled: Vec<(Members, Misfits)> = parts
+                    .par_iter()
+                    .map_init(filling, |filling, part| {
+                        self.fill_part(filling, std::slice::from_ref(part), estimate, keep_whole)
+                    })
+                    .collect();
+                let (mut members, mut misfits) = (Vec::new(), Misfits::default());
+                for (part, of_part) in filled {
+                    members.extend(part.iter().cloned());
+                    of_part.0.into_iter().for_each(|((population, resource), (need, limit))| {
+                        misfits.note(population, (resource, need, limit));
+                    });
+                }
+                (members.into(), misfits)
+            }
+        };
+        if misfits.none() { Ok(members) } else { Err(misfits.reasons(self.network)) }
+    }
+
+    /// Fills cores with a part of an order.
+    fn fill_part(
         &self,
         filling: &mut Filling,
         order: &[Segment],
         estimate: &[u32],
         keep_whole: bool,
-    ) -> Result<Members, Failure> {
+    ) -> (Members, Misfits) {
         filling.next_core();
         let mut members = Members::new();
         let mut misfits = Misfits::default();
@@ -262,6 +311,6 @@ impl<'a> Filler<'a> {
         if !filling.is_empty() {
             members.push(filling.next_core());
         }
-        if misfits.none() { Ok(members) } else { Err(misfits.reasons(self.network)) }
+        (members, misfits)
     }
 }

@@ -18,7 +18,8 @@ use crate::compile::partition::hyper::{Groups, State};
 const PATIENCE: usize = 400;
 /// Groups of the other core that are looked at for a change of places.
 const PARTNERS: u64 = 12;
-/// A source that already reaches more cores than this tells nothing about where its targets belong.
+/// Work of looking one net up for a partner: a search through the cores that it reaches, several times.
+const PARTNER_WORK: u64 = 24;
 const SEED: u64 = 0x5eed;
 
 /// How much is tried.
@@ -167,7 +168,8 @@ fn wish(
         looked += 1;
         scores.add(core, weight);
     });
-    *work = work.saturating_sub(looked);
+    // Three gains are looked up besides.
+    *work = work.saturating_sub(4 * looked);
     let wanted = scores.best(from);
     let gains = wanted.into_iter().flatten().map(|to| (state.gain(groups, group, from, to), std::cmp::Reverse(to)));
     gains.max().map(|(gain, std::cmp::Reverse(to))| (gain, to))
@@ -199,7 +201,7 @@ fn swap(
         if partner == group || locked[partner as usize] || !there || groups.members.get(partner).len() > 2 * size {
             continue;
         }
-        *work = work.saturating_sub(1 + groups.into.get(partner).len() as u64);
+        *work = work.saturating_sub(PARTNER_WORK * (1 + groups.into.get(partner).len() as u64));
         let gain = first + state.gain(groups, partner, to, from);
         if gain > 0 && best.is_none_or(|(most, _)| gain > most) {
             best = Some((gain, partner));
