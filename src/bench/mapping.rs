@@ -4,6 +4,7 @@
 //! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
 //! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::base::units::Femtojoules;
@@ -14,7 +15,8 @@ use crate::compile::traffic::{DEFAULT_RATE, Traffic, traffic};
 use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, partitioned};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
-use crate::cost::meter::StepMeter;
+use crate::cost::meter::{Metered, StepMeter};
+use crate::cost::transport::{Transport, Ways};
 use crate::desc::target::Target;
 use crate::golden::Golden;
 use crate::ir::quantised::Quantised;
@@ -144,7 +146,14 @@ fn simulated(
     let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
     let table = CostTable::new(constants).map_err(|e| failed(&e))?;
     let deployment = Deployment::of("packed", &compiled.placement, target.chip(), case.copies);
-    let mut meter = StepMeter::new(vec![table.clone()], deployment.tiles_used);
+    let metered = Metered {
+        tables: vec![table.clone()],
+        tiles_used: deployment.tiles_used,
+        copies: case.copies.into(),
+        ways: Arc::new(Ways::of(&compiled.program)),
+        transport: Transport::Analytic,
+    };
+    let mut meter = StepMeter::new(metered);
     let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
     machine.begin(STEPS);
@@ -155,7 +164,7 @@ fn simulated(
         if !machine.spikes().iter().map(|id| id.0).eq(copies) {
             return Err(Failure::Spikes(case.name, compiled.options.strategy.name(), step));
         }
-        meter.add(machine.last_step());
+        meter.add(machine.last_step(), 1);
     }
     let lane = &meter.lanes()[0];
     let steps = f64::from(STEPS);

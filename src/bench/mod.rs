@@ -5,10 +5,13 @@
 //!
 //! Left out on purpose: goals. Whether a figure is good is for documents to say, not for the program.
 
+pub mod cpu;
 pub mod environment;
 pub mod mapping;
 pub mod measure;
 pub mod networks;
+pub mod pareto;
+pub mod power;
 pub mod suite;
 
 pub use environment::Environment;

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use crate::bench::networks::{Bench, Standard};
 use crate::bench::suite::{self, Case};
 use crate::bench::{Budget, Environment, mapping, measure};
-use crate::cli::{Answer, Context, common};
+use crate::cli::pareto::ParetoArgs;
+use crate::cli::{Answer, Context, common, pareto};
 use crate::compile::{CompileError, Options, compile_quantised};
 use crate::error::Error;
 use crate::io;
@@ -24,9 +25,10 @@ EXAMPLES:
   nsim bench step --format json > speed.json        with the environment, for comparison
   nsim bench map                                    cores, traffic, energy and time of mappings by every strategy
   nsim bench map --network lenet pilotnet           of these networks
-  nsim bench map --full                             with networks of a million compartments";
+  nsim bench map --full                             with networks of a million compartments
+  nsim bench pareto --samples 0..50                 run time against error of the shipped network in many forms";
 
-/// Measure speed and mappings on standard networks
+/// Measure speed and mappings on standard networks, and run time against error
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -38,6 +40,7 @@ pub struct Args {
 enum Which {
     Step(StepArgs),
     Map(MapArgs),
+    Pareto(Box<ParetoArgs>),
 }
 
 /// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each is run and its spikes
@@ -86,7 +89,11 @@ fn standard(name: &str) -> Result<Standard, String> {
     })
 }
 
-fn seconds(text: &str) -> Result<Duration, String> {
+/// Seconds as an argument.
+///
+/// # Errors
+/// What seconds are.
+pub fn seconds(text: &str) -> Result<Duration, String> {
     match text.parse::<f64>() {
         Ok(seconds) if (0.0..=3600.0).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
         _ => Err("seconds are between 0 and 3600".to_string()),
@@ -101,6 +108,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     match &args.bench {
         Which::Step(args) => step(args, context),
         Which::Map(args) => map_suite(args, context),
+        Which::Pareto(args) => pareto::run(args, context),
     }
 }
 

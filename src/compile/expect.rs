@@ -10,6 +10,7 @@ use std::cmp::Ordering;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::units::Picoseconds;
 use crate::compile::rates::{Rates, UNIT};
+use crate::compile::traffic::traffic;
 use crate::compile::{Compiled, Objective};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
@@ -46,7 +47,9 @@ pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> 
     let injection = table.injection.microseconds() * activity.spikes_in as f64;
     let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used)];
     let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
-    let step_us = (slowest.microseconds() + injection) / UNIT + fixed;
+    // Messages of a step wait for each other at the busiest link.
+    let wait = traffic(&compiled.program, &compiled.rates).max_link_load * table.link.microseconds();
+    let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
     let events = step_energy(&activity, &table, 0).total().microjoules() / UNIT;
     let powered = (table.core_step * deployment.cores_powered).microjoules();
     let static_mw = table.core_static.milliwatts() * deployment.cores_powered as f64;
