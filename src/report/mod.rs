@@ -5,10 +5,12 @@
 
 pub mod agree;
 pub mod bench;
+pub mod bench_map;
 pub mod calibration;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod map_svg;
 pub mod pareto;
 pub mod plot;
 pub mod run;
