@@ -20,3 +20,4 @@ pub mod ir;
 pub mod machine;
 pub mod report;
 pub mod scene;
+pub mod train;

@@ -14,6 +14,7 @@ pub mod map;
 pub mod prune;
 pub mod run;
 pub mod simulate;
+pub mod train;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -97,6 +98,7 @@ enum Command {
     /// Report power, latency and energy of a network, beside other hardware
     Energy(energy::EnergyArgs),
     Bench(bench::Args),
+    Train(train::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
     /// Print shell completions
@@ -113,6 +115,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
         Command::Bench(args) => bench::run(args, context),
+        Command::Train(args) => train::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {
             let mut command = Cli::command();

@@ -8,6 +8,7 @@ pub mod energy;
 pub mod inspect;
 pub mod map;
 pub mod run;
+pub mod train;
 
 /// The width of text for people.
 const WIDTH: usize = 100;
