@@ -18,6 +18,7 @@ pub mod golden;
 pub mod io;
 pub mod ir;
 pub mod machine;
+pub mod reference;
 pub mod report;
 pub mod scene;
 pub mod train;

@@ -12,7 +12,7 @@ const LAYERS: [&[&str]; 11] = [
     &["desc"],
     &["io", "ir"],
     &["cost"],
-    &["compile", "machine", "golden", "scene"],
+    &["compile", "machine", "golden", "reference", "scene"],
     &["drive"],
     &["train"],
     &["bench"],

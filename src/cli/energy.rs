@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use crate::cli::jobs::{self, JobArgs, Prepared};
+use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::run::{InputArgs, Switch, check_pruned, select};
 use crate::cli::{Answer, Context, Format, common, inputs, simulate};
 
@@ -262,7 +262,9 @@ impl<'a> EnergyJob<'a> {
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let baselines = baselines(args.baseline.as_deref())?;
-    let Prepared::Ready(job) = jobs::prepare(&args.job, true, args.copies, context)? else { return Ok(Answer::No) };
+    let Prepared::Ready(job) = jobs::prepare(&args.job, Wanted::Mapped, args.copies, context)? else {
+        return Ok(Answer::No);
+    };
     let Some((compiled, target)) = job.mapped() else {
         return Err(Error::Fault("energy needs a mapped job".to_string()));
     };

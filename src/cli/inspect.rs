@@ -202,6 +202,13 @@ fn of_network(network: &Network) -> Findings {
             let desc = &population.value;
             let (kind, parameters) = match desc {
                 PopulationDesc::Input { .. } => ("input", String::new()),
+                PopulationDesc::Srm(srm) => (
+                    "srm",
+                    format!(
+                        "tau_sr_ms {}, tau_ref_ms {}, scale_ref {}, theta {}",
+                        srm.tau_sr_ms.value, srm.tau_ref_ms.value, srm.scale_ref.value, srm.theta.value
+                    ),
+                ),
                 PopulationDesc::Loihi(loihi) => {
                     let shown = [
                         ("du", &loihi.du),

@@ -9,10 +9,11 @@ use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, complain};
 use crate::compile::{self, CompileError, Compiled, Options, Reason};
 use crate::desc::mapping::MappingFile;
-use crate::desc::network::Network;
+use crate::desc::network::{Network, PopulationDesc};
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
+use crate::ir::graph::Graph;
 use crate::ir::program::Program;
 use crate::ir::pruned::Pruned;
 use crate::ir::quantised::Quantised;
@@ -42,6 +43,21 @@ pub enum Job {
     Mapped(Box<Compiled>, Box<Target>, Option<String>),
     /// Only quantised, for the golden engine.
     Quantised(Box<Quantised>, Option<String>),
+    /// In real numbers, for the reference engine; and in integers, which number its units alike.
+    Real(Box<Graph>, Box<Quantised>, Option<String>),
+}
+
+/// What a job is to be ready for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wanted {
+    /// The fast engine: mapped onto a target.
+    Mapped,
+    /// The golden engine.
+    Quantised,
+    /// The reference engine.
+    Real,
+    /// The reference engine when the model has spike response neurons, the fast one otherwise.
+    ByModel,
 }
 
 /// A job, or the answer that there is none.
@@ -59,7 +75,7 @@ impl Job {
     pub fn quantised(&self) -> &Quantised {
         match self {
             Job::Mapped(compiled, _, _) => &compiled.quantised,
-            Job::Quantised(quantised, _) => quantised,
+            Job::Quantised(quantised, _) | Job::Real(_, quantised, _) => quantised,
         }
     }
 
@@ -68,7 +84,7 @@ impl Job {
     pub fn program(&self) -> Option<&Program> {
         match self {
             Job::Mapped(compiled, _, _) => Some(&compiled.program),
-            Job::Quantised(..) => None,
+            Job::Quantised(..) | Job::Real(..) => None,
         }
     }
 
@@ -77,7 +93,16 @@ impl Job {
     pub fn mapped(&self) -> Option<(&Compiled, &Target)> {
         match self {
             Job::Mapped(compiled, target, _) => Some((compiled, target)),
-            Job::Quantised(..) => None,
+            Job::Quantised(..) | Job::Real(..) => None,
+        }
+    }
+
+    /// The network in real numbers, when it is to run in them.
+    #[must_use]
+    pub fn graph(&self) -> Option<&Graph> {
+        match self {
+            Job::Real(graph, _, _) => Some(graph),
+            Job::Mapped(..) | Job::Quantised(..) => None,
         }
     }
 
@@ -86,7 +111,7 @@ impl Job {
     pub fn target_name(&self) -> &str {
         match self {
             Job::Mapped(_, target, _) => target.name(),
-            Job::Quantised(..) => "",
+            Job::Quantised(..) | Job::Real(..) => "",
         }
     }
 
@@ -94,7 +119,7 @@ impl Job {
     #[must_use]
     pub fn scene(&self) -> Option<&str> {
         match self {
-            Job::Mapped(_, _, scene) | Job::Quantised(_, scene) => scene.as_deref(),
+            Job::Mapped(_, _, scene) | Job::Quantised(_, scene) | Job::Real(_, _, scene) => scene.as_deref(),
         }
     }
 }
@@ -110,12 +135,12 @@ impl From<CompileError> for Error {
     }
 }
 
-/// Loads a model, and maps it unless only the golden engine is wanted.
+/// Loads a model and makes it ready for an engine.
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.
-pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> Result<Prepared, Error> {
-    prepare_probed(args, mapped, copies, &[], context)
+pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32, context: Context) -> Result<Prepared, Error> {
+    prepare_probed(args, wanted, copies, &[], context)
 }
 
 /// The same, with the populations of these names whole however much is pruned.
@@ -124,14 +149,28 @@ pub fn prepare(args: &JobArgs, mapped: bool, copies: u32, context: Context) -> R
 /// As [`prepare`].
 pub fn prepare_probed(
     args: &JobArgs,
-    mapped: bool,
+    wanted: Wanted,
     copies: u32,
     probed: &[&str],
     context: Context,
 ) -> Result<Prepared, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
-    if !mapped {
+    let real = match wanted {
+        Wanted::Mapped | Wanted::Quantised => false,
+        Wanted::Real => true,
+        // A mapping and pruning are of integers.
+        Wanted::ByModel => has_srm(&network) && args.mapping.is_none() && !args.prune.asked(),
+    };
+    if real {
+        if args.mapping.is_some() || args.prune.asked() {
+            let message = "--engine reference runs the whole network in real numbers, without --mapping or --prune";
+            return Err(Error::Usage(message.to_string()));
+        }
+        let (graph, quantised) = compile::front(&network)?.into_both();
+        return Ok(Prepared::Ready(Job::Real(Box::new(graph), Box::new(quantised), scene)));
+    }
+    if wanted == Wanted::Quantised {
         let quantised = front(args, &network, probed)?.into_quantised();
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
@@ -148,9 +187,25 @@ pub fn prepare_probed(
     }
 }
 
+fn has_srm(network: &Network) -> bool {
+    network.file().populations.iter().any(|population| matches!(population.value, PopulationDesc::Srm(_)))
+}
+
+/// Says on stderr that a network means other neurons than those that it is about to become.
+fn say_converted(network: &Network) {
+    if has_srm(network) {
+        tracing::warn!(
+            "{}: its spike response neurons become Loihi compartments by analysis (equal decays, peaks matched); `nsim agree` \
+             says how far they agree",
+            network.file().name
+        );
+    }
+}
+
 /// A network in integers, without what `--prune` leaves out.
 fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
     let front = compile::front(network)?;
+    say_converted(network);
     let of_name = |name: &&str| front.quantised().population_named(name);
     let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
@@ -180,6 +235,7 @@ pub fn compiled(
         let pruned = front.quantised().pruned().cloned();
         return Ok((front.map(target, options), pruned));
     };
+    say_converted(network);
     let compiled = compile::compile_network_with_mapping(network, target, options, file);
     let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
     Ok((compiled, pruned))

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::common::SampleRange;
+use crate::cli::jobs::Wanted;
 use crate::cli::{Answer, Context, common, inputs, jobs, simulate};
 use crate::compile::prune::check_stimulus;
 use crate::drive::decision::{EarlyExit, Rule};
@@ -13,6 +14,7 @@ use crate::error::Error;
 use crate::io;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
+use crate::reference::{self, Kernel, Model};
 use crate::report::run::RunReport;
 
 /// Which engine runs.
@@ -22,6 +24,29 @@ pub enum EngineChoice {
     Fast,
     /// The slow, obvious interpreter of the quantised network.
     Golden,
+    /// The network in real numbers: spike response neurons as they were trained, current-based ones without integers.
+    Reference,
+}
+
+/// How the reference engine applies spike response kernels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum KernelChoice {
+    /// Without end.
+    Exact,
+    /// Cut as SLAYER cuts them.
+    Truncated,
+}
+
+impl EngineChoice {
+    /// What a job must be ready for.
+    fn wanted(choice: Option<EngineChoice>) -> Wanted {
+        match choice {
+            Some(EngineChoice::Fast) => Wanted::Mapped,
+            Some(EngineChoice::Golden) => Wanted::Quantised,
+            Some(EngineChoice::Reference) => Wanted::Real,
+            None => Wanted::ByModel,
+        }
+    }
 }
 
 /// On or off.
@@ -58,7 +83,8 @@ EXAMPLES:
   nsim run --input 'scene:noise?samples=5&seed=7&rate=0.02'
   nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
   nsim run --early-exit certain                        leave off what can no longer change a decision
-  nsim run --engine golden --format json";
+  nsim run --engine golden --format json
+  nsim run srm.ron --input s.npy --probe hidden.u -o traces     potentials of spike response neurons, as float64";
 
 /// Simulate a network: spikes in, decisions out.
 #[derive(Debug, clap::Args)]
@@ -68,9 +94,12 @@ pub struct Args {
     job: jobs::JobArgs,
     #[command(flatten)]
     input: InputArgs,
-    /// Which engine
-    #[arg(long, value_enum, default_value = "fast")]
-    engine: EngineChoice,
+    /// Which engine [default: fast; reference for a model with spike response neurons]
+    #[arg(long, value_enum)]
+    engine: Option<EngineChoice>,
+    /// How the reference engine applies spike response kernels
+    #[arg(long, value_enum, default_value = "exact")]
+    kernel: KernelChoice,
     /// Leave out work that cannot change anything
     #[arg(long, value_enum, default_value = "on")]
     skip: Switch,
@@ -151,7 +180,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(message.to_string()));
     }
     let probed: Vec<&str> = args.probe.iter().filter_map(|text| Some(text.rsplit_once('.')?.0)).collect();
-    let job = match jobs::prepare_probed(&args.job, args.engine == EngineChoice::Fast, 1, &probed, context)? {
+    let job = match jobs::prepare_probed(&args.job, EngineChoice::wanted(args.engine), 1, &probed, context)? {
         jobs::Prepared::Ready(job) => job,
         jobs::Prepared::DoesNotFit(answer) => return Ok(answer),
     };
@@ -177,23 +206,42 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     for named in &probes {
         io::write::check_free(&probe_path(args, named), context.force)?;
     }
-    let (outcomes, activity, skipped_updates, wall_s) = match job.program() {
-        Some(program) => {
+    let mut traces = None;
+    let (outcomes, activity, skipped_updates, wall_s) = match &job {
+        jobs::Job::Mapped(compiled, ..) => {
             let skip = args.skip == Switch::On;
-            let run = simulate::fast(program, &samples, &keep, (skip, false), context, || (), |(), _, _| ())?;
+            let run = simulate::fast(&compiled.program, &samples, &keep, (skip, false), context, || (), |(), _, _| ())?;
             (run.outcomes, Some(run.activity), run.skipped_updates, run.wall_s)
         }
-        None => {
+        jobs::Job::Quantised(..) => {
             let (outcomes, wall_s) = simulate::golden(network, &samples, &keep, context);
             (outcomes, None, 0, wall_s)
         }
+        jobs::Job::Real(graph, ..) => {
+            refuse_registers(&keep.probes)?;
+            let kernel = match args.kernel {
+                KernelChoice::Exact => Kernel::Exact,
+                KernelChoice::Truncated => Kernel::Truncated,
+            };
+            let model = Model::<f64>::new(graph, reference::Options { kernel });
+            let (outcomes, reals, wall_s) = simulate::reference(&model, &samples, &keep, context);
+            traces = Some(reals);
+            (outcomes, None, 0, wall_s)
+        }
     };
-    let files = write_probes(args, &probes, &outcomes, context)?;
+    let files = match &traces {
+        Some(traces) => write_traces(args, &probes, traces, context)?,
+        None => write_probes(args, &probes, &outcomes, context)?,
+    };
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let report = RunReport {
         network,
         target: job.program().map(|_| job.target_name()),
-        engine: if job.program().is_some() { "fast" } else { "golden" },
+        engine: match &job {
+            jobs::Job::Mapped(..) => "fast",
+            jobs::Job::Quantised(..) => "golden",
+            jobs::Job::Real(..) => "reference",
+        },
         input: &stimulus.origin,
         seed: stimulus.seed,
         outcomes: &outcomes,
@@ -250,6 +298,37 @@ fn write_probes(
         io::write::file(&path, context.force, |out| match named.probe.quantity {
             Quantity::Spikes => io::npy::write_u8(out, &shape, numbers.map(|number| number as u8)),
             _ => io::npy::write_i32(out, &shape, numbers),
+        })?;
+        files.push(path.display().to_string());
+    }
+    Ok(files)
+}
+
+/// Real neurons have no register of the chip to read.
+fn refuse_registers(probes: &[Probe]) -> Result<(), Error> {
+    match probes.iter().any(|probe| probe.quantity == Quantity::VRegister) {
+        true => Err(Error::Usage("--probe .v_register: the reference engine has no registers; probe .v".to_string())),
+        false => Ok(()),
+    }
+}
+
+/// As [`write_probes`], in real numbers but for spikes.
+fn write_traces(
+    args: &Args,
+    probes: &[NamedProbe],
+    traces: &[simulate::Traces],
+    context: Context,
+) -> Result<Vec<String>, Error> {
+    let mut files = Vec::new();
+    for (index, named) in probes.iter().enumerate() {
+        let path = probe_path(args, named);
+        let count = named.probe.count as usize;
+        let steps = traces.first().map_or(0, |sample| sample[index].len() / count.max(1));
+        let shape = [traces.len() as u64, count as u64, steps as u64];
+        let numbers = traces.iter().flat_map(|sample| sample[index].iter().copied());
+        io::write::file(&path, context.force, |out| match named.probe.quantity {
+            Quantity::Spikes => io::npy::write_u8(out, &shape, numbers.map(|number| number as u8)),
+            _ => io::npy::write_f64(out, &shape, numbers),
         })?;
         files.push(path.display().to_string());
     }

@@ -4,14 +4,16 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use crate::base::id::CompartmentId;
 use crate::cli::{Context, common};
-use crate::drive::{Keep, Outcome, run_sample};
+use crate::drive::{Keep, Outcome, Probe, Quantity, run_sample};
 use crate::error::Error;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Sample;
+use crate::ir::spikes::{Engine, Sample};
 use crate::machine::{Image, ImageError, Machine, Settings};
+use crate::reference::{Model, Real, Reference};
 
 /// Synapses above which the cores of one sample are shared out over threads instead of samples, so that one flattened
 /// copy serves all.
@@ -115,4 +117,60 @@ pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, context: Co
         .collect();
     bar.finish_and_clear();
     (outcomes, begin.elapsed().as_secs_f64())
+}
+
+/// For each probe `[compartments][steps]`, in real numbers.
+pub type Traces = Vec<Vec<f64>>;
+
+/// Runs samples on the reference engine; the probes come as real numbers beside the outcomes.
+#[must_use]
+pub fn reference<F: Real>(
+    model: &Model<F>,
+    samples: &[&Sample],
+    keep: &Keep,
+    context: Context,
+) -> (Vec<Outcome>, Vec<Traces>, f64) {
+    let bar = common::progress(context, samples.len() as u64, "samples");
+    let begin = Instant::now();
+    let size = samples.len().div_ceil(context.threads * 4).max(1);
+    let plain = Keep { probes: Vec::new(), ..keep.clone() };
+    let run = |engine: &mut Reference<'_, F>, sample: &Sample| {
+        let steps = sample.steps() as usize;
+        let mut traces: Traces = keep.probes.iter().map(|probe| vec![0.0; probe.count as usize * steps]).collect();
+        let mut step = 0;
+        let outcome = run_sample(engine, sample, &plain, |engine, _| {
+            for (probe, trace) in keep.probes.iter().zip(&mut traces) {
+                record(engine, probe, step, steps, trace);
+            }
+            step += 1;
+        });
+        bar.inc(1);
+        (outcome, traces)
+    };
+    let (outcomes, traces) = samples
+        .par_chunks(size)
+        .flat_map_iter(|part| {
+            let mut engine = Reference::new(model);
+            part.iter().map(|sample| run(&mut engine, sample)).collect::<Vec<_>>()
+        })
+        .unzip();
+    bar.finish_and_clear();
+    (outcomes, traces, begin.elapsed().as_secs_f64())
+}
+
+fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps: usize, trace: &mut [f64]) {
+    let first = probe.first.0;
+    match probe.quantity {
+        Quantity::Spikes => {
+            let mine = engine.spikes().iter().filter_map(|spike| spike.0.checked_sub(first));
+            mine.filter(|&i| i < probe.count).for_each(|i| trace[i as usize * steps + step] = 1.0);
+        }
+        Quantity::U => {
+            (0..probe.count).for_each(|i| trace[i as usize * steps + step] = engine.current(CompartmentId(first + i)));
+        }
+        Quantity::V | Quantity::VRegister => {
+            (0..probe.count)
+                .for_each(|i| trace[i as usize * steps + step] = engine.potential(CompartmentId(first + i)));
+        }
+    }
 }

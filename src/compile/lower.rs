@@ -14,13 +14,13 @@ use crate::base::fixed::{Delay, SignMode};
 use crate::base::rng;
 use crate::desc::network::{
     Conv2dDesc, DenseDesc, LoihiDesc, Network, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
-    Source, SparseDesc, SumPool2dDesc, SynapseDesc, Weights,
+    Source, SparseDesc, SrmDesc, SumPool2dDesc, SynapseDesc, Weights,
 };
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::ir::graph::{
     BiasParameter, DecayParameter, Graph, LoihiParameters, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, PerCompartment,
-    Population, PopulationKind, Projection, ProjectionKind, Shape, ThresholdParameter, Values, Window,
+    Population, PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, ThresholdParameter, Values, Window,
 };
 
 /// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
@@ -63,7 +63,9 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     let size = graph[output].shape.len();
     if matches!(graph[output].kind, PopulationKind::Input) {
         let message = format!("output '{}' is an input population", file.output.value);
-        return Err(lowering.error("model.output", message, file.output.span).help("name a Loihi population"));
+        return Err(lowering
+            .error("model.output", message, file.output.span)
+            .help("name a population of compartments"));
     }
     let classes = match &file.classes {
         Some(classes) if classes.len() != size as usize => {
@@ -134,6 +136,7 @@ impl Lowering<'_> {
             PopulationDesc::Loihi(loihi) => {
                 PopulationKind::Loihi(Box::new(self.loihi(loihi, desc.span, shape.len())?))
             }
+            PopulationDesc::Srm(srm) => PopulationKind::Srm(self.srm(srm)?),
         };
         Ok(Population { name: name.value.clone(), span: desc.span, shape, kind })
     }
@@ -216,6 +219,24 @@ impl Lowering<'_> {
             vmin_exp: or(&desc.vmin_exp, "vmin_exp", 23.0)?,
             vmax_exp: or(&desc.vmax_exp, "vmax_exp", 7.0)?,
             start_step,
+        })
+    }
+
+    fn srm(&self, desc: &SrmDesc) -> Result<SrmParameters, Diagnostic> {
+        let positive = |what: &str, field: &Spanned<f64>, least: f64| {
+            if field.value.is_finite() && field.value >= least && field.value <= 1e9 {
+                return Ok(field.value);
+            }
+            let message =
+                format!("population '{}': {what} {} is not within {least}..=1e9", desc.name.value, field.value);
+            Err(self.error("model.srm", message, field.span))
+        };
+        const LEAST: f64 = 1e-9;
+        Ok(SrmParameters {
+            tau_sr_ms: positive("tau_sr_ms", &desc.tau_sr_ms, LEAST)?,
+            tau_ref_ms: positive("tau_ref_ms", &desc.tau_ref_ms, LEAST)?,
+            scale_ref: positive("scale_ref", &desc.scale_ref, 0.0)?,
+            theta: positive("theta", &desc.theta, LEAST)?,
         })
     }
 

@@ -5,6 +5,7 @@
 //! and checked against its network by code that shares nothing with the stages that made it.
 
 pub mod check;
+pub mod convert;
 pub mod copies;
 pub mod fanin;
 pub mod fanout;
@@ -33,6 +34,7 @@ use crate::base::id::{CoreId, IdVec};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::target::Target;
+use crate::ir::graph::Graph;
 use crate::ir::partition::{Partition, Resource, seats};
 use crate::ir::placement::{Mesh, Placement};
 use crate::ir::program::Program;
@@ -202,13 +204,14 @@ pub fn compile_network_with_mapping(
     options: &Options,
     file: &MappingFile,
 ) -> Result<Compiled, CompileError> {
-    let Front { one, clock } = front(network)?;
+    let Front { one, clock, .. } = front(network)?;
     remapped(one, target, options, file, clock)
 }
 
 /// A network in integers, before it is mapped.
 #[derive(Debug)]
 pub struct Front {
+    graph: Graph,
     one: Quantised,
     clock: Clock,
 }
@@ -220,11 +223,28 @@ pub struct Front {
 pub fn front(network: &Network) -> Result<Front, CompileError> {
     let mut clock = Clock::default();
     let graph = clock.stage("lower", || lower::lower(network)).map_err(CompileError::Input)?;
-    let one = clock.stage("quantise", || quantise::quantise(&graph)).map_err(CompileError::Input)?;
-    Ok(Front { one, clock })
+    let one = clock.stage("quantise", || integers(&graph)).map_err(CompileError::Input)?;
+    Ok(Front { graph, one, clock })
+}
+
+/// A network in integers, spike response neurons by way of [`convert`].
+///
+/// # Errors
+/// As [`quantise::quantise`].
+pub fn integers(graph: &Graph) -> Result<Quantised, Diagnostic> {
+    match graph.has_srm() {
+        true => quantise::quantise(&convert::convert(graph)),
+        false => quantise::quantise(graph),
+    }
 }
 
 impl Front {
+    /// The network in real numbers, as the file means it.
+    #[must_use]
+    pub fn graph(&self) -> &Graph {
+        &self.graph
+    }
+
     /// The network.
     #[must_use]
     pub fn quantised(&self) -> &Quantised {
@@ -235,6 +255,12 @@ impl Front {
     #[must_use]
     pub fn into_quantised(self) -> Quantised {
         self.one
+    }
+
+    /// The network in real numbers and in integers.
+    #[must_use]
+    pub fn into_both(self) -> (Graph, Quantised) {
+        (self.graph, self.one)
     }
 
     /// The network without what the plan makes superfluous.

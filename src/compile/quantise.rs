@@ -54,6 +54,7 @@ pub fn quantise(graph: &Graph) -> Result<Quantised, Diagnostic> {
                 let neurons = stage.neurons(&population.name, parameters, *scale)?;
                 Units::Loihi { first, neurons, start_step: parameters.start_step }
             }
+            PopulationKind::Srm(_) => return Err(stage.real_neurons(population)),
         };
         populations.push(Population { name: population.name.clone(), shape: population.shape, units });
     }
@@ -104,6 +105,11 @@ impl Stage<'_> {
         let diagnostic = Diagnostic::new(code, message);
         // A default was given nowhere.
         if span == Span::default() { diagnostic } else { diagnostic.at(&self.graph.facts().source, span) }
+    }
+
+    fn real_neurons(&self, population: &graph::Population) -> Diagnostic {
+        let message = format!("population '{}' has spike response neurons, which have no integers", population.name);
+        self.error("model.srm-unconverted", message, population.span).help("run it with --engine reference")
     }
 
     fn format(&self, projection: &graph::Projection) -> Result<SynapseFormat, Diagnostic> {

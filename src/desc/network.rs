@@ -159,6 +159,26 @@ pub enum PopulationDesc {
     },
     /// Compartments of a Loihi core.
     Loihi(Box<LoihiDesc>),
+    /// Spike response neurons in real numbers.
+    Srm(Box<SrmDesc>),
+}
+
+/// Spike response neurons with alpha kernels, as SLAYER trains them.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Srm")]
+pub struct SrmDesc {
+    /// Its name.
+    pub name: Spanned<String>,
+    /// `[n]` or `[channels, height, width]`.
+    pub shape: Spanned<Vec<u64>>,
+    /// Time constant of the response in ms.
+    pub tau_sr_ms: Spanned<f64>,
+    /// Time constant of the refractory response in ms.
+    pub tau_ref_ms: Spanned<f64>,
+    /// Peak of the refractory response in thresholds.
+    pub scale_ref: Spanned<f64>,
+    /// Threshold, in the units of the weights.
+    pub theta: Spanned<f64>,
 }
 
 /// Compartments of a Loihi core: integer fields as the hardware has them, or real ones to be quantised.
@@ -577,6 +597,7 @@ impl PopulationDesc {
         match self {
             PopulationDesc::Input { name, .. } => name,
             PopulationDesc::Loihi(desc) => &desc.name,
+            PopulationDesc::Srm(desc) => &desc.name,
         }
     }
 
@@ -586,6 +607,7 @@ impl PopulationDesc {
         match self {
             PopulationDesc::Input { shape, .. } => shape,
             PopulationDesc::Loihi(desc) => &desc.shape,
+            PopulationDesc::Srm(desc) => &desc.shape,
         }
     }
 }

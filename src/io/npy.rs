@@ -2,7 +2,7 @@
 //!
 //! Comes in: a file's bytes. Goes out: an [`Array`], whose header has been held against the bytes that are there, and from
 //! it a [`Tensor`] in C order or the indices of its non-zero numbers. Object, complex, text, date and structured arrays
-//! are refused by name; `.npz` archives are not read. Also writes `u1` and `i4` arrays as they come.
+//! are refused by name; `.npz` archives are not read. Also writes `u1`, `i4` and `f8` arrays as they come.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -412,6 +412,14 @@ pub fn write_u8(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item 
 /// # Errors
 /// When the output cannot be written, or the numbers do not fill the shape.
 pub fn write_i32(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = i32>) -> std::io::Result<()> {
+    write(out, shape, numbers)
+}
+
+/// Writes an array of 64-bit reals in C order as its numbers come; their number must be the product of the shape.
+///
+/// # Errors
+/// When the output cannot be written, or the numbers do not fill the shape.
+pub fn write_f64(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = f64>) -> std::io::Result<()> {
     write(out, shape, numbers)
 }
 

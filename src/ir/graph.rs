@@ -1,7 +1,7 @@
 //! Populations and projections with real parameters: the model as it was meant, before any integer.
 //!
 //! Made by `compile::lower`. True of every [`Graph`]: names are unique, endpoints exist, shapes and array sizes agree,
-//! delays are in range, and there is one output population of Loihi compartments. Whether numbers fit their hardware
+//! delays are in range, and there is one output population of compartments. Whether numbers fit their hardware
 //! fields is for `compile::quantise`.
 
 use std::fmt;
@@ -171,6 +171,21 @@ pub enum PopulationKind {
     Input,
     /// Compartments.
     Loihi(Box<LoihiParameters>),
+    /// Spike response neurons.
+    Srm(SrmParameters),
+}
+
+/// The parameters of a population of spike response neurons; times are above 0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SrmParameters {
+    /// Time constant of the response in ms.
+    pub tau_sr_ms: f64,
+    /// Time constant of the refractory response in ms.
+    pub tau_ref_ms: f64,
+    /// Peak of the refractory response in thresholds, at least 0.
+    pub scale_ref: f64,
+    /// Threshold, above 0, in the units of the weights.
+    pub theta: f64,
 }
 
 /// A node of the graph.
@@ -347,6 +362,22 @@ impl Graph {
     #[must_use]
     pub fn output(&self) -> NodeIndex {
         self.output
+    }
+
+    /// Whether a population has neurons that the hardware does not have.
+    #[must_use]
+    pub fn has_srm(&self) -> bool {
+        self.populations().any(|(_, population)| matches!(population.kind, PopulationKind::Srm(_)))
+    }
+
+    /// The same network with other populations; `f` gets each and says what it is made of.
+    #[must_use]
+    pub fn with_kinds(&self, mut f: impl FnMut(NodeIndex, &Population) -> PopulationKind) -> Graph {
+        let mut graph = self.clone();
+        for node in self.graph.node_indices() {
+            graph.graph[node].kind = f(node, &self.graph[node]);
+        }
+        graph
     }
 
     /// The petgraph, for algorithms over it.

@@ -7,6 +7,7 @@ pub mod bench;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod plot;
 pub mod run;
 pub mod train;
 

@@ -9,6 +9,10 @@ use crate::base::fixed::Decay;
 use crate::desc::network::Semantics;
 use crate::desc::training::CreditDesc;
 use crate::machine::neuron::{Fields, Registers, update};
+use crate::reference::kernel::{Alpha, EPSILON, Kernel};
+
+/// The longest kernel in timesteps.
+const LONGEST: u32 = 100_000;
 
 /// What becomes of a potential.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,9 +29,9 @@ pub enum Spiking {
 pub struct Srm {
     /// Threshold.
     pub theta: f32,
-    /// For each neuron `exp(-1 / tau_sr)`, and what scales the recursion to a peak of 1, `e / tau_sr`; tau in steps.
+    /// For each neuron the decay and the gain of its response.
     pub response: Vec<(f32, f32)>,
-    /// `exp(-1 / tau_ref)` and `scale_ref * theta * e / tau_ref`.
+    /// Decay and gain of the refractory response, which is negative.
     pub refractory: (f32, f32),
     /// Instead of the recursions, kernels by step: response and refractory, cut off as SLAYER does.
     pub truncated: Option<(Vec<f32>, Vec<f32>)>,
@@ -74,28 +78,19 @@ pub struct Trace {
 }
 
 impl Srm {
-    /// Neurons with a response time constant each, in steps.
+    /// Neurons with a response each and the refractory response of all; `kernel` says how they are applied, the first
+    /// response being that of all when they are cut off.
     #[must_use]
-    pub fn new(theta: f64, tau_sr: &[f64], tau_ref: f64, scale_ref: f64, truncated: bool) -> Self {
-        let e = std::f64::consts::E;
-        let truncated = truncated.then(|| {
-            let tau = tau_sr.first().copied().unwrap_or(1.0);
-            (truncated_alpha(tau, 1.0), truncated_alpha(tau_ref, scale_ref * theta))
-        });
+    pub fn new(theta: f64, responses: &[Alpha], refractory: Alpha, kernel: Kernel) -> Self {
+        let taps = |alpha: &Alpha| alpha.truncated(EPSILON, LONGEST).into_iter().map(|tap| tap as f32).collect();
+        let cut = |first| (taps(first), taps(&refractory));
         Srm {
             theta: theta as f32,
-            response: tau_sr.iter().map(|tau| ((-1.0 / tau).exp() as f32, (e / tau) as f32)).collect(),
-            refractory: ((-1.0 / tau_ref).exp() as f32, (scale_ref * theta * e / tau_ref) as f32),
-            truncated,
+            response: responses.iter().map(|alpha| (alpha.decay() as f32, alpha.gain() as f32)).collect(),
+            refractory: (refractory.decay() as f32, refractory.gain() as f32),
+            truncated: responses.first().filter(|_| kernel == Kernel::Truncated).map(cut),
         }
     }
-}
-
-/// The kernel `peak * t / tau * exp(1 - t / tau)` at whole steps, up to where it has fallen below 0.01 (slayerPytorch
-/// `spikeLayer.py`, `_calculateAlphaKernel`).
-fn truncated_alpha(tau: f64, peak: f64) -> Vec<f32> {
-    let value = |t: u32| peak * f64::from(t) / tau * (1.0 - f64::from(t) / tau).exp();
-    (0..).map_while(|t| (value(t) >= 0.01 || f64::from(t) <= tau).then(|| value(t) as f32)).collect()
 }
 
 impl Loihi {
@@ -239,7 +234,7 @@ impl Srm {
                     for ((u, q), r) in now.iter_mut().zip(&mut first).zip(&mut second) {
                         *r = decay * (*r + *q);
                         *q *= decay;
-                        *u -= gain * *r;
+                        *u += gain * *r;
                     }
                 }
                 Some((_, kernel)) => {
@@ -247,7 +242,7 @@ impl Srm {
                         for j in 0..n {
                             // A spike is known by its state; potentials of the past already hold their refractory part.
                             if trace.state[(t - k) * n + j] == SPIKED {
-                                now[j] -= nu;
+                                now[j] += nu;
                             }
                         }
                     }

@@ -15,6 +15,8 @@ use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, TrainingFile};
 use crate::ir::quantised::Neuron;
 use crate::machine::neuron::Fields;
+use crate::reference::kernel::{Alpha, Kernel};
+use crate::reference::srm::Parameters;
 
 /// Time constants are at most so many steps.
 const LONGEST: f64 = 1e6;
@@ -161,7 +163,10 @@ fn cells(
             let tau_ref = problems.number(span, "tau_ref_ms in steps", tau_ref_ms / step, 1e-3, LONGEST)?;
             let theta = problems.number(span, "theta", theta, 1e-6, 1e6)?;
             let scale_ref = problems.number(span, "scale_ref", scale_ref, 0.0, 1e6)?;
-            Ok((Cells::Srm(Srm::new(theta, &tau, tau_ref, scale_ref, truncated)), None))
+            let of = |tau_sr| Parameters { tau_sr, tau_ref, scale_ref, theta };
+            let responses: Vec<Alpha> = tau.iter().map(|&tau| of(tau).response()).collect();
+            let kernel = if truncated { Kernel::Truncated } else { Kernel::Exact };
+            Ok((Cells::Srm(Srm::new(theta, &responses, of(1.0).refractory(), kernel)), None))
         }
         NeuronDesc::Loihi { tau_u_ms, tau_v_ms, weight_scale, weight_exp, refractory, theta, credit } => {
             let u = times(problems, span, "tau_u_ms in steps", tau_u_ms, n, step)?;

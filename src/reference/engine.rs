@@ -1,0 +1,357 @@
+//! A network of real-valued neurons, step by step.
+//!
+//! [`Model`] is the network made ready, shared by all samples; [`Reference`] is the state of one run over it. Channels and
+//! compartments are numbered over the populations in the order of the file, as everywhere. Spikes travel as the machine's
+//! do (`docs/semantics.md`, 1 and 2): input spikes of step t arrive in the update of step t + d, compartments' in that of
+//! step t + 1 + d. Spike response neurons alone take one step more from an input, since SLAYER's kernels are 0 at t = 0: an
+//! input spike of step t counts from step t + 1 + d on, as another neuron's does.
+
+use petgraph::graph::NodeIndex;
+
+use super::cuba::{self, Cuba};
+use super::kernel::Kernel;
+use super::srm::{self, Srm};
+use super::synapses::Synapses;
+use super::{Real, kernel};
+use crate::base::id::{ChannelId, CompartmentId};
+use crate::desc::network::{Semantics, ThresholdTest};
+use crate::ir::activity::{Overflow, Totals};
+use crate::ir::graph::{
+    BiasParameter, DecayParameter, Graph, LoihiParameters, PopulationKind, SrmParameters, ThresholdParameter, Values,
+};
+use crate::ir::quantised::Reset;
+use crate::ir::spikes::Engine;
+
+/// How to run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Options {
+    /// How spike response kernels are applied.
+    pub kernel: Kernel,
+}
+
+/// What a population's neurons are.
+#[derive(Debug, Clone)]
+enum Kind {
+    Input,
+    Srm(srm::Parameters),
+    Cuba(Vec<cuba::Parameters>),
+}
+
+#[derive(Debug, Clone)]
+struct Population {
+    kind: Kind,
+    /// The first channel or compartment, and how many.
+    first: u32,
+    count: u32,
+    /// Held at zero before it.
+    start_step: u32,
+}
+
+#[derive(Debug)]
+struct Projection<F> {
+    target: usize,
+    /// Steps from a compartment's spike to its arrival, at least 1.
+    from_compartment: u32,
+    /// Steps from an input spike to its arrival.
+    from_input: u32,
+    synapses: Synapses<F>,
+}
+
+/// A network of real-valued neurons.
+#[derive(Debug)]
+pub struct Model<F> {
+    populations: Vec<Population>,
+    /// By source population.
+    projections: Vec<Vec<Projection<F>>>,
+    compartments: u32,
+    options: Options,
+    test: ThresholdTest,
+    reset: Option<Reset>,
+    /// Arrival slots.
+    slots: usize,
+}
+
+impl<F: Real> Model<F> {
+    /// Makes a network ready.
+    #[must_use]
+    pub fn new(graph: &Graph, options: Options) -> Self {
+        let facts = graph.facts();
+        let (mut channels, mut compartments) = (0, 0);
+        let mut populations = Vec::new();
+        for (node, population) in graph.populations() {
+            let count = population.shape.len();
+            let counter =
+                if matches!(population.kind, PopulationKind::Input) { &mut channels } else { &mut compartments };
+            let (kind, start_step) = match &population.kind {
+                PopulationKind::Input => (Kind::Input, 0),
+                PopulationKind::Srm(srm) => (Kind::Srm(in_steps(srm, facts.timestep_ms)), 0),
+                PopulationKind::Loihi(loihi) => {
+                    let neurons = (0..count).map(|i| neuron(loihi, i, facts.timestep_ms)).collect();
+                    // SLAYER's loop starts at step 1.
+                    let start = if facts.semantics == Semantics::Slayer { 1 } else { 0 };
+                    (Kind::Cuba(neurons), loihi.start_step.max(start))
+                }
+            };
+            debug_assert_eq!(node.index(), populations.len());
+            populations.push(Population { kind, first: *counter, count, start_step });
+            *counter += count;
+        }
+        let mut projections: Vec<Vec<Projection<F>>> = populations.iter().map(|_| Vec::new()).collect();
+        let mut slots = 1;
+        for (_, source, target, projection) in graph.projections() {
+            let from_compartment = u32::from(projection.delay.get()) + 1;
+            let srm = matches!(populations[target.index()].kind, Kind::Srm(_));
+            slots = slots.max(from_compartment as usize + 1);
+            projections[source.index()].push(Projection {
+                target: target.index(),
+                from_compartment,
+                from_input: from_compartment - u32::from(!srm),
+                synapses: Synapses::new(
+                    projection,
+                    populations[source.index()].count,
+                    populations[target.index()].count,
+                    weight_unit(graph, target, projection),
+                ),
+            });
+        }
+        let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
+        Model { populations, projections, compartments, options, test: facts.threshold, reset, slots }
+    }
+
+    fn at(&self, compartment: CompartmentId) -> (usize, usize) {
+        let found = self.populations.iter().enumerate().find_map(|(index, population)| {
+            let within = compartment.0.checked_sub(population.first)?;
+            (!matches!(population.kind, Kind::Input) && within < population.count).then_some((index, within as usize))
+        });
+        found.expect("compartments are numbered over the populations")
+    }
+}
+
+/// The parameters of spike response neurons in timesteps of so many ms.
+#[must_use]
+pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
+    srm::Parameters {
+        tau_sr: srm.tau_sr_ms / timestep_ms,
+        tau_ref: srm.tau_ref_ms / timestep_ms,
+        scale_ref: srm.scale_ref,
+        theta: srm.theta,
+    }
+}
+
+/// What remains after a step.
+fn keep(decay: &DecayParameter, index: u32, timestep_ms: f64) -> f64 {
+    match decay {
+        DecayParameter::Effective(values) => 1.0 - values.each.get(index) / 4096.0,
+        DecayParameter::TimeConstantMs(values) => {
+            kernel::Alpha { peak: 1.0, tau: values.each.get(index) / timestep_ms }.decay()
+        }
+    }
+}
+
+fn neuron(p: &LoihiParameters, index: u32, timestep_ms: f64) -> cuba::Parameters {
+    let of = |values: &Values| values.each.get(index);
+    let integers = matches!(p.threshold, ThresholdParameter::Mantissa(_));
+    let power = |exponent: f64| libm::exp2(exponent);
+    cuba::Parameters {
+        keep_u: keep(&p.current_decay, index, timestep_ms),
+        keep_v: keep(&p.voltage_decay, index, timestep_ms),
+        threshold: match &p.threshold {
+            ThresholdParameter::Mantissa(mantissa) => of(mantissa) * 64.0,
+            ThresholdParameter::Real(threshold) => of(threshold),
+        },
+        bias: match &p.bias {
+            BiasParameter::Integer(mantissa, exponent) => of(mantissa) * power(of(exponent)),
+            BiasParameter::Real(bias) => of(bias),
+        },
+        refractory: of(&p.refractory).max(1.0) as u32,
+        // A real threshold has no register units to clip in.
+        clip: match integers {
+            true => (1.0 - power(of(&p.vmin_exp)), power(9.0 + 2.0 * of(&p.vmax_exp)) - 1.0),
+            false => (f64::MIN, f64::MAX),
+        },
+    }
+}
+
+/// What a weight of 1 adds to the current of its target: register units when the target's threshold is in them.
+fn weight_unit(graph: &Graph, target: NodeIndex, projection: &crate::ir::graph::Projection) -> f64 {
+    let PopulationKind::Loihi(parameters) = &graph.population(target).kind else { return 1.0 };
+    match parameters.threshold {
+        ThresholdParameter::Real(_) => 1.0,
+        ThresholdParameter::Mantissa(_) => {
+            let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
+            scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
+        }
+    }
+}
+
+#[derive(Debug)]
+enum Units<F> {
+    Input,
+    Srm(Srm<F>),
+    Cuba(Cuba<F>),
+}
+
+/// The state of a run over a [`Model`].
+#[derive(Debug)]
+pub struct Reference<'m, F> {
+    model: &'m Model<F>,
+    units: Vec<Units<F>>,
+    /// `[population][slot][neuron]`: sums of what arrives in the coming steps.
+    arrivals: Vec<Vec<Vec<F>>>,
+    spikes: Vec<CompartmentId>,
+    step: u32,
+    steps: u32,
+    totals: Totals,
+}
+
+impl<'m, F: Real> Reference<'m, F> {
+    /// At rest.
+    #[must_use]
+    pub fn new(model: &'m Model<F>) -> Self {
+        let units = model.populations.iter().map(|population| match &population.kind {
+            Kind::Input => Units::Input,
+            Kind::Srm(parameters) => Units::Srm(Srm::new(parameters, model.options.kernel, population.count as usize)),
+            Kind::Cuba(neurons) => Units::Cuba(Cuba::new(neurons, model.test)),
+        });
+        let arrivals = model.populations.iter().map(|population| {
+            let count = if matches!(population.kind, Kind::Input) { 0 } else { population.count as usize };
+            vec![vec![F::default(); count]; model.slots]
+        });
+        Reference {
+            model,
+            units: units.collect(),
+            arrivals: arrivals.collect(),
+            spikes: Vec::new(),
+            step: 0,
+            steps: 0,
+            totals: Totals::default(),
+        }
+    }
+
+    /// The membrane potential after the last step: u of a spike response neuron, v of a current-based one.
+    #[must_use]
+    pub fn potential(&self, compartment: CompartmentId) -> f64 {
+        let (population, index) = self.model.at(compartment);
+        match &self.units[population] {
+            Units::Input => 0.0,
+            Units::Srm(srm) => srm.potential()[index].f64(),
+            Units::Cuba(cuba) => cuba.voltage()[index].f64(),
+        }
+    }
+
+    /// The synaptic current after the last step; a spike response neuron has none but its potential u.
+    #[must_use]
+    pub fn current(&self, compartment: CompartmentId) -> f64 {
+        let (population, index) = self.model.at(compartment);
+        match &self.units[population] {
+            Units::Input => 0.0,
+            Units::Srm(srm) => srm.potential()[index].f64(),
+            Units::Cuba(cuba) => cuba.current()[index].f64(),
+        }
+    }
+
+    /// Sends a spike of this step over every projection that leaves its population.
+    fn send(&mut self, population: usize, index: u32) {
+        let input = matches!(self.model.populations[population].kind, Kind::Input);
+        for projection in &self.model.projections[population] {
+            let way = if input { projection.from_input } else { projection.from_compartment };
+            let slot = (self.step as usize + way as usize) % self.model.slots;
+            let events = projection.synapses.deliver(index, &mut self.arrivals[projection.target][slot]);
+            if u64::from(self.step) + u64::from(way) < u64::from(self.steps) {
+                self.totals.synaptic_events += events;
+            }
+        }
+    }
+}
+
+impl<F: Real> Engine for Reference<'_, F> {
+    fn begin(&mut self, steps: u32) {
+        for unit in &mut self.units {
+            match unit {
+                Units::Input => {}
+                Units::Srm(srm) => srm.clear(),
+                Units::Cuba(cuba) => cuba.clear(),
+            }
+        }
+        self.arrivals.iter_mut().flatten().for_each(|sums| sums.fill(F::default()));
+        self.spikes.clear();
+        (self.step, self.steps) = (0, steps);
+        self.totals = Totals::default();
+    }
+
+    fn step(&mut self, channels: &[ChannelId]) {
+        let model = self.model;
+        let inputs = model.populations.iter().enumerate().filter(|(_, p)| matches!(p.kind, Kind::Input));
+        for (population, of) in inputs {
+            let mine = channels.iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
+            mine.for_each(|index| self.send(population, index));
+        }
+        self.spikes.clear();
+        let slot = self.step as usize % model.slots;
+        for (index, population) in model.populations.iter().enumerate() {
+            let sums = &mut self.arrivals[index][slot];
+            let spikes = &mut self.spikes;
+            let spike = |neuron: u32| spikes.push(CompartmentId(population.first + neuron));
+            let held = self.step < population.start_step;
+            let reset = model.reset.is_some_and(|reset| reset.falls_on(self.step, population.start_step));
+            match &mut self.units[index] {
+                Units::Input => continue,
+                Units::Srm(srm) => {
+                    if reset {
+                        srm.clear();
+                    }
+                    srm.step(sums, spike);
+                }
+                Units::Cuba(cuba) => {
+                    if reset {
+                        cuba.clear();
+                    }
+                    if !held {
+                        cuba.step(sums, spike);
+                    }
+                }
+            }
+            sums.fill(F::default());
+        }
+        let spikes = std::mem::take(&mut self.spikes);
+        for &spike in &spikes {
+            let (population, index) = model.at(spike);
+            self.send(population, index as u32);
+        }
+        self.spikes = spikes;
+        self.totals.spikes_in += channels.len() as u64;
+        self.totals.spikes += self.spikes.len() as u64;
+        self.totals.compartment_updates += u64::from(model.compartments);
+        // Real numbers decay for ever: no update can be left out.
+        self.totals.active_updates += u64::from(model.compartments);
+        self.step += 1;
+    }
+
+    fn spikes(&self) -> &[CompartmentId] {
+        &self.spikes
+    }
+
+    /// Rounded; the number itself is [`Reference::current`].
+    fn u(&self, compartment: CompartmentId) -> i32 {
+        self.current(compartment).round() as i32
+    }
+
+    /// Rounded; the number itself is [`Reference::potential`].
+    fn v(&self, compartment: CompartmentId) -> i32 {
+        self.potential(compartment).round() as i32
+    }
+
+    /// There is no register: the same as `v`.
+    fn v_register(&self, compartment: CompartmentId) -> i32 {
+        self.v(compartment)
+    }
+
+    fn totals(&self) -> Totals {
+        self.totals
+    }
+
+    /// Nothing overflows.
+    fn overflow(&self) -> Overflow {
+        Overflow::default()
+    }
+}

@@ -1,0 +1,112 @@
+//! Real synapses, enumerated from their source.
+
+use crate::base::rng;
+use crate::desc::tensor::Tensor;
+use crate::ir::graph::{Projection, ProjectionKind, Window};
+
+use super::Real;
+
+/// How the sources of a projection reach its targets. Indices are within the populations.
+#[derive(Debug, Clone)]
+pub(super) enum Synapses<F> {
+    /// All to all: `[source][target]`.
+    Dense { targets: u32, weights: Vec<F> },
+    /// Those of source s are `first[s]..first[s + 1]`.
+    List { first: Vec<usize>, synapses: Vec<(u32, F)> },
+    /// Cross-correlation with `[C'][C / groups][kh][kw]`.
+    Conv { window: Window, kernel: Vec<F> },
+    /// The same weight from each position of a window.
+    Pool { window: Window, weight: F },
+}
+
+impl<F: Real> Synapses<F> {
+    /// Those of a projection, each weight times `factor`.
+    pub(super) fn new(projection: &Projection, sources: u32, targets: u32, factor: f64) -> Self {
+        match &projection.kind {
+            ProjectionKind::Dense { weights, .. } => {
+                let (columns, first) = (columns(weights), projection.first_source as usize);
+                let weight = |source: usize, target: usize| weights.real(target * columns + first + source) * factor;
+                let all = (0..sources as usize).flat_map(|s| (0..targets as usize).map(move |t| (s, t)));
+                Synapses::Dense { targets, weights: all.map(|(s, t)| F::of(weight(s, t))).collect() }
+            }
+            ProjectionKind::Sparse { synapses } => {
+                let each = synapses.iter().map(|&(source, target, weight, _)| (source, target, weight * factor));
+                Self::list(sources, each.collect())
+            }
+            ProjectionKind::Conv2d { window, weights, .. } => {
+                let kernel = (0..weights.len()).map(|i| F::of(weights.real(i) * factor)).collect();
+                Synapses::Conv { window: *window, kernel }
+            }
+            ProjectionKind::SumPool2d { window, weight } => {
+                Synapses::Pool { window: *window, weight: F::of(weight.value * factor) }
+            }
+            ProjectionKind::Random { fan_out, low, high, seed } => {
+                // `docs/semantics.md`, projections; weights are multiples of the format's least step.
+                let bits = crate::base::fixed::WeightBits::new(projection.weight_bits.value);
+                let step = bits.map_or(1, |bits| i64::from(projection.sign.step(bits)));
+                let levels = ((high.value - low.value) / step + 1).max(1) as u64;
+                let draw = |source: u32, k: u64| {
+                    let entity = u64::from(projection.first_source) + u64::from(source);
+                    let target = rng::below(u64::from(targets), *seed, entity, 2 * k) as u32;
+                    let level = rng::below(levels, *seed, entity, 2 * k + 1) as i64;
+                    (source, target, (low.value + step * level) as f64 * factor)
+                };
+                let all = (0..sources).flat_map(|s| (0..u64::from(*fan_out)).map(move |k| (s, k)));
+                Self::list(sources, all.map(|(s, k)| draw(s, k)).collect())
+            }
+        }
+    }
+
+    fn list(sources: u32, mut synapses: Vec<(u32, u32, f64)>) -> Self {
+        synapses.sort_by_key(|&(source, target, _)| (source, target));
+        let first = (0..=sources).map(|s| synapses.partition_point(|&(source, ..)| source < s)).collect();
+        Synapses::List { first, synapses: synapses.into_iter().map(|(_, t, w)| (t, F::of(w))).collect() }
+    }
+
+    /// Adds a source's spike to the sums of its targets; returns the number of its synapses.
+    pub(super) fn deliver(&self, source: u32, sums: &mut [F]) -> u64 {
+        match self {
+            Synapses::Dense { targets, weights } => {
+                let row = source as usize * *targets as usize;
+                for (sum, &weight) in sums.iter_mut().zip(&weights[row..row + *targets as usize]) {
+                    *sum += weight;
+                }
+                u64::from(*targets)
+            }
+            Synapses::List { first, synapses } => {
+                let mine = &synapses[first[source as usize]..first[source as usize + 1]];
+                mine.iter().for_each(|&(target, weight)| sums[target as usize] += weight);
+                mine.len() as u64
+            }
+            Synapses::Conv { window, kernel } => {
+                let (kh, kw) = window.kernel;
+                let (per_in, per_out) = (window.source.0 / window.groups, window.target.0 / window.groups);
+                let channel = source / (window.source.1 * window.source.2);
+                let group = channel / per_in;
+                let mut count = 0;
+                for out in group * per_out..(group + 1) * per_out {
+                    let base = (out * per_in + channel % per_in) * kh * kw;
+                    window.for_each_position(source, |y, x, ky, kx| {
+                        let target = (out * window.target.1 + y) * window.target.2 + x;
+                        sums[target as usize] += kernel[(base + ky * kw + kx) as usize];
+                        count += 1;
+                    });
+                }
+                count
+            }
+            Synapses::Pool { window, weight } => {
+                let channel = source / (window.source.1 * window.source.2);
+                let mut count = 0;
+                window.for_each_position(source, |y, x, _, _| {
+                    sums[((channel * window.target.1 + y) * window.target.2 + x) as usize] += *weight;
+                    count += 1;
+                });
+                count
+            }
+        }
+    }
+}
+
+fn columns(weights: &Tensor) -> usize {
+    weights.shape().get(1).copied().unwrap_or(1)
+}

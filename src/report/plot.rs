@@ -1,0 +1,350 @@
+//! Charts as SVG: lines with bands, scattered points with a front, bars.
+//!
+//! Comes in: named series of finite numbers. Goes out: one SVG text, the same for the same numbers. Written by hand: the
+//! three charts that results need are a few rectangles, lines and words. Colours are those of Okabe and Ito ("Color
+//! universal design", 2008), told apart by people who see fewer; series differ in dashes or marks too.
+
+use std::fmt::Write as _;
+
+const WIDTH: f64 = 760.0;
+const HEIGHT: f64 = 440.0;
+const LEFT: f64 = 76.0;
+const RIGHT: f64 = 190.0;
+const TOP: f64 = 44.0;
+const BOTTOM: f64 = 64.0;
+const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
+const DASHES: [&str; 4] = ["", "7 3", "2 3", "9 3 2 3"];
+
+/// One axis of a chart.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Axis {
+    /// What it shows, with its unit.
+    pub label: String,
+    /// Whether equal distances are equal factors; then only positive numbers are shown.
+    pub log: bool,
+}
+
+impl Axis {
+    /// Equal distances are equal differences.
+    #[must_use]
+    pub fn linear(label: impl Into<String>) -> Axis {
+        Axis { label: label.into(), log: false }
+    }
+
+    /// Equal distances are equal factors.
+    #[must_use]
+    pub fn log(label: impl Into<String>) -> Axis {
+        Axis { label: label.into(), log: true }
+    }
+}
+
+/// Numbers of a chart under one name.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Series {
+    /// A line through points in order of x.
+    Line {
+        /// Its name in the legend.
+        name: String,
+        /// (x, y).
+        points: Vec<(f64, f64)>,
+        /// (low, high) at each point, or none.
+        band: Vec<(f64, f64)>,
+    },
+    /// Single points with words beside them.
+    Points {
+        /// Their name in the legend.
+        name: String,
+        /// x, y, and the word.
+        points: Vec<(f64, f64, String)>,
+        /// Whether steps join them, as for a front on which less is better.
+        joined: bool,
+    },
+}
+
+/// A chart of lines and points.
+#[must_use]
+pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
+    let numbers: Vec<(f64, f64)> = series.iter().flat_map(extent).collect();
+    let across = Scale::new(x, numbers.iter().map(|p| p.0), LEFT, WIDTH - RIGHT);
+    let up = Scale::new(y, numbers.iter().map(|p| p.1), HEIGHT - BOTTOM, TOP);
+    let mut out = frame(title, &x.label, &y.label);
+    for (at, label) in across.ticks() {
+        _ = writeln!(
+            out,
+            r##"<line x1="{at:.1}" y1="{TOP}" x2="{at:.1}" y2="{:.1}" stroke="#ddd"/>"##,
+            HEIGHT - BOTTOM
+        );
+        word(&mut out, at, HEIGHT - BOTTOM + 18.0, "middle", &label);
+    }
+    for (at, label) in up.ticks() {
+        _ = writeln!(out, r##"<line x1="{LEFT}" y1="{at:.1}" x2="{:.1}" y2="{at:.1}" stroke="#ddd"/>"##, WIDTH - RIGHT);
+        word(&mut out, LEFT - 8.0, at + 4.0, "end", &label);
+    }
+    for (index, one) in series.iter().enumerate() {
+        let (colour, dash) = (COLOURS[index % COLOURS.len()], DASHES[index % DASHES.len()]);
+        let name = match one {
+            Series::Line { name, points, band } => {
+                let place = |&(px, py): &(f64, f64)| Some((across.place(px)?, up.place(py)?));
+                if band.len() == points.len() && !band.is_empty() {
+                    let edge = |pick: fn(&(f64, f64)) -> f64| {
+                        points.iter().zip(band).filter_map(move |(p, b)| place(&(p.0, pick(b))))
+                    };
+                    let mut outline: Vec<(f64, f64)> = edge(|b| b.0).collect();
+                    let mut back: Vec<(f64, f64)> = edge(|b| b.1).collect();
+                    back.reverse();
+                    outline.extend(back);
+                    _ = writeln!(out, r#"<polygon points="{}" fill="{colour}" opacity="0.18"/>"#, path(&outline));
+                }
+                let line: Vec<(f64, f64)> = points.iter().filter_map(place).collect();
+                _ = writeln!(
+                    out,
+                    r#"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="2" stroke-dasharray="{dash}"/>"#,
+                    path(&line)
+                );
+                name
+            }
+            Series::Points { name, points, joined } => {
+                let mut placed: Vec<(f64, f64, &str)> = points
+                    .iter()
+                    .filter_map(|(px, py, label)| Some((across.place(*px)?, up.place(*py)?, label.as_str())))
+                    .collect();
+                if *joined {
+                    placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+                    let corners = placed.windows(2).flat_map(|pair| [(pair[1].0, pair[0].1), (pair[1].0, pair[1].1)]);
+                    let line: Vec<(f64, f64)> = placed.first().map(|p| (p.0, p.1)).into_iter().chain(corners).collect();
+                    _ = writeln!(
+                        out,
+                        r#"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="1.5" stroke-dasharray="5 3"/>"#,
+                        path(&line)
+                    );
+                }
+                for (px, py, label) in placed {
+                    _ = writeln!(out, r#"<circle cx="{px:.1}" cy="{py:.1}" r="4" fill="{colour}"/>"#);
+                    small(&mut out, px + 6.0, py - 5.0, label);
+                }
+                name
+            }
+        };
+        legend(&mut out, index, colour, name);
+    }
+    out + "</svg>\n"
+}
+
+/// A chart of bars: one group a category, one bar a series in it.
+#[must_use]
+pub fn bars(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
+    let numbers = series.iter().flat_map(|(_, values)| values.iter().copied());
+    let zero = if y.log { None } else { Some(0.0) };
+    let up = Scale::new(y, numbers.chain(zero), HEIGHT - BOTTOM, TOP);
+    let mut out = frame(title, "", &y.label);
+    for (at, label) in up.ticks() {
+        _ = writeln!(out, r##"<line x1="{LEFT}" y1="{at:.1}" x2="{:.1}" y2="{at:.1}" stroke="#ddd"/>"##, WIDTH - RIGHT);
+        word(&mut out, LEFT - 8.0, at + 4.0, "end", &label);
+    }
+    let ground = up.place(0.0).unwrap_or(HEIGHT - BOTTOM);
+    let group = (WIDTH - RIGHT - LEFT) / categories.len().max(1) as f64;
+    let bar = group * 0.8 / series.len().max(1) as f64;
+    for (place, category) in categories.iter().enumerate() {
+        let from = LEFT + group * (place as f64 + 0.1);
+        for (index, (_, values)) in series.iter().enumerate() {
+            let Some(top) = values.get(place).and_then(|&value| up.place(value)) else { continue };
+            _ = writeln!(
+                out,
+                r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" fill="{}"/>"#,
+                from + bar * index as f64,
+                top.min(ground),
+                (bar - 1.0).max(0.5),
+                (top - ground).abs(),
+                COLOURS[index % COLOURS.len()]
+            );
+        }
+        let middle = from + group * 0.4;
+        _ = writeln!(
+            out,
+            r#"<text x="{middle:.1}" y="{:.1}" font-size="10" text-anchor="end" transform="rotate(-24 {middle:.1} {:.1})">{}</text>"#,
+            HEIGHT - BOTTOM + 14.0,
+            HEIGHT - BOTTOM + 14.0,
+            escaped(category)
+        );
+    }
+    _ = writeln!(
+        out,
+        r##"<line x1="{LEFT}" y1="{ground:.1}" x2="{:.1}" y2="{ground:.1}" stroke="#333"/>"##,
+        WIDTH - RIGHT
+    );
+    for (index, (name, _)) in series.iter().enumerate() {
+        legend(&mut out, index, COLOURS[index % COLOURS.len()], name);
+    }
+    out + "</svg>\n"
+}
+
+fn extent(series: &Series) -> Vec<(f64, f64)> {
+    match series {
+        Series::Line { points, band, .. } => {
+            let edges = points.iter().zip(band).flat_map(|(p, b)| [(p.0, b.0), (p.0, b.1)]);
+            points.iter().copied().chain(edges).collect()
+        }
+        Series::Points { points, .. } => points.iter().map(|p| (p.0, p.1)).collect(),
+    }
+}
+
+/// Numbers to places on the paper.
+struct Scale {
+    log: bool,
+    low: f64,
+    high: f64,
+    from: f64,
+    to: f64,
+}
+
+impl Scale {
+    fn new(axis: &Axis, numbers: impl Iterator<Item = f64>, from: f64, to: f64) -> Scale {
+        let shown = numbers.filter(|n| n.is_finite() && (!axis.log || *n > 0.0));
+        let (mut low, mut high) = shown.fold((f64::MAX, f64::MIN), |(low, high), n| (low.min(n), high.max(n)));
+        if low > high {
+            (low, high) = if axis.log { (1.0, 10.0) } else { (0.0, 1.0) };
+        }
+        if axis.log {
+            (low, high) = (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()));
+            if low == high {
+                high *= 10.0;
+            }
+        } else {
+            if low == high {
+                (low, high) = (low - 0.5 * low.abs().max(1.0), high + 0.5 * high.abs().max(1.0));
+            }
+            let step = step(high - low);
+            (low, high) = ((low / step).floor() * step, (high / step).ceil() * step);
+        }
+        Scale { log: axis.log, low, high, from, to }
+    }
+
+    fn place(&self, number: f64) -> Option<f64> {
+        let share = match self.log {
+            true if number > 0.0 => (number / self.low).ln() / (self.high / self.low).ln(),
+            true => return None,
+            false => (number - self.low) / (self.high - self.low),
+        };
+        share.is_finite().then_some(self.from + share * (self.to - self.from))
+    }
+
+    fn ticks(&self) -> Vec<(f64, String)> {
+        let numbers: Vec<f64> = if self.log {
+            let decades = (self.high / self.low).log10().round() as i32;
+            (0..=decades).map(|k| self.low * 10f64.powi(k)).collect()
+        } else {
+            let step = step(self.high - self.low);
+            (0..=((self.high - self.low) / step).round() as i32).map(|k| self.low + step * f64::from(k)).collect()
+        };
+        numbers.into_iter().filter_map(|n| Some((self.place(n)?, number(n)))).collect()
+    }
+}
+
+/// A round step that divides a range into about six.
+fn step(range: f64) -> f64 {
+    let rough = range / 6.0;
+    let decade = 10f64.powf(rough.log10().floor());
+    let digit = rough / decade;
+    decade
+        * if digit > 5.0 {
+            10.0
+        } else if digit > 2.0 {
+            5.0
+        } else if digit > 1.0 {
+            2.0
+        } else {
+            1.0
+        }
+}
+
+fn number(n: f64) -> String {
+    let text = format!("{n:.6}");
+    let short = text.trim_end_matches('0').trim_end_matches('.');
+    match short {
+        "-0" | "" => "0".to_string(),
+        _ if n != 0.0 && (n.abs() < 1e-4 || n.abs() >= 1e6) => format!("{n:.0e}"),
+        _ => short.to_string(),
+    }
+}
+
+fn path(points: &[(f64, f64)]) -> String {
+    points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ")
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+fn word(out: &mut String, x: f64, y: f64, anchor: &str, text: &str) {
+    _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}">{}</text>"#, escaped(text));
+}
+
+fn small(out: &mut String, x: f64, y: f64, text: &str) {
+    _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" font-size="9">{}</text>"#, escaped(text));
+}
+
+fn legend(out: &mut String, index: usize, colour: &str, name: &str) {
+    let y = TOP + 8.0 + 18.0 * index as f64;
+    let x = WIDTH - RIGHT + 14.0;
+    _ = writeln!(out, r#"<rect x="{x:.1}" y="{:.1}" width="12" height="10" fill="{colour}"/>"#, y - 9.0);
+    word(out, x + 18.0, y, "start", name);
+}
+
+fn frame(title: &str, x: &str, y: &str) -> String {
+    let mut out = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" \
+         font-size=\"12\">\n<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"white\"/>\n"
+    );
+    _ = writeln!(out, r#"<text x="{LEFT}" y="22" font-size="15" font-weight="bold">{}</text>"#, escaped(title));
+    word(&mut out, (LEFT + WIDTH - RIGHT) / 2.0, HEIGHT - 14.0, "middle", x);
+    let middle = (TOP + HEIGHT - BOTTOM) / 2.0;
+    _ = writeln!(
+        out,
+        r#"<text x="18" y="{middle:.1}" text-anchor="middle" transform="rotate(-90 18 {middle:.1})">{}</text>"#,
+        escaped(y)
+    );
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_follow_the_numbers() {
+        let linear = Scale::new(&Axis::linear(""), [0.0, 10.0].into_iter(), 100.0, 200.0);
+        assert_eq!([0.0, 5.0, 10.0].map(|n| linear.place(n)), [Some(100.0), Some(150.0), Some(200.0)]);
+        let log = Scale::new(&Axis::log(""), [0.01, 1.0].into_iter(), 0.0, 100.0);
+        assert_eq!((log.place(0.0), log.place(0.01), log.place(1.0)), (None, Some(0.0), Some(100.0)));
+        assert!((log.place(0.1).unwrap() - 50.0).abs() < 1e-9);
+        let ticks: Vec<String> = log.ticks().into_iter().map(|(_, label)| label).collect();
+        assert_eq!(ticks, ["0.01", "0.1", "1"]);
+    }
+
+    #[test]
+    fn every_number_has_its_mark_and_words_are_escaped() {
+        let line = Series::Line {
+            name: "a<b".into(),
+            points: vec![(0.0, 1.0), (1.0, 2.0)],
+            band: vec![(0.5, 1.5), (1.5, 2.5)],
+        };
+        let points = Series::Points {
+            name: "p".into(),
+            points: vec![(0.2, 1.0, "x".into()), (0.1, 2.0, "y".into())],
+            joined: true,
+        };
+        let svg = chart("t & u", &Axis::linear("x"), &Axis::linear("y"), &[line, points]);
+        assert_eq!(svg.matches("<circle").count(), 2);
+        assert_eq!((svg.matches("<polyline").count(), svg.matches("<polygon").count()), (2, 1));
+        assert!(svg.contains("a&lt;b") && svg.contains("t &amp; u") && svg.ends_with("</svg>\n"));
+        let svg = bars("b", &Axis::linear("y"), &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
+        assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);
+    }
+
+    #[test]
+    fn nothing_and_one_number_still_make_a_chart() {
+        assert!(chart("", &Axis::log(""), &Axis::linear(""), &[]).contains("svg"));
+        let one = Series::Line { name: String::new(), points: vec![(3.0, 3.0)], band: vec![] };
+        assert!(!chart("", &Axis::log(""), &Axis::linear(""), &[one]).contains("NaN"));
+    }
+}
