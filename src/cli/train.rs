@@ -105,14 +105,14 @@ fn stand_in(file: &TrainingFile) -> Result<Quantised, Error> {
     for input in &file.inputs {
         text += &format!("Input(name: {:?}, shape: {:?}),", input.name, input.shape);
     }
-    text += "Loihi(name: \"none of the inputs\", shape: [1], du: 0, dv: 0, vth_mant: 0)], projections: [";
+    text += "Loihi(name: \"stand-in-for-the-layers\", shape: [1], du: 0, dv: 0, vth_mant: 0)], projections: [";
     for input in &file.inputs {
         text += &format!(
-            "Random(from: [{:?}], to: \"none of the inputs\", fan_out: 1, low: 0, high: 0, seed: 0),",
+            "Random(from: [{:?}], to: \"stand-in-for-the-layers\", fan_out: 1, low: 0, high: 0, seed: 0),",
             input.name
         );
     }
-    text += "], output: \"none of the inputs\")";
+    text += "], output: \"stand-in-for-the-layers\")";
     let network = io::model::network(SourceText::new("inputs of the training file", text), Origin::File)?;
     Ok(compile::front(&network)?.into_quantised())
 }
