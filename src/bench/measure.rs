@@ -121,7 +121,7 @@ fn difference(after: Totals, before: Totals) -> Totals {
 }
 
 /// A quantile of ascending numbers, between neighbours in proportion.
-fn quantile(ascending: &[f64], q: f64) -> f64 {
+pub(crate) fn quantile(ascending: &[f64], q: f64) -> f64 {
     let place = q * (ascending.len() - 1) as f64;
     let (below, above) = (place.floor() as usize, place.ceil() as usize);
     ascending[below] + (ascending[above] - ascending[below]) * place.fract()

@@ -5,9 +5,11 @@
 //!
 //! Left out on purpose: goals. Whether a figure is good is for documents to say, not for the program.
 
+pub mod cpu;
 pub mod environment;
 pub mod measure;
 pub mod networks;
+pub mod power;
 
 pub use environment::Environment;
 pub use measure::{Budget, Measured, measure, steps};

@@ -65,8 +65,34 @@ pub enum Wanted {
 pub enum Prepared {
     /// It can run.
     Ready(Job),
-    /// It does not fit; the reasons have been said.
-    DoesNotFit(Answer),
+    /// It does not fit.
+    DoesNotFit(Refusal),
+}
+
+/// Why something does not fit.
+#[derive(Debug)]
+pub struct Refusal {
+    model: String,
+    target: Box<Target>,
+    reasons: Vec<Reason>,
+}
+
+impl Refusal {
+    /// Says why, and prints the command's own object, in which every key stands that a run would have filled.
+    ///
+    /// # Errors
+    /// When stdout cannot be written.
+    pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer, Error> {
+        complain::say(&report::map::refusal(&self.model, &self.target, &self.reasons));
+        if context.format == crate::cli::Format::Json {
+            object["model"] = self.model.as_str().into();
+            object["target"] = self.target.name().into();
+            object["fits"] = false.into();
+            object["reasons"] = self.reasons.iter().map(report::map::reason_json).collect();
+            io::write::stdout(&format!("{object:#}\n"))?;
+        }
+        Ok(Answer::No)
+    }
 }
 
 impl Job {
@@ -139,21 +165,15 @@ impl From<CompileError> for Error {
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.
-pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32, context: Context) -> Result<Prepared, Error> {
-    prepare_probed(args, wanted, copies, &[], context)
+pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, Error> {
+    prepare_probed(args, wanted, copies, &[])
 }
 
 /// The same, with the populations of these names whole however much is pruned.
 ///
 /// # Errors
 /// As [`prepare`].
-pub fn prepare_probed(
-    args: &JobArgs,
-    wanted: Wanted,
-    copies: u32,
-    probed: &[&str],
-    context: Context,
-) -> Result<Prepared, Error> {
+pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: u32, probed: &[&str]) -> Result<Prepared, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let real = match wanted {
@@ -183,7 +203,11 @@ pub fn prepare_probed(
             say_notes(&compiled.quantised);
             Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), Box::new(target), scene)))
         }
-        Err(error) => does_not_fit(error, &args.model, &target, context).map(Prepared::DoesNotFit),
+        Err(CompileError::DoesNotFit(reasons)) => {
+            let model = network.file().name.clone();
+            Ok(Prepared::DoesNotFit(Refusal { model, target: Box::new(target), reasons }))
+        }
+        Err(other) => Err(other.into()),
     }
 }
 
@@ -245,31 +269,4 @@ fn say_notes(quantised: &Quantised) {
     for note in &quantised.parts().notes {
         tracing::info!("{}: {}", note.entity, note.message);
     }
-}
-
-/// Says why something does not fit; other errors pass through.
-///
-/// # Errors
-/// [`Error`] unless the error is that it does not fit.
-pub fn does_not_fit(error: CompileError, model: &str, target: &Target, context: Context) -> Result<Answer, Error> {
-    match error {
-        CompileError::DoesNotFit(reasons) => {
-            say_reasons(model, target, &reasons, context)?;
-            Ok(Answer::No)
-        }
-        other => Err(other.into()),
-    }
-}
-
-fn say_reasons(model: &str, target: &Target, reasons: &[Reason], context: Context) -> Result<(), Error> {
-    complain::say(&report::map::refusal(model, target, reasons));
-    if context.format == crate::cli::Format::Json {
-        let reasons: Vec<_> = reasons.iter().map(report::map::reason_json).collect();
-        let object = serde_json::json!({
-            "schema": "nsim.error/1", "code": "does-not-fit", "message": format!("{model} does not fit on {}", target.name()),
-            "help": "see reasons; nsim map shows the same", "reasons": reasons,
-        });
-        io::write::stdout(&format!("{object:#}\n"))?;
-    }
-    Ok(())
 }

@@ -180,9 +180,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(message.to_string()));
     }
     let probed: Vec<&str> = args.probe.iter().filter_map(|text| Some(text.rsplit_once('.')?.0)).collect();
-    let job = match jobs::prepare_probed(&args.job, EngineChoice::wanted(args.engine), 1, &probed, context)? {
+    let job = match jobs::prepare_probed(&args.job, EngineChoice::wanted(args.engine), 1, &probed)? {
         jobs::Prepared::Ready(job) => job,
-        jobs::Prepared::DoesNotFit(answer) => return Ok(answer),
+        jobs::Prepared::DoesNotFit(refusal) => return refusal.say(crate::report::run::nothing("fast"), context),
     };
     let network = job.quantised();
     let stimulus = inputs::stimulus(network, &args.input.input, job.scene(), args.input.seed)?;

@@ -47,8 +47,16 @@ pub struct CostTable {
     pub hop_chip: Operation,
     /// A powered core in a step: energy only.
     pub core_step: Femtojoules,
+    /// A message on a link: time only.
+    pub link: Picoseconds,
+    /// A message on a link between chips: time only.
+    pub link_chip: Picoseconds,
+    /// Messages that wait at a link.
+    pub link_buffer: u64,
     /// A spike injected from outside: time only.
     pub injection: Picoseconds,
+    /// An output spike read out: time only.
+    pub readout: Picoseconds,
     /// Static power of a powered core.
     pub core_static: Nanowatts,
     /// Static power of an x86 core in use.
@@ -105,7 +113,11 @@ impl CostTable {
             hop_ns: operation!(hop_ns_energy, hop_ns_time),
             hop_chip: operation!(hop_chip_energy, hop_chip_time),
             core_step: energy("core_step_energy", &constants.core_step_energy)?,
+            link: time("link_time", &constants.link_time)?,
+            link_chip: time("link_chip_time", &constants.link_chip_time)?,
+            link_buffer: integer("link_buffer", &constants.link_buffer)?,
             injection: time("injection_time", &constants.injection_time)?,
+            readout: time("readout_time", &constants.readout_time)?,
             core_static: power("core_static_power", &constants.core_static_power)?,
             x86_static: power("x86_static_power", &constants.x86_static_power)?,
             x86_busy: power("x86_busy_power", &constants.x86_busy_power)?,
@@ -138,12 +150,13 @@ impl CostTable {
 }
 
 /// A constant in the least unit of its kind: pJ in fJ, ns and us in ps, mW in nW.
-fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u64, Diagnostic> {
+pub(crate) fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u64, Diagnostic> {
     let (places, least) = match constant.unit {
         Unit::pJ => (3, "fJ"),
         Unit::ns => (3, "ps"),
         Unit::us => (6, "ps"),
         Unit::mW => (6, "nW"),
+        Unit::messages => (0, "messages"),
     };
     let value = constant.value.value;
     decimal(value, places).ok_or_else(|| {

@@ -117,6 +117,22 @@ pub struct Row {
     pub source: RowSource,
 }
 
+impl Row {
+    /// A figure by the name that tables of measurements use.
+    #[must_use]
+    pub fn figure(&self, name: &str) -> Option<f64> {
+        match name {
+            "static_mw" => self.static_mw,
+            "dynamic_mw" => self.dynamic_mw,
+            "total_mw" => self.total_mw,
+            "latency_us" => self.latency_us,
+            "energy_uj" => self.energy_uj,
+            "edp_pjs" => self.edp_pjs,
+            _ => None,
+        }
+    }
+}
+
 /// What is to be estimated.
 #[derive(Debug, Clone, Copy)]
 pub struct Case<'a> {
@@ -151,8 +167,8 @@ pub struct Estimate {
     pub per_timestep_uj: Option<Spread>,
     /// Of that, the dynamic energy of the neuron cores.
     pub per_timestep_dynamic_uj: Option<Spread>,
-    /// Mean of each part of a step's time: injection, slowest core, transport, barrier; `None` without timesteps.
-    pub time_us: Option<[(&'static str, f64); 4]>,
+    /// Mean of each part of a step's time: injection, read-out, slowest core, transport, barrier; `None` without timesteps.
+    pub time_us: Option<[(&'static str, f64); 5]>,
     /// Why something is not known.
     pub notes: Vec<String>,
 }
@@ -343,6 +359,7 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
         time_us: some_steps.then(|| {
             [
                 ("injection", mean_us(|time| time.injection)),
+                ("readout", mean_us(|time| time.readout)),
                 ("slowest core", mean_us(|time| time.slowest_core)),
                 ("transport", mean_us(|time| time.transport)),
                 ("barrier", mean_us(|time| time.barrier)),
@@ -365,10 +382,10 @@ pub(crate) mod tests {
 
     pub(crate) fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles: u64) -> (Activity, StepMeter) {
         let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
-        let mut meter = StepMeter::new(tables, tiles);
+        let mut meter = crate::cost::meter::tests::meter(tables, tiles);
         for step in steps {
             activity.add_steps(step, 1);
-            meter.add(step);
+            meter.add(step, 1);
         }
         (activity, meter)
     }

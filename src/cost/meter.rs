@@ -11,7 +11,8 @@ use std::sync::Arc;
 
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
-use crate::cost::model::{StepTime, step_energy, step_time};
+use crate::cost::model::{StepTime, step_energy};
+use crate::cost::transport::{Transport, Ways};
 use crate::ir::activity::StepActivity;
 
 /// The steps of a run under one preset.
@@ -26,31 +27,48 @@ pub struct Lane {
 /// Energy and time of each step so far.
 #[derive(Debug, Clone)]
 pub struct StepMeter {
-    tables: Arc<[CostTable]>,
-    tiles_used: u64,
+    board: Arc<Metered>,
     lanes: Vec<Lane>,
 }
 
+/// What steps are metered under.
+#[derive(Debug)]
+pub struct Metered {
+    /// Presets, one a lane.
+    pub tables: Vec<CostTable>,
+    /// Tiles in the barrier.
+    pub tiles_used: u64,
+    /// Copies in the program, whose outputs are all read.
+    pub copies: u64,
+    /// The ways of the program's messages.
+    pub ways: Arc<Ways>,
+    /// The model of the mesh.
+    pub transport: Transport,
+}
+
 impl StepMeter {
-    /// A meter for these presets, with so many tiles in the barrier.
+    /// A meter for these presets.
     #[must_use]
-    pub fn new(tables: impl Into<Arc<[CostTable]>>, tiles_used: u64) -> Self {
-        let tables = tables.into();
-        let lanes = vec![Lane::default(); tables.len()];
-        StepMeter { tables, tiles_used, lanes }
+    pub fn new(metered: impl Into<Arc<Metered>>) -> Self {
+        let board = metered.into();
+        let lanes = vec![Lane::default(); board.tables.len()];
+        StepMeter { board, lanes }
     }
 
     /// An empty meter of the same kind, for another sample.
     #[must_use]
     pub fn fresh(&self) -> Self {
-        StepMeter::new(self.tables.clone(), self.tiles_used)
+        StepMeter::new(self.board.clone())
     }
 
-    /// Adds one timestep.
-    pub fn add(&mut self, step: &StepActivity) {
-        for (lane, table) in self.lanes.iter_mut().zip(self.tables.iter()) {
-            lane.energy.push(step_energy(step, table, 0).total());
-            lane.time.push(step_time(step, table, self.tiles_used));
+    /// Adds a timestep that happened so many times in a row.
+    pub fn add(&mut self, step: &StepActivity, times: u32) {
+        let Metered { tables, tiles_used, copies, ways, transport } = &*self.board;
+        let step_times = ways.step_times(step, tables, *transport, *tiles_used, *copies);
+        for ((lane, table), time) in self.lanes.iter_mut().zip(tables).zip(step_times) {
+            let energy = step_energy(step, table, 0).total();
+            lane.energy.extend(std::iter::repeat_n(energy, times as usize));
+            lane.time.extend(std::iter::repeat_n(time, times as usize));
         }
     }
 
@@ -59,7 +77,7 @@ impl StepMeter {
     /// # Panics
     /// When the other meter has other presets: a mistake of the caller.
     pub fn merge(&mut self, later: &StepMeter) {
-        assert!(self.tables == later.tables && self.tiles_used == later.tiles_used, "meters of one kind");
+        assert!(Arc::ptr_eq(&self.board, &later.board), "meters of one kind");
         for (lane, more) in self.lanes.iter_mut().zip(&later.lanes) {
             lane.energy.extend_from_slice(&more.energy);
             lane.time.extend_from_slice(&more.time);
@@ -69,7 +87,13 @@ impl StepMeter {
     /// The presets.
     #[must_use]
     pub fn tables(&self) -> &[CostTable] {
-        &self.tables
+        &self.board.tables
+    }
+
+    /// The model of the mesh.
+    #[must_use]
+    pub fn transport(&self) -> Transport {
+        self.board.transport
     }
 
     /// The steps under each preset, in the presets' order.
@@ -115,13 +139,21 @@ pub fn paced(time: Picoseconds, bin: Option<Picoseconds>) -> Picoseconds {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
     use crate::cost::constants::tests::table;
     use crate::cost::model::{energy, tests::any_step};
+    use crate::cost::transport::tests::no_ways;
     use crate::ir::activity::Activity;
+
+    /// A meter of steps whose messages are not followed.
+    pub(crate) fn meter(tables: Vec<CostTable>, tiles_used: u64) -> StepMeter {
+        let metered =
+            Metered { tables, tiles_used, copies: 1, ways: Arc::new(no_ways()), transport: Transport::Analytic };
+        StepMeter::new(metered)
+    }
 
     #[test]
     fn order_statistics_are_by_nearest_rank() {
@@ -136,13 +168,13 @@ mod tests {
         fn meters_of_parts_merge_to_the_meter_of_the_whole(
             steps in proptest::collection::vec(any_step(2), 0..10), cut in 0..10usize,
         ) {
-            let mut whole = StepMeter::new(vec![table("davies2018"), table("sanafe-calibrated")], 3);
+            let mut whole = meter(vec![table("davies2018"), table("sanafe-calibrated")], 3);
             let (mut first, mut second) = (whole.fresh(), whole.fresh());
             let mut activity = Activity::new(2);
             for (i, step) in steps.iter().enumerate() {
-                whole.add(step);
+                whole.add(step, 1);
                 activity.add_steps(step, 1);
-                if i < cut { first.add(step) } else { second.add(step) }
+                if i < cut { first.add(step, 1) } else { second.add(step, 1) }
             }
             first.merge(&second);
             prop_assert_eq!(first.lanes(), whole.lanes());

@@ -5,15 +5,18 @@
 //! from them the rows of the report. The equations are numbered in `docs/energy.md`.
 //!
 //! Left out on purpose: temperature, voltage and the measurement chain, none of which the sources let one separate;
-//! contention in the mesh (a message takes as long as an empty mesh lets it); the host.
+//! the host, but for the time that it takes to inject and to read out spikes.
 
 pub mod baseline;
+pub mod calibrate;
 pub mod constants;
 pub mod deployment;
 pub mod estimate;
 pub mod meter;
 pub mod model;
+pub mod transport;
 
 pub use constants::CostTable;
 pub use deployment::Deployment;
-pub use meter::StepMeter;
+pub use meter::{Metered, StepMeter};
+pub use transport::{Transport, Ways};

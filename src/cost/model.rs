@@ -113,9 +113,11 @@ fn of_counts(sum: CoreCounts, hops: HopCounts, steps: u64, table: &CostTable, co
 pub struct StepTime {
     /// Input spikes handed to the mesh, one after the other.
     pub injection: Picoseconds,
-    /// The core that takes longest to deliver and update.
+    /// Output spikes read out, one after the other.
+    pub readout: Picoseconds,
+    /// The core that takes longest.
     pub slowest_core: Picoseconds,
-    /// The message that is under way longest.
+    /// What messages add to that.
     pub transport: Picoseconds,
     /// The barrier.
     pub barrier: Picoseconds,
@@ -125,20 +127,8 @@ impl StepTime {
     /// The whole step. A sum beyond the type's range (213 days) stays at its end.
     #[must_use]
     pub fn total(&self) -> Picoseconds {
-        let parts = [self.injection, self.slowest_core, self.transport, self.barrier];
+        let parts = [self.injection, self.readout, self.slowest_core, self.transport, self.barrier];
         Picoseconds(parts.into_iter().fold(0, |sum, part| sum.saturating_add(part.0)))
-    }
-}
-
-/// Time of one timestep (11), with so many tiles in the barrier.
-#[must_use]
-pub fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
-    let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.links() > 0;
-    StepTime {
-        injection: times(&[(table.injection, step.spikes_in)]),
-        slowest_core: step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default(),
-        transport: if sent { route_time(step.longest, table) } else { Picoseconds::default() },
-        barrier: table.barrier(tiles_used),
     }
 }
 
@@ -170,7 +160,7 @@ pub fn route_time(route: Route, table: &CostTable) -> Picoseconds {
 }
 
 /// A sum of products that stays at the end of the range instead of leaving it.
-fn times(terms: &[(Picoseconds, u64)]) -> Picoseconds {
+pub(crate) fn times(terms: &[(Picoseconds, u64)]) -> Picoseconds {
     let sum = terms.iter().fold(0u128, |sum, &(time, count)| sum + u128::from(time.0) * u128::from(count));
     Picoseconds(u64::try_from(sum).unwrap_or(u64::MAX))
 }
@@ -181,6 +171,12 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::cost::constants::tests::{preset, table};
+    use crate::cost::transport::{Transport, tests::no_ways};
+
+    /// The time of a step whose messages are not followed.
+    fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
+        no_ways().step_time(step, table, Transport::Analytic, tiles_used, 1)
+    }
 
     /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5 dense events on the other.
     fn step() -> StepActivity {
@@ -225,12 +221,15 @@ pub(crate) mod tests {
         constants.hop_chip_energy.value = 100.0.into();
         constants.hop_chip_time.value = 50.0.into();
         constants.injection_time.value = 7.0.into();
+        constants.readout_time.value = 11.0.into();
         let table = CostTable::new(&constants).unwrap();
         let breakdown = step_energy(&step(), &table, 7);
         assert_eq!(breakdown.dendrite, Femtojoules(5 * 1_500));
         assert_eq!(breakdown.axon_in, Femtojoules(3 * 2_250));
         assert_eq!(breakdown.core_step, Femtojoules(7 * 10_000));
         assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
+        let read = StepActivity { spikes_out: 3, ..step() };
+        assert_eq!(no_ways().step_time(&read, &table, Transport::Analytic, 1, 4).readout, Picoseconds(3 * 4 * 11_000));
         let time = step_time(&step(), &table, 1);
         assert_eq!((time.injection, time.transport), (Picoseconds(7_000), Picoseconds(2 * 4_100 + 6_500 + 50_000)));
     }

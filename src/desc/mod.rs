@@ -7,6 +7,7 @@ pub mod baseline;
 pub mod dataset;
 mod lists;
 pub mod mapping;
+pub mod measurement;
 pub mod network;
 pub mod spanned;
 pub mod stimulus;

@@ -24,6 +24,18 @@ pub enum Status {
     Assumed,
 }
 
+impl Status {
+    /// As files write it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Status::Published => "published",
+            Status::Calibrated => "calibrated",
+            Status::Assumed => "assumed",
+        }
+    }
+}
+
 /// The unit of a constant as it is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[allow(non_camel_case_types, missing_docs)]
@@ -32,6 +44,7 @@ pub enum Unit {
     ns,
     us,
     mW,
+    messages,
 }
 
 /// A number with its origin.
@@ -81,6 +94,20 @@ pub struct UnusedConstant {
     pub why: String,
 }
 
+/// A cell of a table of measurements beside what the calibrated constants make of it.
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Residual {
+    /// The cell, as `unit figure`.
+    pub cell: String,
+    /// What was measured, as printed.
+    pub printed: String,
+    /// What the model gives.
+    pub model: f64,
+    /// Model less measured, in percent of the measured.
+    pub percent: f64,
+}
+
 macro_rules! constants {
     ($(#[$doc:meta])* $name:ident, $file:literal { $($(#[$fdoc:meta])* $field:ident: $unit:ident,)* }) => {
         $(#[$doc])*
@@ -96,13 +123,46 @@ macro_rules! constants {
             /// Figures of the same sources that enter no sum.
             #[serde(default)]
             pub unused: Vec<UnusedConstant>,
+            /// What a calibration left over, when the preset is the result of one.
+            #[serde(default)]
+            pub residuals: Vec<Residual>,
             $($(#[$fdoc])* pub $field: Constant,)*
         }
         impl $name {
+            /// The names of all single-valued constants, in a fixed order.
+            pub const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
+
+            /// The unit in which a constant is written.
+            #[must_use]
+            pub fn unit_of(name: &str) -> Option<Unit> {
+                match name {
+                    $(stringify!($field) => Some(Unit::$unit),)*
+                    _ => None,
+                }
+            }
+
+            /// One constant, by its name, to be changed.
+            pub fn get_mut(&mut self, name: &str) -> Option<&mut Constant> {
+                match name {
+                    $(stringify!($field) => Some(&mut self.$field),)*
+                    _ => None,
+                }
+            }
+
             /// Name and constant of every single-valued field, in a fixed order.
             #[must_use]
             pub fn list(&self) -> Vec<(&'static str, &Constant)> {
                 vec![$((stringify!($field), &self.$field),)*]
+            }
+
+            /// The preset with every constant that its source does not give taken from another.
+            #[must_use]
+            pub fn completed_by(&self, other: &Self) -> Self {
+                let mut whole = self.clone();
+                $(if whole.$field.status == Status::Assumed {
+                    whole.$field = other.$field.clone();
+                })*
+                whole
             }
 
             /// Checks units and signs.
@@ -202,8 +262,16 @@ constants!(
         hop_ns_time: ns,
         /// On top, for a link between chips.
         hop_chip_time: ns,
+        /// A message on a link, which passes them one after the other.
+        link_time: ns,
+        /// A message on a link between chips.
+        link_chip_time: ns,
+        /// Messages that wait at a link, before its sender is held up.
+        link_buffer: messages,
         /// A spike injected from outside.
         injection_time: ns,
+        /// An output spike read out.
+        readout_time: ns,
         /// Static power of a powered core.
         core_static_power: mW,
         /// Static power of an x86 core in use.
@@ -462,6 +530,14 @@ impl Target {
         self
     }
 
+    /// The same board with one more preset of constants, in front.
+    #[must_use]
+    pub fn with_preset(mut self, constants: Constants) -> Self {
+        self.constants.retain(|preset| preset.name != constants.name);
+        self.constants.insert(0, constants);
+        self
+    }
+
     /// The target's name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -559,7 +635,7 @@ mod tests {
             }
             assert_eq!(
                 target.constants().iter().map(|c| c.name.as_str()).collect::<Vec<_>>(),
-                ["sanafe-calibrated", "davies2018"]
+                ["vtsnn-calibrated", "sanafe-calibrated", "davies2018"]
             );
             for constants in target.constants() {
                 assert!(constants.list().iter().all(|(_, constant)| !constant.source.is_empty()));

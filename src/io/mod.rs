@@ -8,6 +8,7 @@ pub mod dataset;
 pub mod event_csv;
 pub mod half;
 pub mod mapping;
+pub mod measurement;
 pub mod model;
 pub mod npy;
 pub mod safetensors;

@@ -36,7 +36,9 @@ pub const TARGETS: &[Shipped] =
 /// Shipped chips.
 pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "tiny");
 /// Shipped presets of constants.
-pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "sanafe-calibrated");
+pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "sanafe-calibrated", "vtsnn-calibrated");
+/// Shipped tables of measurements.
+pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 
 /// The arrays that shipped models refer to: path within `models/`, content.
 pub const ARRAYS: &[(&str, &[u8])] = &[];
@@ -108,7 +110,7 @@ mod tests {
 
     #[test]
     fn names_are_listed_once_and_files_bear_the_names_inside() {
-        for table in [MODELS, TARGETS, CHIPS, CONSTANTS] {
+        for table in [MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS] {
             for (i, shipped) in table.iter().enumerate() {
                 assert!(table[..i].iter().all(|other| other.name != shipped.name), "{}", shipped.name);
                 assert!(shipped.text.contains(&format!("name: \"{}\"", shipped.name)), "{}", shipped.path);

@@ -11,7 +11,7 @@ use super::shipped::{self, Origin, Shipped};
 use super::text::read_text;
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::desc::spanned::{Spanned, parse};
-use crate::desc::target::{Chip, Constants, Target, TargetFile};
+use crate::desc::target::{Chip, Constant, Constants, Residual, Target, TargetFile};
 
 /// Loads a target: a path, `-`, or a shipped name.
 ///
@@ -63,6 +63,46 @@ pub fn parse_constants(source: &SourceText) -> Result<Constants, Diagnostic> {
         None => problem.in_file(source.path()),
     })?;
     Ok(constants)
+}
+
+/// Loads a preset of constants: a path, `-`, or a shipped name.
+///
+/// # Errors
+/// `constants.*`, `io.*`.
+pub fn load_constants(argument: &str) -> Result<Constants, Diagnostic> {
+    let (source, _) = shipped::text_of(argument, shipped::CONSTANTS, "preset of constants", "constants.unknown")?;
+    parse_constants(&source)
+}
+
+/// A preset as a file says it, with a remark at its head.
+#[must_use]
+pub fn constants_text(constants: &Constants, remark: &str) -> String {
+    let mut out = String::new();
+    for line in remark.lines() {
+        out += &format!("// {line}\n");
+    }
+    let one = |constant: &Constant| {
+        let Constant { value, unit, source, status } = constant;
+        format!("(value: {:?}, unit: {unit:?}, source: {source:?}, status: {})", value.value, status.name())
+    };
+    out += &format!("Constants(\n    name: {:?},\n    notes: {:?},\n    barrier: [\n", constants.name, constants.notes);
+    for entry in &constants.barrier {
+        out += &format!("        (tiles: {}, time: {}),\n", entry.tiles, one(&entry.time));
+    }
+    out += "    ],\n";
+    for (name, constant) in constants.list() {
+        out += &format!("    {name}: {},\n", one(constant));
+    }
+    out += "    unused: [\n";
+    for entry in &constants.unused {
+        out +=
+            &format!("        (name: {:?}, constant: {}, why: {:?}),\n", entry.name, one(&entry.constant), entry.why);
+    }
+    out += "    ],\n    residuals: [\n";
+    for Residual { cell, printed, model, percent } in &constants.residuals {
+        out += &format!("        (cell: {cell:?}, printed: {printed:?}, model: {model:?}, percent: {percent:?}),\n");
+    }
+    out + "    ],\n)\n"
 }
 
 /// The text of a part that a target names.
@@ -120,8 +160,9 @@ pub(crate) mod tests {
             (
                 "ns",
                 "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time \
-                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time injection_time",
+                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time link_chip_time injection_time readout_time",
             ),
+            ("messages", "link_buffer"),
             ("mW", "core_static_power x86_static_power x86_busy_power"),
         ];
         let mut text = String::from(
@@ -169,6 +210,19 @@ pub(crate) mod tests {
         assert_eq!((error.code, error.position().unwrap().line), ("target.constant", 5), "{error}");
         let error = load_target("nahuku-33").unwrap_err();
         assert_eq!(error.code, "target.unknown");
+    }
+
+    #[test]
+    fn a_preset_that_is_written_reads_back() {
+        for preset in shipped::CONSTANTS {
+            let read = parse_constants(&preset.source()).unwrap();
+            let text = constants_text(&read, "one\ntwo");
+            let again = parse_constants(&SourceText::new("again.ron", text.clone())).unwrap();
+            assert!(text.starts_with("// one\n// two\nConstants(") && constants_text(&again, "one\ntwo") == text);
+            for ((name, constant), (_, other)) in read.list().into_iter().zip(again.list()) {
+                assert_eq!((constant.value.value, &constant.source), (other.value.value, &other.source), "{name}");
+            }
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@
 
 use std::ops::AddAssign;
 
-use crate::base::id::{CompartmentId, CoreId, IdVec};
+use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use crate::ir::placement::Route;
 
 /// Sums over a network, which every engine can count.
@@ -187,6 +187,12 @@ pub struct StepActivity {
     pub spikes_in: u64,
     /// Messages that carry input spikes.
     pub messages_from_inputs: u64,
+    /// Spikes of the output population.
+    pub spikes_out: u64,
+    /// The input channels that spiked, for what follows messages one by one.
+    pub channels: Vec<ChannelId>,
+    /// The compartments that fired, ascending.
+    pub fired: Vec<CompartmentId>,
 }
 
 impl StepActivity {
@@ -203,6 +209,9 @@ impl StepActivity {
         self.longest = Route::default();
         self.spikes_in = 0;
         self.messages_from_inputs = 0;
+        self.spikes_out = 0;
+        self.channels.clear();
+        self.fired.clear();
     }
 
     /// Notes the way of so many messages.

@@ -92,6 +92,10 @@ pub fn add_step(
     left: u32,
     step: &mut StepActivity,
 ) {
+    let (first, size) = program.output();
+    step.channels.extend_from_slice(channels);
+    step.fired.extend_from_slice(spikes);
+    step.spikes_out += spikes.iter().filter(|c| (first.0..first.0 + size).contains(&c.0)).count() as u64;
     for &channel in channels {
         add_spikes(program, SpikeSource::Channel(channel), left, 1, step);
     }

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::{count, wrapped};
 use crate::cost::deployment::Deployment;
-use crate::cost::estimate::{Estimate, Row};
+use crate::cost::estimate::{Convention, Estimate, Row};
 use crate::desc::baseline::Mode;
 use crate::desc::target::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
@@ -70,6 +70,17 @@ pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
         .collect()
 }
 
+/// The object of `nsim.energy/1` for what did not run.
+#[must_use]
+pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
+    json!({
+        "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
+        "mode": mode.name(), "convention": convention.name(), "fits": false, "reasons": [], "seed": null, "rows": [],
+        "cores_powered": null, "cores_used": null, "breakdown_pj_per_timestep": null, "per_timestep_uj": null,
+        "early_exit": null, "constants": [],
+    })
+}
+
 /// A finished energy report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EnergyReport {
@@ -126,6 +137,7 @@ impl EnergyReport {
             "deployment": self.deployment.name,
             "mode": self.mode.name(),
             "convention": self.convention(),
+            "fits": true,
             "preset": self.preset,
             "range_over": self.presets,
             "seed": self.seed,
@@ -384,7 +396,7 @@ impl EnergyReport {
 /// A column of a row.
 type Figure = fn(&Row) -> Option<f64>;
 
-fn plain(header: &[&str]) -> Table {
+pub(super) fn plain(header: &[&str]) -> Table {
     let mut table = Table::new();
     table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
     table.set_header(header);
@@ -407,7 +419,7 @@ fn fixed(units: i128, digits: usize) -> String {
 }
 
 /// A figure with at least five significant digits and no more than six decimals, without trailing zeros.
-fn short(x: f64) -> String {
+pub(super) fn short(x: f64) -> String {
     if x == 0.0 || !x.is_finite() {
         return format!("{x}");
     }

@@ -4,6 +4,7 @@
 //! rounding of what is printed.
 
 pub mod bench;
+pub mod calibration;
 pub mod energy;
 pub mod inspect;
 pub mod map;

@@ -38,6 +38,17 @@ pub struct RunReport<'a> {
     pub files: &'a [String],
 }
 
+/// The object of `nsim.run/1` for what did not run.
+#[must_use]
+pub fn nothing(engine: &str) -> Value {
+    json!({
+        "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
+        "samples": 0, "timesteps": 0, "predicted": [], "labels": null, "accuracy": null, "output_counts": [],
+        "digest": null, "activity": null, "skipped": null, "overflow": null, "decided_at": [], "wall_s": null,
+        "us_per_timestep": null,
+    })
+}
+
 impl RunReport<'_> {
     fn labels(&self) -> Option<Vec<u32>> {
         self.labels.iter().copied().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())
@@ -134,6 +145,7 @@ impl RunReport<'_> {
             "model": self.network.parts().name,
             "target": self.target,
             "engine": self.engine,
+            "fits": self.target.map(|_| true),
             "input": self.input,
             "seed": self.seed,
             "samples": self.outcomes.len(),

@@ -1,31 +1,29 @@
-//! `nsim energy`: what was typed, and from a finished run to its report.
+//! `nsim energy`: what was typed -> a simulated run -> its report, or constants fitted to a table.
 //!
-//! The run itself (compile, machine) is the caller's; [`report`] is the whole of what follows it, and [`deployment`] and
-//! [`tables`] are what must be known before it.
+//! [`options`] says what the options stand for, [`workload`] runs, [`job`] makes the report, [`calibrate`] fits.
+
+pub mod calibrate;
+pub mod job;
+pub mod options;
+pub mod workload;
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 
-use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
-use crate::cli::run::{InputArgs, Switch, check_pruned, select};
-use crate::cli::{Answer, Context, Format, common, inputs, simulate};
-
-use crate::base::diagnostic::Diagnostic;
+use self::job::{EnergyJob, saved};
+use self::options::{ConventionArg, DeploymentArg, ModeArg, TransportArg, baselines, deployment, tables, with_preset};
+use self::workload::Workload;
 use crate::base::units::Picoseconds;
-use crate::cost::baseline::{Baseline, NetworkShape, SHIPPED};
-use crate::cost::estimate::{Case, Convention, estimate, spent};
-use crate::cost::{CostTable, Deployment, StepMeter};
+use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::run::{InputArgs, Switch};
+use crate::cli::{Answer, Context, Format, common};
+use crate::cost::baseline::NetworkShape;
+use crate::cost::estimate::Convention;
 use crate::desc::baseline::Mode;
-use crate::desc::target::Target;
 use crate::drive::decision::{EarlyExit, Rule};
-use crate::drive::{Keep, Outcome};
 use crate::error::Error;
-use crate::io;
-use crate::ir::activity::{Activity, StepActivity};
-use crate::ir::placement::{Mesh, Placement, Site};
-use crate::ir::spikes::Sample;
-use crate::report::energy::{EnergyReport, Saved, constant_entries};
+use crate::report as reports;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -34,6 +32,9 @@ EXAMPLES:
   nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
   nsim energy --early-exit certain                what ending decided samples would save
   nsim energy --constants davies2018 --baseline   the other preset, and no baseline
+  nsim energy --transport queued                  every message through finite buffers
+  nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
+  nsim energy --calibrate vtsnn-realtime          a table that names nothing to fit is only compared
   nsim energy slip-tactile --input tactile=recording.npy --format json";
 
 /// Options of `nsim energy`.
@@ -63,9 +64,18 @@ pub struct EnergyArgs {
     /// Other hardware to show beside; all that come with nsim when left out, none when given without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
-    /// Preset of constants, of those that the target names; its first when left out
-    #[arg(long, value_name = "PRESET")]
+    /// Preset of constants: of those that the target names (its first when left out), or a file
+    #[arg(long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
+    /// How long messages take: the longest way and the busiest link, or every message through finite buffers
+    #[arg(long, default_value = "analytic")]
+    pub transport: TransportArg,
+    /// Fit the constants that a table of measurements names to it, instead of a report; -o takes the preset
+    #[arg(long, value_name = "TABLE")]
+    pub calibrate: Option<String>,
+    /// The file that --calibrate writes
+    #[arg(short, long, value_name = "FILE", requires = "calibrate")]
+    pub output: Option<PathBuf>,
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
     #[arg(long, default_value = "on")]
     pub skip: Switch,
@@ -74,236 +84,45 @@ pub struct EnergyArgs {
     pub early_exit: Option<Rule>,
 }
 
-/// `--deployment`
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum DeploymentArg {
-    /// The mapping's own cores.
-    Packed,
-    /// The VT-SNN paper's numbers.
-    Paper,
-    /// Those of a saved mapping.
-    File(PathBuf),
-}
-
-impl From<&str> for DeploymentArg {
-    fn from(text: &str) -> Self {
-        match text {
-            "packed" => DeploymentArg::Packed,
-            "paper" => DeploymentArg::Paper,
-            path => DeploymentArg::File(path.into()),
-        }
-    }
-}
-
-/// `--mode`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ModeArg {
-    /// As fast as possible.
-    Offline,
-    /// A step lasts at least as long as the model's timestep.
-    Realtime,
-}
-
-impl From<ModeArg> for Mode {
-    fn from(arg: ModeArg) -> Self {
-        match arg {
-            ModeArg::Offline => Mode::Offline,
-            ModeArg::Realtime => Mode::Realtime,
-        }
-    }
-}
-
-/// `--convention`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ConventionArg {
-    /// Power times latency.
-    Physical,
-    /// Power divided by the timesteps of a sample.
-    Published,
-}
-
-impl From<ConventionArg> for Convention {
-    fn from(arg: ConventionArg) -> Self {
-        match arg {
-            ConventionArg::Physical => Convention::Physical,
-            ConventionArg::Published => Convention::Published,
-        }
-    }
-}
-
-/// The target's presets in integers, and which of them is asked for.
-///
-/// # Errors
-/// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant that no integer holds.
-pub fn tables(target: &Target, preset: Option<&str>) -> Result<(Vec<CostTable>, usize), Error> {
-    let tables = target.constants().iter().map(CostTable::new).collect::<Result<Vec<_>, _>>()?;
-    let chosen = match preset {
-        None => 0,
-        Some(name) => tables.iter().position(|table| table.name() == name).ok_or_else(|| {
-            let names: Vec<&str> = tables.iter().map(CostTable::name).collect();
-            Error::Usage(format!("{} has no constants {name}; it has {}", target.name(), names.join(", ")))
-        })?,
-    };
-    Ok((tables, chosen))
-}
-
-/// The numbers of cores for the report. The placement holds all copies.
-///
-/// # Errors
-/// [`Error::Usage`] when the paper's deployment is asked for other than 32 copies, or a saved mapping is of another number
-/// of copies or another target; [`Error::Input`] when the file cannot be read or places cores where the target has none.
-pub fn deployment(
-    arg: &DeploymentArg,
-    copies: u32,
-    placement: &Placement,
-    target: &Target,
-) -> Result<Deployment, Error> {
-    match arg {
-        DeploymentArg::Packed => Ok(Deployment::of("packed", placement, target.chip(), copies)),
-        DeploymentArg::Paper => {
-            let paper = Deployment::paper();
-            if paper.copies != copies {
-                return Err(Error::Usage(format!(
-                    "--deployment paper is of {} copies, not {copies}: leave --copies out or use --deployment packed",
-                    paper.copies
-                )));
-            }
-            Ok(paper)
-        }
-        DeploymentArg::File(path) => {
-            let mapping = io::mapping::load_mapping(path).map_err(|error| match error.help {
-                None => error.help("--deployment is packed, paper, or a mapping saved by nsim map -o"),
-                Some(_) => error,
-            })?;
-            if mapping.copies != copies || mapping.target != target.name() {
-                return Err(Error::Usage(format!(
-                    "{} holds {} copies on {}, not {copies} on {}",
-                    path.display(),
-                    mapping.copies,
-                    mapping.target,
-                    target.name()
-                )));
-            }
-            let sites = mapping.cores.iter().map(|at| Site { chip: at.chip, x: at.x, y: at.y, core: at.core });
-            let placement = Placement::new(Mesh::of(target), sites.collect())
-                .map_err(|error| Diagnostic::new("deployment.placement", error.to_string()).in_file(path))?;
-            Ok(Deployment::of(path.display().to_string(), &placement, target.chip(), copies))
-        }
-    }
-}
-
-/// The baselines asked for: all that are shipped when none is named.
-///
-/// # Errors
-/// A diagnostic for a name that does not exist.
-pub fn baselines(names: Option<&[String]>) -> Result<Vec<Baseline>, Diagnostic> {
-    match names {
-        Some(names) => names.iter().map(|name| Baseline::shipped(name)).collect(),
-        None => SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect(),
-    }
-}
-
-/// A finished run and what is asked about it.
-#[derive(Debug, Clone, Copy)]
-pub struct EnergyJob<'a> {
-    /// The model's name.
-    pub model: &'a str,
-    /// Where it ran.
-    pub target: &'a Target,
-    /// Sizes of one copy, to find out which baselines hold.
-    pub shape: &'a NetworkShape,
-    /// The preset of the figures, an index into the target's (from [`tables`]).
-    pub preset: usize,
-    /// Counts of the run.
-    pub activity: &'a Activity,
-    /// Its steps, under all of the target's presets and with the deployment's tiles in the barrier.
-    pub meter: &'a StepMeter,
-    /// Copies whose activity was counted: 1 when one stands for all.
-    pub copies_counted: u32,
-    /// Where all copies are.
-    pub deployment: &'a Deployment,
-    /// Offline or real time.
-    pub mode: Mode,
-    /// What energy means.
-    pub convention: Convention,
-    /// Length of the model's timestep.
-    pub timestep: Picoseconds,
-    /// Timesteps of a sample; `None` when samples differ.
-    pub steps_per_sample: Option<u32>,
-    /// Samples that were run, repeats included.
-    pub samples: u64,
-    /// Seed of the input, if it was made from one.
-    pub seed: Option<u64>,
-    /// Hardware to show beside.
-    pub baselines: &'a [Baseline],
-    /// What ending samples when they are decided would save.
-    pub early_exit: Option<Saved>,
-}
-
-impl<'a> EnergyJob<'a> {
-    fn case(&self) -> Case<'a> {
-        Case {
-            activity: self.activity,
-            meter: self.meter,
-            preset: self.preset,
-            copies_counted: self.copies_counted,
-            deployment: self.deployment,
-            mode: self.mode,
-            timestep: self.timestep,
-            convention: self.convention,
-            steps_per_sample: self.steps_per_sample,
-        }
-    }
-}
-
 /// The command.
 ///
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
+    if let Some(table) = &args.calibrate {
+        return calibrate::run(args, table, context);
+    }
     let baselines = baselines(args.baseline.as_deref())?;
-    let Prepared::Ready(job) = jobs::prepare(&args.job, Wanted::Mapped, args.copies, context)? else {
-        return Ok(Answer::No);
+    let (mode, convention) = (Mode::from(args.mode), Convention::from(args.convention));
+    let job = match jobs::prepare(&args.job, Wanted::Mapped, args.copies)? {
+        Prepared::Ready(job) => job,
+        Prepared::DoesNotFit(refusal) => {
+            return refusal.say(reports::energy::nothing(args.copies, mode, convention), context);
+        }
     };
-    let Some((compiled, target)) = job.mapped() else {
-        return Err(Error::Fault("energy needs a mapped job".to_string()));
-    };
-    let (tables, preset) = tables(target, args.constants.as_deref())?;
-    let deployment = deployment(&args.deployment, args.copies, &compiled.placement, target)?;
-    let stimulus = inputs::stimulus(&compiled.one, &args.input.input, job.scene(), args.input.seed)?;
-    let samples = select(&stimulus.samples, &args.input)?;
-    check_pruned(&compiled.one, &samples, &args.input)?;
-    // Copies share nothing, input channels included: each sees the whole sample.
-    let copied: Vec<Sample> =
-        samples.iter().map(|sample| sample.copies(args.copies, compiled.one.channels())).collect();
-    let copied: Vec<&Sample> = copied.iter().collect();
-    let prototype = StepMeter::new(tables, deployment.tiles_used);
+    let workload = Workload::new(&job, args.copies, &args.input)?;
+    let (compiled, target) = (workload.compiled, workload.target);
+    let (target, preset) = with_preset(target.clone(), args.constants.as_deref())?;
+    let (tables, preset) = tables(&target, preset.as_deref())?;
+    let deployment = deployment(&args.deployment, args.copies, &compiled.placement, &target)?;
+    let metered = workload.metered(tables, &deployment, args.transport.into());
     let skip = args.skip == Switch::On;
-    let add = |meter: &mut StepMeter, step: &StepActivity, times: u32| (0..times).for_each(|_| meter.add(step));
-    let simulated = |early_exit: Option<EarlyExit>| {
-        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit };
-        let run = simulate::fast(&compiled.program, &copied, &keep, (skip, true), context, || prototype.fresh(), add)?;
-        let mut meter = prototype.fresh();
-        run.meters.iter().for_each(|sample| meter.merge(sample));
-        Ok::<_, Error>((run, meter))
-    };
-    let (run, meter) = simulated(None)?;
-    let same = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
+    let (run, meter) = workload.simulate(&metered, None, skip, context)?;
     let whole = EnergyJob {
         model: &compiled.one.parts().name,
-        target,
+        target: &target,
         shape: &NetworkShape::of(&compiled.one),
         preset,
         activity: &run.activity,
         meter: &meter,
         copies_counted: args.copies,
         deployment: &deployment,
-        mode: args.mode.into(),
-        convention: args.convention.into(),
+        mode,
+        convention,
         timestep: Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64),
-        steps_per_sample: samples.first().filter(|_| same).map(|sample| sample.steps()),
-        samples: samples.len() as u64,
-        seed: stimulus.seed,
+        steps_per_sample: workload.steps_per_sample(),
+        samples: workload.samples.len() as u64,
+        seed: workload.seed,
         baselines: &baselines,
         early_exit: None,
     };
@@ -311,72 +130,18 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         None => None,
         Some(rule) => {
             // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
-            let (run, meter) = simulated(Some(EarlyExit::new(rule, &compiled.one)))?;
+            let exit = EarlyExit::new(rule, &compiled.one);
+            let (run, meter) = workload.simulate(&metered, Some(exit), skip, context)?;
             let early = EnergyJob { activity: &run.activity, meter: &meter, ..whole };
             Some(saved(rule, &whole, &run.outcomes, &early))
         }
     };
-    let energy = report(&EnergyJob { early_exit, ..whole });
+    let energy = job::report(&EnergyJob { early_exit, ..whole });
     common::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
     if context.format != Format::Text {
         energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
     }
     Ok(Answer::Yes)
-}
-
-/// What a run spends less than the whole one: equation (16).
-fn saved(rule: Rule, whole: &EnergyJob<'_>, outcomes: &[Outcome], early: &EnergyJob<'_>) -> Saved {
-    let (whole, early) = (spent(&whole.case()), spent(&early.case()));
-    let energy_saved_uj = whole.energy_uj - early.energy_uj;
-    Saved {
-        rule,
-        decided: outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as u64,
-        steps_saved: outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum(),
-        time_saved_us: whole.time_us - early.time_us,
-        energy_saved_uj,
-        energy_saved_share: (whole.energy_uj > 0.0).then(|| energy_saved_uj / whole.energy_uj),
-    }
-}
-
-/// From a finished run to its report. Its notes belong on stderr when the output is for programs.
-#[must_use]
-pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
-    let estimate = estimate(&job.case());
-    let mut notes = estimate.notes.clone();
-    let mut rows = Vec::new();
-    for baseline in job.baselines {
-        match baseline.row(job.shape, job.steps_per_sample, job.timestep, job.mode, job.convention) {
-            Ok(row) => rows.push((row, baseline.source())),
-            Err(reason) => notes.push(reason),
-        }
-    }
-    let tables = job.meter.tables();
-    if tables[job.preset].injection.0 == 0 && job.mode == Mode::Offline {
-        notes.push(
-            "these constants give no time for injecting a spike, which bounds offline runs on the board: the latency is that \
-             of the neuron cores alone"
-                .to_string(),
-        );
-    }
-    if job.deployment.name == "paper" {
-        notes.push("numbers of cores are the VT-SNN paper's; activity is this mapping's".to_string());
-    }
-    EnergyReport {
-        model: job.model.to_string(),
-        target: job.target.name().to_string(),
-        deployment: job.deployment.clone(),
-        mode: job.mode,
-        preset: tables[job.preset].name().to_string(),
-        presets: tables.iter().map(|table| table.name().to_string()).collect(),
-        seed: job.seed,
-        samples: job.samples,
-        timesteps: job.activity.steps(),
-        estimate,
-        baselines: rows,
-        early_exit: job.early_exit,
-        constants: constant_entries(&job.target.constants()[job.preset]),
-        notes,
-    }
 }
 
 #[cfg(test)]
@@ -386,11 +151,15 @@ mod tests {
     use super::*;
     use crate::base::diagnostic::SourceText;
     use crate::cli::common::SampleRange;
+    use crate::cost::Deployment;
     use crate::cost::baseline::tests::vtsnn;
     use crate::cost::estimate::tests::{MS, run};
     use crate::desc::spanned::parse;
+    use crate::desc::target::Target;
     use crate::desc::target::{Chip, Constants, TargetFile};
     use crate::ir::activity::{CoreCounts, StepActivity};
+    use crate::ir::placement::{Mesh, Placement};
+    use crate::report::energy::EnergyReport;
 
     #[derive(Debug, Parser)]
     struct Line {
@@ -442,7 +211,7 @@ mod tests {
         let target = nahuku();
         let (tables, preset) = tables(&target, None).unwrap();
         let (activity, meter) = run(&steps(), tables, deployment.tiles_used);
-        f(report(&EnergyJob {
+        f(job::report(&EnergyJob {
             model: "vtsnn-slip",
             target: &target,
             shape: &vtsnn(),
@@ -504,7 +273,7 @@ mod tests {
         let static_mw = |deployment: &Deployment| {
             with_report(deployment, Mode::Offline, Convention::Physical, |r| r.estimate.rows[1].static_mw.unwrap())
         };
-        assert!((static_mw(&paper) - 11.7).abs() < 1e-9);
+        assert!((static_mw(&paper) / 11.7 - 1.0).abs() < 0.02);
         assert!(static_mw(&packed) < 11.7 / 5.0);
     }
 
@@ -534,7 +303,7 @@ mod tests {
     #[test]
     fn a_preset_that_the_target_does_not_name_is_a_mistake_of_usage() {
         let target = nahuku();
-        assert_eq!(tables(&target, Some("davies2018")).unwrap().1, 1);
+        assert_eq!(tables(&target, Some("davies2018")).unwrap().1, 2);
         assert_eq!(tables(&target, Some("davies")).unwrap_err().exit_status(), 2);
     }
 
@@ -612,7 +381,7 @@ mod tests {
         assert_eq!(rows[3]["low"], serde_json::Value::Null);
         let parts: Vec<&String> = json["breakdown_pj_per_timestep"].as_object().unwrap().keys().collect();
         assert_eq!(parts, ["synapse", "dendrite", "compartment", "spike", "axon_out", "axon_in", "hop", "core_step"]);
-        assert_eq!(json["constants"].as_array().unwrap().len(), 28 + 6);
+        assert_eq!(json["constants"].as_array().unwrap().len(), 32 + 6);
         assert_eq!(json["constants"][0]["status"], "calibrated");
         assert_eq!(json["constants"][0]["unit"], "pJ");
     }

@@ -1,0 +1,562 @@
+//! How long a step's messages take: two models of the mesh.
+//!
+//! Goes in: a program's ways ([`Ways`], made once) and what a step did. Comes out: the time that the cores and the mesh
+//! need together, (11) and (17) of `docs/energy.md`. `analytic` adds the longest way and the wait at the busiest link to
+//! the slowest core; it costs about as much as counting. `queued` follows every message through finite buffers: senders
+//! that find their way full are held up, links and receivers take one message after the other.
+//!
+//! The queue is semi-analytic, as the one that SANA-FE calls `detailed` (schedule.cpp, read as a description): a message
+//! does not move link by link, but what is under way on its path when it leaves decides how long it takes. Left out on
+//! purpose: routers' arbitration, virtual channels, and flits; barrier messages, whose time is a constant.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use crate::base::id::{CoreId, Id};
+use crate::base::units::Picoseconds;
+use crate::cost::constants::CostTable;
+use crate::cost::model::{StepTime, core_time, route_time, times};
+use crate::ir::activity::StepActivity;
+use crate::ir::placement::Route;
+use crate::ir::program::{CoreImage, Lists, Program};
+
+/// A model of the mesh.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Transport {
+    /// The longest way, and the wait at the busiest link.
+    #[default]
+    Analytic,
+    /// Every message through finite buffers.
+    Queued,
+}
+
+impl Transport {
+    /// Both, the faster first.
+    pub const ALL: [Transport; 2] = [Transport::Analytic, Transport::Queued];
+
+    /// As it is typed and printed.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Transport::Analytic => "analytic",
+            Transport::Queued => "queued",
+        }
+    }
+}
+
+/// A link in one direction, or a sender's own way into its router.
+type Link = u32;
+
+/// One message that a spike of some source sends.
+#[derive(Debug, Clone, Copy)]
+struct Message {
+    core: CoreId,
+    events_dense: u32,
+    events_sparse: u32,
+}
+
+/// Where a program's messages go.
+///
+/// Senders are the cores and, behind them, the port of each chip, through which its inputs enter: the chip's corner.
+#[derive(Debug, Clone)]
+pub struct Ways {
+    columns: u32,
+    rows: u32,
+    chip_width: u32,
+    chip_height: u32,
+    /// Tile of each sender.
+    tiles: Vec<(u32, u32)>,
+    cores: usize,
+    /// By channel.
+    inputs: Lists<Message>,
+    /// By compartment.
+    spikes: Lists<Message>,
+    /// Core, slot and compartments of that core, by compartment.
+    seats: Vec<(CoreId, u32, u32)>,
+    chips_x: u32,
+}
+
+/// Dense and sparse synapses of an input axon.
+fn events(image: &CoreImage, axon: u16) -> (u32, u32) {
+    let synapses = image.synapses.get(usize::from(axon));
+    let dense = |format: u8| image.formats[usize::from(format)].index_bits.is_none();
+    let count = synapses.iter().filter(|synapse| dense(synapse.format)).count();
+    (count as u32, (synapses.len() - count) as u32)
+}
+
+impl Ways {
+    /// The ways of a program's messages.
+    #[must_use]
+    pub fn of(program: &Program) -> Self {
+        let mesh = *program.mesh();
+        let cores = program.cores();
+        let message = |target: &crate::ir::program::AxonTarget| {
+            let (events_dense, events_sparse) = events(&cores[target.core], target.axon);
+            Message { core: target.core, events_dense, events_sparse }
+        };
+        let mut inputs = Lists::default();
+        for list in program.parts().channels.iter() {
+            inputs.push(list.iter().map(message));
+        }
+        let mut spikes = Lists::default();
+        let mut seats = Vec::with_capacity(program.seats().len());
+        for seat in program.seats().iter() {
+            let image = &cores[seat.core];
+            spikes.push(image.axons_out.get(usize::from(seat.slot)).iter().map(message));
+            seats.push((seat.core, u32::from(seat.slot), image.compartments.len() as u32));
+        }
+        let of_cores = cores.iter().map(|image| mesh.tile(image.site));
+        let corner = |chip: u32| (chip % mesh.chips_x * mesh.width, chip / mesh.chips_x * mesh.height);
+        Ways {
+            columns: mesh.chips_x * mesh.width,
+            rows: mesh.chips_y * mesh.height,
+            chip_width: mesh.width,
+            chip_height: mesh.height,
+            tiles: of_cores.chain((0..mesh.chips_x * mesh.chips_y).map(corner)).collect(),
+            cores: cores.len(),
+            inputs,
+            spikes,
+            seats,
+            chips_x: mesh.chips_x,
+        }
+    }
+
+    /// The port through which a core's inputs enter.
+    fn port(&self, core: CoreId) -> usize {
+        let (x, y) = self.tiles[core.index()];
+        self.cores + (y / self.chip_height * self.chips_x + x / self.chip_width) as usize
+    }
+
+    fn route(&self, from: usize, to: usize) -> Route {
+        let ((fx, fy), (tx, ty)) = (self.tiles[from], self.tiles[to]);
+        let chip = (fx / self.chip_width).abs_diff(tx / self.chip_width)
+            + (fy / self.chip_height).abs_diff(ty / self.chip_height);
+        Route { east_west: fx.abs_diff(tx), north_south: fy.abs_diff(ty), chip }
+    }
+
+    fn links(&self) -> usize {
+        4 * (self.columns * self.rows) as usize + self.tiles.len()
+    }
+
+    /// The sender's way into its router.
+    fn first_link(&self, sender: usize) -> Link {
+        4 * self.columns * self.rows + sender as u32
+    }
+
+    /// Every link of the mesh on a message's way, along its row first, and whether it joins two chips. A link is named by
+    /// the tile that it leads to and its direction.
+    fn each_link(&self, from: usize, to: usize, mut see: impl FnMut(Link, bool)) {
+        let ((mut x, mut y), (tx, ty)) = (self.tiles[from], self.tiles[to]);
+        while x != tx {
+            let (next, direction) = if x < tx { (x + 1, 0) } else { (x - 1, 1) };
+            see(4 * (y * self.columns + next) + direction, x / self.chip_width != next / self.chip_width);
+            x = next;
+        }
+        while y != ty {
+            let (next, direction) = if y < ty { (y + 1, 2) } else { (y - 1, 3) };
+            see(4 * (next * self.columns + x) + direction, y / self.chip_height != next / self.chip_height);
+            y = next;
+        }
+    }
+
+    /// Sender and message of every message of a step.
+    fn each_message(&self, step: &StepActivity, mut see: impl FnMut(usize, &Message)) {
+        for channel in &step.channels {
+            self.inputs.get(channel.index()).iter().for_each(|message| see(self.port(message.core), message));
+        }
+        for compartment in &step.fired {
+            let sender = self.seats[compartment.index()].0.index();
+            self.spikes.get(compartment.index()).iter().for_each(|message| see(sender, message));
+        }
+    }
+
+    /// Messages over the busiest link of a chip and over the busiest between chips.
+    fn busiest_links(&self, step: &StepActivity) -> [u32; 2] {
+        let mut busiest = [0; 2];
+        if step.channels.is_empty() && step.fired.is_empty() {
+            return busiest;
+        }
+        let mut load = vec![0u32; self.links()];
+        self.each_message(step, |sender, message| {
+            self.each_link(sender, message.core.index(), |link, between_chips| {
+                let load = &mut load[link as usize];
+                *load += 1;
+                let most = &mut busiest[usize::from(between_chips)];
+                *most = (*most).max(*load);
+            });
+        });
+        busiest
+    }
+
+    /// The time of a step, (11) or (17), with so many tiles in the barrier and copies whose outputs are read.
+    #[must_use]
+    pub fn step_time(
+        &self,
+        step: &StepActivity,
+        table: &CostTable,
+        transport: Transport,
+        tiles_used: u64,
+        copies: u64,
+    ) -> StepTime {
+        self.step_times(step, std::slice::from_ref(table), transport, tiles_used, copies).remove(0)
+    }
+
+    /// The same under each of several presets.
+    #[must_use]
+    pub fn step_times(
+        &self,
+        step: &StepActivity,
+        tables: &[CostTable],
+        transport: Transport,
+        tiles_used: u64,
+        copies: u64,
+    ) -> Vec<StepTime> {
+        let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.links() > 0;
+        let busiest = match transport {
+            Transport::Analytic => self.busiest_links(step),
+            Transport::Queued => [0; 2],
+        };
+        let analytic = |table: &CostTable| {
+            let cores = step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
+            let way = if sent { route_time(step.longest, table) } else { Picoseconds(0) };
+            // The first message finds its link free.
+            let wait = |link: Picoseconds, load: u32| link.0.saturating_mul(u64::from(load.saturating_sub(1)));
+            let wait = wait(table.link, busiest[0]).max(wait(table.link_chip, busiest[1]));
+            (cores, Picoseconds(way.0.saturating_add(wait)))
+        };
+        let time = |table: &CostTable| {
+            let (slowest_core, transport) = match transport {
+                Transport::Analytic => analytic(table),
+                Transport::Queued => Queue::new(self, table).run(step),
+            };
+            StepTime {
+                injection: times(&[(table.injection, step.spikes_in)]),
+                readout: times(&[(table.readout, step.spikes_out.saturating_mul(copies))]),
+                slowest_core,
+                transport,
+                barrier: table.barrier(tiles_used),
+            }
+        };
+        tables.iter().map(time).collect()
+    }
+}
+
+/// A message that its sender has ready.
+#[derive(Debug, Clone, Copy)]
+struct Ready {
+    /// Time since the one before was sent.
+    after: u64,
+    /// The receiving core.
+    to: u32,
+    /// Time at the receiver.
+    handling: u64,
+}
+
+/// Occupancy is counted in fractions of a message: integers, so that what leaves takes away just what it brought.
+const MESSAGE: u64 = 1 << 32;
+
+/// Messages under way in one step.
+struct Queue<'w> {
+    ways: &'w Ways,
+    table: &'w CostTable,
+    /// Of each link, in parts of a [`MESSAGE`].
+    occupied: Vec<u64>,
+    /// When each link can take the next message.
+    free: Vec<u64>,
+    /// When each core has dealt with what it received.
+    done: Vec<u64>,
+    /// Time of receipt, sender, receiver, handling.
+    under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
+    /// Of those: their handling times together.
+    handling: u128,
+}
+
+impl<'w> Queue<'w> {
+    fn new(ways: &'w Ways, table: &'w CostTable) -> Self {
+        Queue {
+            ways,
+            table,
+            occupied: vec![0; ways.links()],
+            free: vec![0; ways.links()],
+            done: vec![0; ways.cores],
+            under_way: BinaryHeap::new(),
+            handling: 0,
+        }
+    }
+
+    /// What each sender sends, in order, and how long it is busy after its last message.
+    fn senders(&self, step: &StepActivity) -> Vec<(Vec<Ready>, u64)> {
+        let (ways, table) = (self.ways, self.table);
+        let handling = |message: &Message| {
+            let counts = [
+                (table.axon_in.time, 1),
+                (table.synapse_dense.time, message.events_dense.into()),
+                (table.synapse_sparse.time, message.events_sparse.into()),
+            ];
+            times(&counts).0
+        };
+        let ready = |after: u64, message: &Message| Ready { after, to: message.core.0, handling: handling(message) };
+        let mut senders: Vec<(Vec<Ready>, u64)> = vec![Default::default(); ways.tiles.len()];
+        for channel in &step.channels {
+            for message in ways.inputs.get(channel.index()) {
+                senders[ways.port(message.core)].0.push(ready(0, message));
+            }
+        }
+        // Visits in slot order, each for the mean time of its core's.
+        let visits: Vec<u64> = step
+            .cores
+            .iter()
+            .map(|core| {
+                times(&[(table.compartment.time, core.visited), (table.compartment_active.time, core.active)]).0
+            })
+            .collect();
+        let mut fired: Vec<_> = step.fired.iter().map(|c| (ways.seats[c.index()], c.index())).collect();
+        fired.sort_unstable();
+        let mut passed = vec![0u64; ways.cores];
+        for &((core, slot, slots), compartment) in &fired {
+            let until = (u128::from(visits[core.index()]) * u128::from(slot + 1) / u128::from(slots.max(1))) as u64;
+            let sender = &mut senders[core.index()];
+            // A spike that sends nothing takes its time from the next.
+            sender.1 += until - std::mem::replace(&mut passed[core.index()], until) + table.spike.time.0;
+            for message in ways.spikes.get(compartment) {
+                sender.0.push(ready(std::mem::take(&mut sender.1) + table.axon_out.time.0, message));
+            }
+        }
+        for (core, &visited) in visits.iter().enumerate() {
+            senders[core].1 += visited - passed[core];
+        }
+        senders
+    }
+
+    /// Takes what was received by now out of the mesh.
+    fn advance(&mut self, now: u64) {
+        while let Some(&Reverse((received, from, to, handling))) = self.under_way.peek()
+            && received <= now
+        {
+            self.under_way.pop();
+            self.handling -= u128::from(handling);
+            self.occupy(from as usize, to as usize, false);
+        }
+    }
+
+    fn occupy(&mut self, from: usize, to: usize, enters: bool) {
+        let ways = self.ways;
+        let part = MESSAGE / (u64::from(ways.route(from, to).links()) + 2);
+        let mut change = |link: Link| {
+            let occupied = &mut self.occupied[link as usize];
+            *occupied = if enters { *occupied + part } else { *occupied - part };
+        };
+        change(ways.first_link(from));
+        ways.each_link(from, to, |link, _| change(link));
+    }
+
+    /// Sends a message at `now`; returns when its sender was done with it and when its receiver was.
+    fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
+        let (ways, to) = (self.ways, message.to as usize);
+        let route = ways.route(from, to);
+        let mut along = u128::from(self.occupied[ways.first_link(from) as usize]);
+        ways.each_link(from, to, |link, _| along += u128::from(self.occupied[link as usize]));
+        let links = u128::from(route.links()) + 1;
+        let mean = self.handling / (self.under_way.len() as u128).max(1);
+        let whole = u128::from(MESSAGE);
+        // A way holds its links' buffers; what is beyond that has to be received first.
+        let beyond = along.saturating_sub(links * u128::from(self.table.link_buffer) * whole);
+        let leaves = now.saturating_add((beyond * mean / whole) as u64);
+        let congested = (along * mean / whole / links) as u64;
+        // One message after the other on each link.
+        let mut at = leaves;
+        ways.each_link(from, to, |link, between_chips| {
+            let free = &mut self.free[link as usize];
+            at = at.max(*free);
+            *free = at + if between_chips { self.table.link_chip.0 } else { self.table.link.0 };
+        });
+        let waited = at - leaves;
+        let way = (route_time(route, self.table).0 + waited).max(congested);
+        let received = self.done[to].max(leaves.saturating_add(way));
+        self.done[to] = received.saturating_add(message.handling);
+        self.under_way.push(Reverse((received, from as u32, message.to, message.handling)));
+        self.handling += u128::from(message.handling);
+        self.occupy(from, to, true);
+        (leaves, self.done[to])
+    }
+
+    /// The busiest core's own time and what the mesh adds to it.
+    fn run(mut self, step: &StepActivity) -> (Picoseconds, Picoseconds) {
+        let senders = self.senders(step);
+        let mut received = vec![0u64; self.ways.cores];
+        let mut alone = 0;
+        for (messages, after) in &senders {
+            alone = alone.max(messages.iter().map(|message| message.after).sum::<u64>() + after);
+            messages.iter().for_each(|message| received[message.to as usize] += message.handling);
+        }
+        alone = alone.max(received.into_iter().max().unwrap_or(0));
+        // Each sender's next message, the earliest first; on a tie the lower sender.
+        let mut next: BinaryHeap<Reverse<(u64, usize, usize)>> = BinaryHeap::new();
+        let mut last = 0;
+        for (sender, (messages, after)) in senders.iter().enumerate() {
+            match messages.first() {
+                Some(first) => next.push(Reverse((first.after, sender, 0))),
+                None => last = last.max(*after),
+            }
+        }
+        while let Some(Reverse((now, sender, number))) = next.pop() {
+            self.advance(now);
+            let (messages, after) = &senders[sender];
+            let (left, done) = self.send(now, sender, messages[number]);
+            last = last.max(done);
+            match messages.get(number + 1) {
+                Some(message) => next.push(Reverse((left.saturating_add(message.after), sender, number + 1))),
+                None => last = last.max(left.saturating_add(*after)),
+            }
+        }
+        (Picoseconds(alone), Picoseconds(last.saturating_sub(alone)))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::base::id::{ChannelId, CompartmentId};
+    use crate::cost::constants::tests::{preset, table};
+    use crate::ir::activity::CoreCounts;
+
+    /// The ways of a program of two cores without messages.
+    pub(crate) fn no_ways() -> Ways {
+        ways(&[(0, 0), (0, 0)], &[], &[])
+    }
+
+    /// Ways on one chip of 8 by 4 tiles, with 10 compartments a core; lists of (receiving core, dense synapses).
+    fn ways(tiles: &[(u32, u32)], inputs: &[&[(u32, u32)]], spikes: &[&[(u32, u32)]]) -> Ways {
+        let lists = |from: &[&[(u32, u32)]]| {
+            let mut lists = Lists::default();
+            for list in from {
+                lists.push(list.iter().map(|&(core, events_dense)| Message {
+                    core: CoreId(core),
+                    events_dense,
+                    events_sparse: 0,
+                }));
+            }
+            lists
+        };
+        Ways {
+            columns: 8,
+            rows: 4,
+            chip_width: 8,
+            chip_height: 4,
+            tiles: tiles.iter().copied().chain([(0, 0)]).collect(),
+            cores: tiles.len(),
+            inputs: lists(inputs),
+            spikes: lists(spikes),
+            seats: (0..spikes.len() as u32).map(|i| (CoreId(i / 10), i % 10, 10)).collect(),
+            chips_x: 1,
+        }
+    }
+
+    /// A step of cores that visit 10 compartments each, in which these fired.
+    fn step(cores: usize, channels: &[u32], fired: &[u32]) -> StepActivity {
+        let mut step = StepActivity::new(cores);
+        for core in step.cores.iter_mut() {
+            *core = CoreCounts { visited: 10, ..Default::default() };
+        }
+        step.channels = channels.iter().map(|&c| ChannelId(c)).collect();
+        step.fired = fired.iter().map(|&c| CompartmentId(c)).collect();
+        step
+    }
+
+    fn queued(ways: &Ways, step: &StepActivity, table: &CostTable) -> u64 {
+        let (alone, added) = Queue::new(ways, table).run(step);
+        alone.0 + added.0
+    }
+
+    #[test]
+    fn a_lone_message_is_sent_crosses_and_is_handled() {
+        let sana = table("sanafe-calibrated");
+        let mut spikes: Vec<&[(u32, u32)]> = vec![&[]; 20];
+        spikes[3] = &[(1, 7)];
+        let ways = ways(&[(0, 0), (2, 1)], &[], &spikes);
+        let step = step(2, &[], &[3]);
+        // Four visits, the spike, the axon; two links east and one south; an axon and seven synapses.
+        let (sent, way, handled) = (4 * 6_000 + 30_000 + 5_100, 2 * 4_100 + 6_500, 16_000 + 7 * 3_800);
+        assert_eq!(queued(&ways, &step, &sana), sent + way + handled);
+        // Six more visits follow while it is under way.
+        assert!(6 * 6_000 < way + handled);
+    }
+
+    #[test]
+    fn a_silent_step_takes_the_visits_of_the_slowest_core() {
+        let sana = table("sanafe-calibrated");
+        let ways = ways(&[(0, 0), (2, 1)], &[], &[&[] as &[_]; 20]);
+        let mut step = step(2, &[], &[]);
+        step.cores.as_mut_slice()[1].active = 5;
+        assert_eq!(queued(&ways, &step, &sana), 10 * 6_000 + 5 * 3_700);
+        step.fired = vec![CompartmentId(0)];
+        assert_eq!(queued(&ways, &step, &sana), 10 * 6_000 + 30_000);
+    }
+
+    #[test]
+    fn a_receiver_handles_one_message_after_the_other() {
+        let sana = table("sanafe-calibrated");
+        let list: Vec<&[(u32, u32)]> = vec![&[(0, 50)]; 12];
+        let ways = ways(&[(1, 0)], &list, &[&[] as &[_]; 10]);
+        let each = 16_000 + 50 * 3_800;
+        let all: Vec<u32> = (0..12).collect();
+        // The first arrives over one link.
+        assert_eq!(queued(&ways, &step(1, &all, &[]), &sana), 4_100 + 12 * each);
+    }
+
+    #[test]
+    fn a_link_passes_one_message_after_the_other() {
+        let mut constants = preset("sanafe-calibrated");
+        constants.link_time.value = 1_000.0.into();
+        let slow = CostTable::new(&constants).unwrap();
+        // Twelve messages to twelve cores behind the same link.
+        let tiles: Vec<(u32, u32)> = (0..12).map(|_| (1, 0)).collect();
+        let lists: Vec<[(u32, u32); 1]> = (0..12).map(|core| [(core, 0)]).collect();
+        let lists: Vec<&[(u32, u32)]> = lists.iter().map(<[_; 1]>::as_slice).collect();
+        let ways = ways(&tiles, &lists, &[]);
+        let mut step = step(12, &(0..12).collect::<Vec<_>>(), &[]);
+        assert_eq!(queued(&ways, &step, &slow), 11 * 1_000_000 + 4_100 + 16_000);
+        step.messages_from_inputs = 12;
+        step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 12);
+        let time = ways.step_time(&step, &slow, Transport::Analytic, 1, 1);
+        assert_eq!(time.transport, Picoseconds(4_100 + 11 * 1_000_000));
+    }
+
+    #[test]
+    fn a_full_way_holds_its_sender_up() {
+        // One core sends to a slow receiver first, then to one that takes longest of all.
+        let mut spikes: Vec<&[(u32, u32)]> = vec![&[(1, 200)]; 10];
+        spikes[9] = &[(2, 5_000)];
+        spikes.extend([&[] as &[(u32, u32)]; 20]);
+        let ways = ways(&[(0, 0), (1, 0), (0, 1)], &[], &spikes);
+        let with = |buffer: f64| {
+            let mut constants = preset("sanafe-calibrated");
+            constants.link_buffer.value = buffer.into();
+            queued(&ways, &step(3, &[], &(0..10).collect::<Vec<_>>()), &CostTable::new(&constants).unwrap())
+        };
+        let mut last = u64::MAX;
+        for buffer in [0.0, 1.0, 2.0, 4.0, 16.0, 1000.0] {
+            let time = with(buffer);
+            assert!(time <= last, "buffer {buffer}: {time} after {last}");
+            last = time;
+        }
+        assert!(with(0.0) > with(1000.0));
+    }
+
+    #[test]
+    fn what_enters_the_mesh_leaves_it() {
+        let sana = table("sanafe-calibrated");
+        let list: Vec<&[(u32, u32)]> = vec![&[(0, 5), (1, 3), (2, 9)]; 10];
+        let ways = ways(&[(7, 3), (3, 2), (0, 0)], &list, &[&[] as &[_]; 30]);
+        let mut queue = Queue::new(&ways, &sana);
+        for (at, message) in
+            queue.senders(&step(3, &(0..10).collect::<Vec<_>>(), &[])).pop().unwrap().0.iter().enumerate()
+        {
+            queue.send(at as u64 * 10, 3, *message);
+        }
+        assert!(queue.occupied.iter().any(|&part| part > 0) && queue.handling > 0);
+        queue.advance(u64::MAX);
+        assert!(queue.occupied.iter().all(|&part| part == 0) && queue.handling == 0 && queue.under_way.is_empty());
+    }
+}
