@@ -47,7 +47,8 @@ fn samples(folder: &Path) {
             }
             std::fs::write(folder.join(format!("{name}{sample}.csv")), rows).unwrap();
         }
-        entries += &format!("(files: {{\"t\": \"touch{sample}.csv\", \"s\": \"sight{sample}.csv\"}}, label: {label}),\n");
+        entries +=
+            &format!("(files: {{\"t\": \"touch{sample}.csv\", \"s\": \"sight{sample}.csv\"}}, label: {label}),\n");
     }
     let set = format!(
         "DataSet(name: \"set\", populations: {{\"t\": \"touch\", \"s\": \"sight\"}}, steps: 40, samples: [{entries}])"
@@ -63,7 +64,12 @@ fn nsim(folder: &Path, arguments: &[&str]) -> Value {
         .args(["--format", "json"])
         .output()
         .unwrap();
-    assert!(run.status.success(), "{arguments:?}: {}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr));
+    assert!(
+        run.status.success(),
+        "{arguments:?}: {}{}",
+        String::from_utf8_lossy(&run.stdout),
+        String::from_utf8_lossy(&run.stderr)
+    );
     serde_json::from_slice(&run.stdout).unwrap()
 }
 
@@ -125,7 +131,8 @@ fn a_study_is_taken_up_where_it_was_left() {
     assert_eq!(first["settings"].as_array().unwrap().len(), 2);
     assert_eq!(first["settings"][0]["runs"].as_array().unwrap().len(), 4);
     let files = std::fs::read_dir(folder.join("runs")).unwrap().count();
-    assert_eq!(files, 8);
+    // A result, a model and its weights each.
+    assert_eq!(files, 24);
     let second = nsim(folder, &[&study[..], &grid].concat());
     assert_eq!(first, second);
 }

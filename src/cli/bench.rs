@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::bench::networks::{Bench, Standard};
 use crate::bench::{Budget, Environment, measure};
+use crate::cli::early::{self, EarlyArgs};
 use crate::cli::{Answer, Context, common};
 use crate::compile::{CompileError, Options, compile_quantised};
 use crate::error::Error;
@@ -32,6 +33,7 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Which {
     Step(StepArgs),
+    Early(EarlyArgs),
 }
 
 /// Microseconds a timestep on standard networks: medians, and the distance of the quartiles
@@ -69,7 +71,10 @@ fn seconds(text: &str) -> Result<Duration, String> {
 /// # Errors
 /// [`Error::Fault`] when a standard network cannot be made.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let Which::Step(args) = &args.bench;
+    let args = match &args.bench {
+        Which::Step(args) => args,
+        Which::Early(args) => return early::run(args, context),
+    };
     let networks: Vec<Standard> = match args.network.as_slice() {
         [] => Standard::ALL.to_vec(),
         given => given.to_vec(),

@@ -6,6 +6,7 @@
 pub mod bench;
 pub mod common;
 pub mod complain;
+pub mod early;
 pub mod energy;
 pub mod inputs;
 pub mod inspect;

@@ -19,6 +19,7 @@ use crate::report::train::{Run, StudyReport, TrainReport, history_csv};
 use crate::train::checkpoint;
 use crate::train::export;
 use crate::train::fit::{Example, Plan, State, stratified_folds};
+use crate::train::network::Weights;
 use crate::train::plan::plan;
 use crate::train::raster::Raster;
 use crate::train::text::with_field;
@@ -192,13 +193,19 @@ fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Contex
 }
 
 /// Trains on all samples but those of a fold, and scores on them.
-fn cross_validate(plan: &Plan, examples: &[Example], fold: &[usize], context: Context) -> Result<f64, Error> {
+fn cross_validate(
+    plan: &Plan,
+    examples: &[Example],
+    fold: &[usize],
+    context: Context,
+) -> Result<(f64, Weights), Error> {
     let part = |tested: bool| {
         let chosen = (0..examples.len()).filter(|index| fold.contains(index) == tested);
         chosen.map(|index| examples[index].clone()).collect::<Vec<_>>()
     };
     let state = train(plan, &part(false), None, context)?;
-    Ok(plan.score(plan.result(&state), &part(true)).accuracy)
+    let weights = plan.result(&state).clone();
+    Ok((plan.score(&weights, &part(true)).accuracy, weights))
 }
 
 /// Folds are drawn from a fixed seed, so that every setting is tried on the same ones.
@@ -218,15 +225,33 @@ fn weights_path(model: &Path) -> PathBuf {
     model.with_extension("safetensors")
 }
 
+/// Writes a model file and its weights beside it.
+fn write_model(
+    path: &Path,
+    force: bool,
+    file: &TrainingFile,
+    plan: &Plan,
+    weights: &Weights,
+    comment: &str,
+    provenance: &str,
+) -> Result<(), Error> {
+    let beside = weights_path(path);
+    let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let model = export::model(file, &plan.topology, weights, &name, comment, provenance)?;
+    io::write::file(&beside, force, |out| out.write_all(&model.weights))?;
+    Ok(io::write::text(path, force, &model.ron)?)
+}
+
 /// The command.
 ///
 /// # Errors
 /// [`Error`] when the training file or a source cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let source = io::text::read_text(&args.config)?;
-    let fields = args.set.iter().map(|text| {
-        text.split_once('=').ok_or_else(|| Error::Usage(format!("--set {text}: write FIELD=VALUE")))
-    });
+    let fields = args
+        .set
+        .iter()
+        .map(|text| text.split_once('=').ok_or_else(|| Error::Usage(format!("--set {text}: write FIELD=VALUE"))));
     let fields = fields.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.study {
         return study(args, &source, &fields, folder, context);
@@ -247,7 +272,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let outcomes: Vec<Outcome> = job.plan.outputs(weights, seen).iter().map(outcome).collect();
     let mut fold_accuracies = Vec::new();
     for fold in folds(args, &data.train) {
-        fold_accuracies.push(cross_validate(&job.plan, &data.train, &fold, context)?);
+        fold_accuracies.push(cross_validate(&job.plan, &data.train, &fold, context)?.0);
     }
     let report = TrainReport {
         name: &job.file.name,
@@ -266,12 +291,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         io::write::text(path, context.force, &history_csv(&state.history))?;
     }
     if let Some(path) = &args.output {
-        let beside = weights_path(path);
-        let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let (comment, provenance) = (report.provenance(&source, &args.set), report.summary());
-        let model = export::model(&job.file, &job.plan.topology, weights, &name, &comment, &provenance)?;
-        io::write::file(&beside, context.force, |out| out.write_all(&model.weights))?;
-        io::write::text(path, context.force, &model.ron)?;
+        write_model(path, context.force, &job.file, &job.plan, weights, &comment, &provenance)?;
     }
     common::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
@@ -335,13 +356,17 @@ fn study(
                     Some(run) => run,
                     None => {
                         let begin = Instant::now();
-                        let accuracy = match fold {
+                        let (accuracy, weights) = match fold {
                             Some(fold) => cross_validate(&plan, &data.train, fold, context)?,
                             None => {
                                 let state = train(&plan, &data.train, None, context)?;
-                                plan.score(plan.result(&state), &data.test).accuracy
+                                let weights = plan.result(&state).clone();
+                                (plan.score(&weights, &data.test).accuracy, weights)
                             }
                         };
+                        let model = path.with_extension("ron");
+                        let said = format!("{name} seed {seed}, {kind}, of a study: accuracy {accuracy:.4}");
+                        write_model(&model, true, &file, &plan, &weights, "", &said)?;
                         let seconds = begin.elapsed().as_secs_f64();
                         let run = Run {
                             setting: name.clone(),
@@ -353,6 +378,8 @@ fn study(
                         };
                         let mut value = run.json();
                         value["fingerprint"] = print.clone().into();
+                        value["name"] = file.name.clone().into();
+                        value["tested"] = fold.cloned().into();
                         io::write::text(&path, true, &format!("{value:#}\n"))?;
                         run
                     }

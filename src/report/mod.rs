@@ -5,6 +5,7 @@
 
 pub mod bench;
 pub mod calibration;
+pub mod early;
 pub mod energy;
 pub mod inspect;
 pub mod map;

@@ -83,15 +83,19 @@ impl TrainReport<'_> {
     /// One line: accuracy on what.
     #[must_use]
     pub fn summary(&self) -> String {
-        let test = self.test_accuracy.map_or(String::new(), |accuracy| {
-            format!("; accuracy {accuracy:.4} on {} test samples", self.samples.1)
-        });
+        let test = self
+            .test_accuracy
+            .map_or(String::new(), |accuracy| format!("; accuracy {accuracy:.4} on {} test samples", self.samples.1));
         let folds = match self.folds {
             [] => String::new(),
             folds => {
                 let each: Vec<String> = folds.iter().map(|fold| format!("{fold:.3}")).collect();
                 let (mean, sd) = mean_sd(folds);
-                format!("; {} folds of the training samples: {}, mean {mean:.3}, sd {sd:.3}", folds.len(), each.join(" "))
+                format!(
+                    "; {} folds of the training samples: {}, mean {mean:.3}, sd {sd:.3}",
+                    folds.len(),
+                    each.join(" ")
+                )
             }
         };
         format!(
@@ -106,7 +110,12 @@ impl TrainReport<'_> {
         let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let set = set.iter().map(|set| format!(" --set '{set}'")).collect::<String>();
         let summary: String = super::wrapped(&self.summary());
-        format!("{}\n\n{summary}\nnsim train {file}{set} --seed {}, the training file being:\n\n{}", self.name, self.seed, source.text())
+        format!(
+            "{}\n\n{summary}\nnsim train {file}{set} --seed {}, the training file being:\n\n{}",
+            self.name,
+            self.seed,
+            source.text()
+        )
     }
 
     /// For people.

@@ -38,7 +38,11 @@ pub fn model(
     for line in comment.lines() {
         let _ = writeln!(out, "{}", format!("// {line}").trim_end());
     }
-    let _ = writeln!(out, "Network(\n    name: {:?},\n    timestep_ms: {:?},\n    populations: [", file.name, *file.timestep_ms);
+    let _ = writeln!(
+        out,
+        "Network(\n    name: {:?},\n    timestep_ms: {:?},\n    populations: [",
+        file.name, *file.timestep_ms
+    );
     for input in &file.inputs {
         let _ = writeln!(out, "        Input(name: {:?}, shape: {:?}),", input.name, input.shape);
     }
@@ -111,9 +115,11 @@ fn population(file: &TrainingFile, desc: &LayerDesc, layer: &Layer) -> Result<St
                 of(|n| n.refractory.get().into()),
             ))
         }
-        (Cells::Srm(_), NeuronDesc::Srm { tau_sr_ms: TimesDesc::Same(tau), tau_ref_ms, scale_ref, theta, .. }) => Ok(format!(
-            "Srm({head}, tau_sr_ms: {tau:?}, tau_ref_ms: {tau_ref_ms:?}, scale_ref: {scale_ref:?}, theta: {theta:?})"
-        )),
+        (Cells::Srm(_), NeuronDesc::Srm { tau_sr_ms: TimesDesc::Same(tau), tau_ref_ms, scale_ref, theta, .. }) => {
+            Ok(format!(
+                "Srm({head}, tau_sr_ms: {tau:?}, tau_ref_ms: {tau_ref_ms:?}, scale_ref: {scale_ref:?}, theta: {theta:?})"
+            ))
+        }
         (Cells::Srm(_), _) => Err(Diagnostic::new(
             "train.export",
             format!("layer '{}': SRM populations of a model file have one time constant", desc.name),

@@ -167,7 +167,14 @@ impl Plan {
         }
     }
 
-    fn sample(&self, deployed: &Deployed, example: &Example, index: u64, epoch: u64, work: &mut Workspace) -> (f64, bool) {
+    fn sample(
+        &self,
+        deployed: &Deployed,
+        example: &Example,
+        index: u64,
+        epoch: u64,
+        work: &mut Workspace,
+    ) -> (f64, bool) {
         let varied;
         let inputs = match self.augment == AugmentDesc::default() {
             true => &example.inputs,

@@ -87,10 +87,12 @@ impl Loss {
             }
             Form::CrossEntropy { scale } => {
                 let most = counts.iter().copied().fold(0.0, f32::max);
-                let powers: Vec<f64> = counts.iter().map(|count| libm::exp(f64::from(scale * (count - most)))).collect();
+                let powers: Vec<f64> =
+                    counts.iter().map(|count| libm::exp(f64::from(scale * (count - most)))).collect();
                 let sum: f64 = powers.iter().sum();
                 let right = |class: usize| f64::from(u8::from(class == label as usize));
-                let excess: Vec<f32> = (0..n).map(|class| scale * (powers[class] / sum - right(class)) as f32).collect();
+                let excess: Vec<f32> =
+                    (0..n).map(|class| scale * (powers[class] / sum - right(class)) as f32).collect();
                 error.chunks_exact_mut(n).for_each(|error| add(error, &excess, 1.0));
                 -libm::log(powers[label as usize] / sum)
             }

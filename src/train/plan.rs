@@ -87,7 +87,8 @@ pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan, Diagnostic
         if let Some(m) = &mantissas
             && 256.0 * fan_in as f64 * f64::from(m.exponent.get()).exp2() >= f64::from(1 << 24)
         {
-            let message = format!("layer '{}': {fan_in} inputs at this weight exponent could sum beyond 2^24", desc.name);
+            let message =
+                format!("layer '{}': {fan_in} inputs at this weight exponent could sum beyond 2^24", desc.name);
             return Err(problems.at("train.range", span, message));
         }
         let surrogate = Surrogate::new(cells.theta(), tau_rho as f32, scale_rho as f32);
@@ -132,7 +133,14 @@ fn loss(desc: LossDesc, output: &Cells) -> Loss {
 }
 
 /// The time constant of each neuron in steps.
-fn times(problems: &Problems, span: Span, what: &str, desc: TimesDesc, n: usize, step: f64) -> Result<Vec<f64>, Diagnostic> {
+fn times(
+    problems: &Problems,
+    span: Span,
+    what: &str,
+    desc: TimesDesc,
+    n: usize,
+    step: f64,
+) -> Result<Vec<f64>, Diagnostic> {
     let check = |value: f64| problems.number(span, what, value / step, 1e-3, LONGEST);
     match desc {
         TimesDesc::Same(value) => Ok(vec![check(value)?; n]),

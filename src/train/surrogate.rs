@@ -41,7 +41,8 @@ fn exp_minus(x: f32) -> f32 {
     let y = (x * std::f32::consts::LOG2_E).min(125.0);
     let whole = y as i32;
     let f = (whole as f32 - y + 0.5) * std::f32::consts::LN_2;
-    let series = 1.0 + f * (1.0 + f * (0.5 + f * (1.0 / 6.0 + f * (1.0 / 24.0 + f * (1.0 / 120.0 + f * (1.0 / 720.0))))));
+    let series =
+        1.0 + f * (1.0 + f * (0.5 + f * (1.0 / 6.0 + f * (1.0 / 24.0 + f * (1.0 / 120.0 + f * (1.0 / 720.0))))));
     series * std::f32::consts::FRAC_1_SQRT_2 * f32::from_bits(((127 - whole) as u32) << 23)
 }
 
