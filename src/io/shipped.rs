@@ -51,7 +51,7 @@ pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "s
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 
 /// The arrays that shipped models refer to: path within `models/`, content.
-pub const ARRAYS: &[(&str, &[u8])] = weights!("container-tactile-srm");
+pub const ARRAYS: &[(&str, &[u8])] = weights!("container-tactile-srm", "vtsnn-slip");
 
 /// Where a text came from: decides where the files that it names are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -59,12 +59,16 @@ impl Group {
             .collect()
     }
 
-    /// Mean over the samples that are right in the end of the time from which they are, and the median.
+    /// The time from which samples that end right are right for good, in the mean of each model: mean and median over the
+    /// models.
     fn decided_ms(&self) -> Option<(f64, f64)> {
-        let mut times: Vec<f64> = self.trials.iter().flat_map(|t| t.decided_ms.iter().copied().flatten()).collect();
-        times.sort_by(f64::total_cmp);
-        let median = *times.get(times.len() / 2)?;
-        Some((mean_sd(&times).0, median))
+        let of = |trial: &Trial| {
+            let times: Vec<f64> = trial.decided_ms.iter().copied().flatten().collect();
+            (!times.is_empty()).then(|| mean_sd(&times).0)
+        };
+        let mut means: Vec<f64> = self.trials.iter().filter_map(of).collect();
+        means.sort_by(f64::total_cmp);
+        Some((mean_sd(&means).0, *means.get(means.len() / 2)?))
     }
 
     /// Mean accuracy over all steps: the area under the curve, which grows when decisions come earlier.
@@ -163,7 +167,7 @@ impl EarlyReport<'_> {
             "number",
             "accuracy",
             "sd",
-            "right for good, ms",
+            "right for good at, ms",
             "median",
             "mean over time",
             "uJ a sample",
@@ -187,5 +191,30 @@ impl EarlyReport<'_> {
         table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
         let mode = if self.realtime { "steps held to the timestep" } else { "as fast as possible" };
         format!("{} copies packed, figures of one, {mode}\n\n{table}\n", self.copies)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn models_of_a_group_are_one_line_with_a_band() {
+        let trial = |late: f64| Trial {
+            timestep_ms: 2.0,
+            accuracy: vec![0.5, 1.0 - late],
+            energy_uj: vec![1.0, 2.0],
+            decided_ms: vec![Some(2.0 + late), None],
+        };
+        let groups = [Group { name: "a".into(), trials: vec![trial(0.0), trial(0.5), trial(0.25)] }];
+        let report = EarlyReport { groups: &groups, copies: 1, realtime: false };
+        let json = report.json();
+        let row = &json["rows"][0];
+        assert_eq!((&row["time_ms"], &row["energy_uj"]), (&json!([2.0, 4.0]), &json!([1.0, 2.0])));
+        assert_eq!((&row["accuracy"][1], &row["right_for_good_ms"]["median"]), (&json!(0.75), &json!(2.25)));
+        assert_eq!(report.csv().lines().count(), 3);
+        let Series::Line { points, band, .. } = &report.lines(|p| p.time_ms)[0] else { panic!() };
+        assert_eq!((points[1], band.len()), ((4.0, 0.75), 2));
+        assert!(report.over_time().starts_with("<svg") && report.text().contains("0.7500"));
     }
 }
