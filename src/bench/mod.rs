@@ -9,6 +9,7 @@ pub mod cpu;
 pub mod environment;
 pub mod measure;
 pub mod networks;
+pub mod pareto;
 pub mod power;
 
 pub use environment::Environment;

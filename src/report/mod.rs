@@ -3,14 +3,17 @@
 //! Goes in: finished results. Comes out: strings; writing them is the command line's. Nothing is computed here but the
 //! rounding of what is printed.
 
+pub mod agree;
 pub mod bench;
 pub mod calibration;
 pub mod early;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod pareto;
 pub mod plot;
 pub mod run;
+pub mod stress;
 pub mod train;
 
 /// The width of text for people.
