@@ -39,7 +39,7 @@ macro_rules! weights {
 }
 
 /// Shipped models.
-pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "container-tactile-srm", "vtsnn-slip");
+pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "container-tactile-srm", "slip-tactile", "slip-vision", "vtsnn-slip", "vtsnn-slip-srm");
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
     shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");
@@ -51,7 +51,14 @@ pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "s
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 
 /// The arrays that shipped models refer to: path within `models/`, content.
-pub const ARRAYS: &[(&str, &[u8])] = weights!("container-tactile-srm", "vtsnn-slip");
+pub const ARRAYS: &[(&str, &[u8])] = weights!(
+    "container-tactile",
+    "container-tactile-srm",
+    "slip-tactile",
+    "slip-vision",
+    "vtsnn-slip",
+    "vtsnn-slip-srm"
+);
 
 /// Where a text came from: decides where the files that it names are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
