@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use crate::bench::networks::{Bench, Standard};
 use crate::bench::suite::{self, Case};
 use crate::bench::{Budget, Environment, mapping, measure};
+use crate::cli::early::{self, EarlyArgs};
 use crate::cli::pareto::ParetoArgs;
 use crate::cli::{Answer, Context, common, pareto};
 use crate::compile::{CompileError, Options, compile_quantised};
@@ -40,6 +41,7 @@ pub struct Args {
 enum Which {
     Step(StepArgs),
     Map(MapArgs),
+    Early(EarlyArgs),
     Pareto(Box<ParetoArgs>),
 }
 
@@ -108,6 +110,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     match &args.bench {
         Which::Step(args) => step(args, context),
         Which::Map(args) => map_suite(args, context),
+        Which::Early(args) => early::run(args, context),
         Which::Pareto(args) => pareto::run(args, context),
     }
 }

@@ -37,6 +37,15 @@ pub struct JobArgs {
     pub prune: PruneArgs,
 }
 
+impl JobArgs {
+    /// A model on the default target, unpruned.
+    #[must_use]
+    pub fn of_model(model: &str) -> Self {
+        let target = "nahuku-32".to_string();
+        JobArgs { model: model.to_string(), target, mapping: None, prune: PruneArgs { prune: Vec::new() } }
+    }
+}
+
 /// A network ready to run.
 #[derive(Debug)]
 pub enum Job {

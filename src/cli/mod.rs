@@ -7,6 +7,7 @@ pub mod agree;
 pub mod bench;
 pub mod common;
 pub mod complain;
+pub mod early;
 pub mod energy;
 pub mod inputs;
 pub mod inspect;
@@ -18,6 +19,7 @@ pub mod run;
 pub mod scene;
 pub mod simulate;
 pub mod stress;
+pub mod train;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -103,6 +105,7 @@ enum Command {
     Agree(agree::Args),
     Bench(bench::Args),
     Scene(scene::Args),
+    Train(train::Args),
     Stress(stress::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
@@ -122,6 +125,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Agree(args) => agree::run(args, context),
         Command::Bench(args) => bench::run(args, context),
         Command::Scene(args) => scene::run(args, context),
+        Command::Train(args) => train::run(args, context),
         Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {

@@ -7,6 +7,7 @@ pub mod agree;
 pub mod bench;
 pub mod bench_map;
 pub mod calibration;
+pub mod early;
 pub mod energy;
 pub mod inspect;
 pub mod map;
@@ -16,6 +17,7 @@ pub mod plot;
 pub mod run;
 pub mod scene;
 pub mod stress;
+pub mod train;
 
 /// The width of text for people.
 const WIDTH: usize = 100;
