@@ -9,6 +9,8 @@ pub mod common;
 pub mod complain;
 pub mod early;
 pub mod energy;
+pub mod export;
+pub mod import;
 pub mod inputs;
 pub mod inspect;
 pub mod jobs;
@@ -106,6 +108,10 @@ enum Command {
     Bench(bench::Args),
     Scene(scene::Args),
     Train(train::Args),
+    /// Turn a model of another tool into one of nsim's own
+    Import(import::Args),
+    /// Write a model in a form that other tools read
+    Export(export::Args),
     Stress(stress::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
@@ -126,6 +132,8 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Bench(args) => bench::run(args, context),
         Command::Scene(args) => scene::run(args, context),
         Command::Train(args) => train::run(args, context),
+        Command::Export(args) => export::run(args, context),
+        Command::Import(args) => import::run(args, context),
         Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {
