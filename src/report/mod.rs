@@ -5,11 +5,13 @@
 
 pub mod bench;
 pub mod calibration;
+pub mod compared;
 pub mod energy;
 pub mod inspect;
 pub mod map;
 pub mod plot;
 pub mod run;
+pub mod sanafe;
 
 /// The width of text for people.
 const WIDTH: usize = 100;
