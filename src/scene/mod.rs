@@ -1,18 +1,51 @@
 //! Synthetic stimuli: `scene:NAME?key=value&..`.
 //!
 //! Comes in: the network's input populations and a scene's parameters. Goes out: samples, the same for the same seed on
-//! any machine.
+//! any machine. `docs/scenes.md` has the equations, the parameters with their sources, and what the scenes look like.
 
+pub mod camera;
+pub mod draw;
+pub mod gripper;
 pub mod noise;
+pub mod slip;
+pub mod touch;
+
+use rayon::prelude::*;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::base::id::ChannelId;
 use crate::desc::stimulus::SceneArg;
 use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Stimulus;
+use crate::ir::spikes::{Sample, Stimulus};
 
 /// The scenes that ship, by name and what they are.
-pub const SCENES: [(&str, &str); 1] =
-    [("noise", "independent spikes at a fixed rate (samples, steps, seed, rate, POPULATION=rate)")];
+pub const SCENES: [(&str, &str); 2] = [
+    ("noise", "independent spikes at a fixed rate (samples, steps, seed, rate, POPULATION=rate)"),
+    ("slip", "a gripper lifts a box, which rotates or does not (samples, seed, and docs/scenes.md)"),
+];
+
+/// The most samples of a scene.
+pub const MOST_SAMPLES: u32 = 100_000;
+
+/// What two fingers and a camera recorded of one sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    /// Timesteps.
+    pub steps: u32,
+    /// The class.
+    pub label: u32,
+    /// When what decides the class begins, in ms; none when it does not.
+    pub onset_ms: Option<f64>,
+    /// (step, channel) of touch; channel = (39 finger + taxel) 2 + polarity, polarity 1 for a rise.
+    pub touch: Vec<(u32, u32)>,
+    /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.
+    pub vision: Vec<(u32, u32)>,
+}
+
+/// The population that touch is for, and its channels.
+pub const TOUCH: (&str, u32) = ("tactile", 4 * touch::TAXELS as u32);
+/// The population that vision is for, and its channels.
+pub const VISION: (&str, u32) = ("vision", camera::POOLED as u32);
 
 /// Makes a scene for a network.
 ///
@@ -21,12 +54,55 @@ pub const SCENES: [(&str, &str); 1] =
 pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus, Diagnostic> {
     match scene.name.as_str() {
         "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?),
+        "slip" => {
+            let slip = slip::Slip::parse(scene)?;
+            recorded(network, "slip", slip.seed, slip.samples, |sample| slip.recording(sample))
+        }
         other => {
             let known: Vec<&str> = SCENES.iter().map(|(name, _)| *name).collect();
             Err(Diagnostic::new("scene.unknown", format!("there is no scene '{other}'"))
                 .help(format!("scenes are: {}", known.join(", "))))
         }
     }
+}
+
+/// The recordings of a scene on the channels of a network's input populations.
+fn recorded(
+    network: &Quantised,
+    name: &str,
+    seed: u64,
+    samples: u32,
+    make: impl Fn(u32) -> Recording + Sync,
+) -> Result<Stimulus, Diagnostic> {
+    // First channel of touch and of vision, where the network has them.
+    let mut first = [None, None];
+    for (_, population) in network.inputs() {
+        let units = population.shape.len();
+        let Some(sense) = [TOUCH, VISION].iter().position(|sense| *sense == (population.name.as_str(), units)) else {
+            let message = format!(
+                "scene {name} has nothing for input population '{}' with its {units} channels",
+                population.name
+            );
+            let help = format!("it is recorded for '{}' ({}) and '{}' ({})", TOUCH.0, TOUCH.1, VISION.0, VISION.1);
+            return Err(Diagnostic::new("scene.population", message).help(help));
+        };
+        first[sense] = population.first_channel().map(|channel| channel.0);
+    }
+    let samples = (0..samples)
+        .into_par_iter()
+        .map(|sample| {
+            let recording = make(sample);
+            let mut events = Vec::with_capacity(recording.touch.len() + recording.vision.len());
+            for (first, sense) in first.iter().zip([&recording.touch, &recording.vision]) {
+                if let &Some(first) = first {
+                    events.extend(sense.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));
+                }
+            }
+            Sample::new(recording.steps, events, Some(recording.label))
+        })
+        .collect::<Result<_, _>>()
+        .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;
+    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(seed) })
 }
 
 /// A parameter's value within a range.
@@ -41,4 +117,15 @@ fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
             format!("scene parameter {key}={value} is not within {}..={}", range.start(), range.end()),
         )
     })
+}
+
+/// A parameter that is drawn for each sample: `low..high`, or one value for all; both within a range.
+fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64), Diagnostic> {
+    let (low, high) = value.split_once("..").unwrap_or((value, value));
+    let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
+    if low > high {
+        return Err(Diagnostic::new("scene.parameter", format!("scene parameter {key}={value} runs downward"))
+            .help("write low..high"));
+    }
+    Ok((low, high))
 }

@@ -1,0 +1,150 @@
+//! An event camera: brightness of pixels -> events on changes of its logarithm, pooled 4 x 4.
+//!
+//! Comes in: a view that says how bright a pixel is (natural logarithm) and which pixels may have changed. Goes out: the
+//! pooled channels that spike in a millisecond. A pixel sends an event when its brightness differs from that at its last
+//! event by the contrast threshold (Lichtsteiner, Posch and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal
+//! contrast vision sensor", IEEE JSSC 2008), then rests for its refractory time; noise events come on top. A pooled unit
+//! sums the events of its 16 pixels, both polarities, within a millisecond and spikes from the first on.
+//!
+//! Window, pooling and the order of the channels are VT-SNN's: 200 columns x 250 rows, 4 x 4 to 50 columns x 63 rows (the
+//! last row of units sees two rows of pixels), channel = row of units x 50 + column.
+
+use super::draw::{Draws, Purpose};
+
+/// Columns of pixels.
+pub const WIDTH: usize = 200;
+/// Rows of pixels.
+pub const HEIGHT: usize = 250;
+/// Pixels of a pooled unit along each axis.
+pub const POOL: usize = 4;
+/// Columns of pooled units.
+pub const POOLED_WIDTH: usize = WIDTH.div_ceil(POOL);
+/// Rows of pooled units.
+pub const POOLED_HEIGHT: usize = HEIGHT.div_ceil(POOL);
+/// Pooled units: the channels of the vision population.
+pub const POOLED: usize = POOLED_WIDTH * POOLED_HEIGHT;
+
+/// The pooled unit of a pixel.
+#[inline]
+#[must_use]
+pub fn pooled(x: usize, y: usize) -> usize {
+    y / POOL * POOLED_WIDTH + x / POOL
+}
+
+/// How pixels respond.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pixels {
+    /// Change of the natural logarithm of brightness that makes an event.
+    pub contrast: f64,
+    /// Relative standard deviation of the threshold from pixel to pixel.
+    pub mismatch: f64,
+    /// Shortest time between two events of a pixel, ms.
+    pub refractory_ms: u16,
+    /// Noise events of a pixel, in each second.
+    pub noise_hz: f64,
+}
+
+impl Default for Pixels {
+    fn default() -> Self {
+        Pixels { contrast: 0.2, mismatch: 0.1, refractory_ms: 2, noise_hz: 0.3 }
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Pixel {
+    /// Brightness at the last event.
+    reference: f32,
+    threshold: f32,
+    /// The first step in which it may send again.
+    free_at: u16,
+    seen: bool,
+}
+
+/// A camera at work.
+#[derive(Debug, Clone)]
+pub struct Camera {
+    pixels: Pixels,
+    draws: Draws,
+    sensor: Draws,
+    state: Vec<Pixel>,
+    /// Pixels that have changed by more than they could send.
+    behind: Vec<u32>,
+    spiking: Vec<u64>,
+    step: u16,
+}
+
+impl Camera {
+    /// A camera that has seen nothing yet. Thresholds belong to the camera, not to the sample.
+    #[must_use]
+    pub fn new(pixels: &Pixels, draws: Draws, sensor: Draws) -> Self {
+        let pixel = Pixel { reference: 0.0, threshold: 0.0, free_at: 0, seen: false };
+        Camera {
+            pixels: pixels.clone(),
+            draws,
+            sensor,
+            state: vec![pixel; WIDTH * HEIGHT],
+            behind: Vec::new(),
+            spiking: vec![0; POOLED.div_ceil(64)],
+            step: 0,
+        }
+    }
+
+    /// A millisecond: looks at the pixels that `changed` names (any number of times each), where the view was `at_rest` and
+    /// is `now`; calls `spike` for each pooled unit that spikes, ascending.
+    pub fn step(
+        &mut self,
+        changed: &[u32],
+        at_rest: impl Fn(usize, usize) -> f32,
+        now: impl Fn(usize, usize) -> f32,
+        mut spike: impl FnMut(u32),
+    ) {
+        let behind = std::mem::take(&mut self.behind);
+        for &pixel in changed.iter().chain(&behind) {
+            let (x, y) = (pixel as usize % WIDTH, pixel as usize / WIDTH);
+            let state = &mut self.state[pixel as usize];
+            if !state.seen {
+                let gain = 1.0 + self.pixels.mismatch * self.sensor.normal(Purpose::PixelGain, pixel, 0);
+                *state = Pixel {
+                    reference: at_rest(x, y),
+                    threshold: (self.pixels.contrast * gain.max(0.2)) as f32,
+                    free_at: state.free_at,
+                    seen: true,
+                };
+            }
+            let level = now(x, y);
+            let change = level - state.reference;
+            if change.abs() < state.threshold {
+                continue;
+            }
+            if self.step >= state.free_at {
+                state.reference += if change > 0.0 { state.threshold } else { -state.threshold };
+                state.free_at = self.step + self.pixels.refractory_ms;
+                let unit = pooled(x, y);
+                self.spiking[unit / 64] |= 1 << (unit % 64);
+            }
+            // What is left is looked at again when the pixel may send.
+            if (level - state.reference).abs() >= state.threshold {
+                self.behind.push(pixel);
+            }
+        }
+        self.behind.sort_unstable();
+        self.behind.dedup();
+        let mean = self.pixels.noise_hz * 1e-3 * (WIDTH * HEIGHT) as f64;
+        for k in 0..self.draws.poisson(Purpose::PixelNoiseCount, 0, u32::from(self.step), mean) {
+            let pixel = self.draws.unit(Purpose::PixelNoise, k, u32::from(self.step)) * (WIDTH * HEIGHT) as f64;
+            let state = &mut self.state[pixel as usize];
+            if self.step >= state.free_at {
+                state.free_at = self.step + self.pixels.refractory_ms;
+                let unit = pooled(pixel as usize % WIDTH, pixel as usize / WIDTH);
+                self.spiking[unit / 64] |= 1 << (unit % 64);
+            }
+        }
+        for (word, bits) in self.spiking.iter_mut().enumerate() {
+            while *bits != 0 {
+                spike(word as u32 * 64 + bits.trailing_zeros());
+                *bits &= *bits - 1;
+            }
+        }
+        self.step += 1;
+    }
+}
