@@ -370,7 +370,7 @@ mod tests {
         let svg = stacked("b", &Axis::linear("y"), &["c".into()], &[tower([30.0, 0.0]), tower([70.0, 0.0])]);
         let tops: Vec<f64> = svg
             .split("<rect x=\"")
-            .skip(2)
+            .skip(1)
             .take(2)
             .map(|rect| rect.split("height=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap())
             .collect();

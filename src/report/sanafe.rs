@@ -137,13 +137,16 @@ impl Export<'_> {
         if parts.reset.is_some() {
             return Err(refused("that a network is reset within a sample"));
         }
+        if self.delays(self.program().cores().iter().flat_map(|image| image.axons_out.items())) != (0, 0) {
+            return Err(refused("delays between compartments, the way nsim counts them").help("export without delays"));
+        }
+        let (least, most) = self.delays(parts.channels.items().iter());
+        if least != most || most > 1 {
+            let message = "inputs of different delays, or of more than 1";
+            return Err(refused(message).help("give all projections from inputs delay 0, or all delay 1"));
+        }
         let leads = self.leads();
         for image in self.program().cores() {
-            if image.synapses.items().iter().any(|synapse| synapse.delay.get() > 0) {
-                return Err(
-                    refused("how long a synapse's delay is, the way nsim counts it").help("export without delays")
-                );
-            }
             for compartment in &image.compartments {
                 if compartment.start_step > 0 {
                     return Err(refused("that a population is held at zero before a step (start_step)"));
