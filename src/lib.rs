@@ -6,6 +6,7 @@
 //! [`ir::program::Program`]; the machine runs it and counts an [`ir::activity::Activity`], from which energy and time
 //! are computed. `docs/architecture.md` has the picture; `docs/semantics.md` the numbered equations.
 
+pub mod agree;
 pub mod base;
 pub mod bench;
 pub mod cli;
@@ -21,3 +22,4 @@ pub mod machine;
 pub mod reference;
 pub mod report;
 pub mod scene;
+pub mod stress;

@@ -7,13 +7,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Rooms from the ground up; a room imports only what stands on a lower line than itself, and itself.
-const LAYERS: [&[&str]; 10] = [
+const LAYERS: [&[&str]; 11] = [
     &["base"],
     &["desc"],
     &["io", "ir"],
     &["cost"],
     &["compile", "machine", "golden", "reference", "scene"],
     &["drive"],
+    &["agree", "stress"],
     &["bench"],
     &["report"],
     &["error"],

@@ -10,6 +10,7 @@ pub mod environment;
 pub mod gpu;
 pub mod measure;
 pub mod networks;
+pub mod pareto;
 pub mod power;
 
 pub use environment::Environment;

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use crate::bench::networks::{Bench, Standard};
 use crate::bench::{Budget, Environment, measure};
-use crate::cli::{Answer, Context, common};
+use crate::cli::pareto::ParetoArgs;
+use crate::cli::{Answer, Context, common, pareto};
 use crate::compile::{CompileError, Options, compile_quantised};
 use crate::error::Error;
 use crate::io;
@@ -19,9 +20,10 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench step                                   microseconds a timestep on standard networks
   nsim bench step --network vtsnn-1pct --seconds 5  one of them, for longer
-  nsim bench step --format json > speed.json        with the environment, for comparison";
+  nsim bench step --format json > speed.json        with the environment, for comparison
+  nsim bench pareto --samples 0..50                 run time against error of the shipped network in many forms";
 
-/// Measure speed on standard networks
+/// Measure speed on standard networks, and run time against error
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -32,6 +34,7 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Which {
     Step(StepArgs),
+    Pareto(Box<ParetoArgs>),
 }
 
 /// Microseconds a timestep on standard networks: medians, and the distance of the quartiles
@@ -57,7 +60,11 @@ fn standard(name: &str) -> Result<Standard, String> {
     })
 }
 
-fn seconds(text: &str) -> Result<Duration, String> {
+/// Seconds as an argument.
+///
+/// # Errors
+/// What seconds are.
+pub fn seconds(text: &str) -> Result<Duration, String> {
     match text.parse::<f64>() {
         Ok(seconds) if (0.0..=3600.0).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
         _ => Err("seconds are between 0 and 3600".to_string()),
@@ -69,7 +76,10 @@ fn seconds(text: &str) -> Result<Duration, String> {
 /// # Errors
 /// [`Error::Fault`] when a standard network cannot be made.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let Which::Step(args) = &args.bench;
+    let args = match &args.bench {
+        Which::Step(args) => args,
+        Which::Pareto(args) => return pareto::run(args, context),
+    };
     let networks: Vec<Standard> = match args.network.as_slice() {
         [] => Standard::ALL.to_vec(),
         given => given.to_vec(),

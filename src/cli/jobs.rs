@@ -78,6 +78,12 @@ pub struct Refusal {
 }
 
 impl Refusal {
+    /// That this model does not fit this target for these reasons.
+    #[must_use]
+    pub fn new(model: &str, target: Target, reasons: Vec<Reason>) -> Self {
+        Refusal { model: model.to_string(), target: Box::new(target), reasons }
+    }
+
     /// Says why, and prints the command's own object, in which every key stands that a run would have filled.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 //! stdout carries the result, stderr everything else. Exit status: 0 done; 1 the answer is no; 2 wrong usage; 3 an input
 //! cannot be read or is not supported; 4 a fault of nsim itself.
 
+pub mod agree;
 pub mod bench;
 pub mod common;
 pub mod complain;
@@ -11,9 +12,11 @@ pub mod inputs;
 pub mod inspect;
 pub mod jobs;
 pub mod map;
+pub mod pareto;
 pub mod prune;
 pub mod run;
 pub mod simulate;
+pub mod stress;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -96,7 +99,9 @@ enum Command {
     Run(run::Args),
     /// Report power, latency and energy of a network, beside other hardware
     Energy(energy::EnergyArgs),
+    Agree(agree::Args),
     Bench(bench::Args),
+    Stress(stress::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
     /// Print shell completions
@@ -112,7 +117,9 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Map(args) => map::run(args, context),
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
+        Command::Agree(args) => agree::run(args, context),
         Command::Bench(args) => bench::run(args, context),
+        Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {
             let mut command = Cli::command();

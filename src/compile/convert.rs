@@ -11,75 +11,155 @@
 //!
 //! The scale is free: weights and threshold are real here, and `quantise` takes the largest scale at which they fit.
 
-use crate::base::fixed::{DECAY_ONE, Decay};
+use std::sync::Arc;
+
+use crate::base::fixed::{DECAY_ONE, Decay, Refractory};
+use crate::desc::tensor::{Numbers, Tensor};
 use crate::ir::graph::{
-    BiasParameter, DecayParameter, Graph, LoihiParameters, PopulationKind, SrmParameters, ThresholdParameter, Values,
+    BiasParameter, DecayParameter, Graph, LoihiParameters, PerCompartment, PopulationKind, ProjectionKind,
+    SrmParameters, ThresholdParameter, Values,
 };
 
-/// What the analysis says of one population.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Start {
-    /// Decay of current and voltage.
-    pub decay: Decay,
+/// What stands for a population of spike response neurons.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// Decay of the current.
+    pub du: Decay,
+    /// Decay of the voltage.
+    pub dv: Decay,
+    /// Refractory period.
+    pub refractory: Refractory,
     /// Threshold in the units of the weights.
     pub threshold: f64,
-    /// The decay before it became an integer, in 4096ths.
-    pub real_decay: f64,
-    /// The threshold that goes with it.
-    pub real_threshold: f64,
+    /// Factors of each compartment's incoming weights; none: all 1. Only for populations whose projections are all
+    /// `Dense` or `Sparse`.
+    pub gains: Vec<f64>,
+    /// Bias of each compartment in the units of the weights; none: all 0.
+    pub biases: Vec<f64>,
 }
 
-/// The greatest of `(k + 1) r^k` over whole k.
-fn peak(r: f64) -> f64 {
-    let value = |k: f64| (k + 1.0) * libm::pow(r, k);
-    // The derivative is 0 at k + 1 = -1 / ln r.
-    let at = if r > 0.0 && r < 1.0 { (-1.0 / libm::log(r) - 1.0).max(0.0) } else { 0.0 };
-    value(at.floor()).max(value(at.ceil()))
-}
-
-/// The decays and the threshold that stand for a spike response population at this timestep.
+/// The greatest value of a compartment's answer to one spike of weight 1, current and voltage keeping these shares of
+/// themselves in a step.
 #[must_use]
-pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Start {
-    let tau = srm.tau_sr_ms / timestep_ms;
-    let r = libm::exp(-1.0 / tau);
+pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
+    let (mut u, mut v) = (1.0, 1.0);
+    // The answer rises once and falls for ever; a current that never decays lets it rise for as long as it is asked.
+    for _ in 0..10_000_000 {
+        u *= keep_u;
+        let next = keep_v * v + u;
+        if next <= v {
+            return v;
+        }
+        v = next;
+    }
+    v
+}
+
+/// What remains of a current or voltage after a step with this decay.
+#[must_use]
+pub fn keep(decay: Decay) -> f64 {
+    1.0 - f64::from(decay.get()) / DECAY_ONE as f64
+}
+
+/// What remains of both after a step before decays become integers: `exp(-dt / tau)`.
+#[must_use]
+pub fn real_keep(srm: &SrmParameters, timestep_ms: f64) -> f64 {
+    libm::exp(-timestep_ms / srm.tau_sr_ms)
+}
+
+/// The threshold at which the peak of an answer is that of the alpha kernel, relative to the threshold.
+#[must_use]
+pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
     // eps(k + 1) = (e r / tau) (k + 1) r^k.
-    let alpha_peak = std::f64::consts::E * r / tau * peak(r);
-    let real_decay = DECAY_ONE as f64 * -libm::expm1(-1.0 / tau);
+    let (tau, r) = (srm.tau_sr_ms / timestep_ms, real_keep(srm, timestep_ms));
+    srm.theta * peak(keep_u, keep_v) / (std::f64::consts::E * r / tau * peak(r, r))
+}
+
+/// The analytic start of a population at this timestep.
+#[must_use]
+pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
+    let real = DECAY_ONE as f64 * (1.0 - real_keep(srm, timestep_ms));
     // A decay of 0 would never forget.
-    let rounded = libm::rint(real_decay).clamp(1.0, DECAY_ONE as f64) as i64;
-    let decay = Decay::new(rounded).unwrap_or(Decay::MAX);
-    Start {
-        decay,
-        threshold: srm.theta * peak(1.0 - rounded as f64 / DECAY_ONE as f64) / alpha_peak,
-        real_decay,
-        real_threshold: srm.theta * peak(r) / alpha_peak,
+    let decay = Decay::new(libm::rint(real).clamp(1.0, DECAY_ONE as f64) as i64).unwrap_or(Decay::MAX);
+    Fit {
+        du: decay,
+        dv: decay,
+        refractory: Refractory::new(1).unwrap_or(Refractory::MIN),
+        threshold: matched_threshold(srm, timestep_ms, keep(decay), keep(decay)),
+        gains: Vec::new(),
+        biases: Vec::new(),
     }
 }
 
-/// The parameters that a population gets by analysis.
+/// The analytic start of every population that needs one, in the order of the file.
 #[must_use]
-pub fn parameters(start: &Start) -> LoihiParameters {
-    let decay = f64::from(start.decay.get());
+pub fn starts(graph: &Graph) -> Vec<Option<Fit>> {
+    let fit = |kind: &PopulationKind| match kind {
+        PopulationKind::Srm(srm) => Some(start(srm, graph.facts().timestep_ms)),
+        PopulationKind::Input | PopulationKind::Loihi(_) => None,
+    };
+    graph.populations().map(|(_, population)| fit(&population.kind)).collect()
+}
+
+fn parameters(fit: &Fit) -> LoihiParameters {
+    let decay = |decay: Decay| DecayParameter::Effective(Values::constant(decay.get().into()));
+    let bias = match fit.biases.as_slice() {
+        [] => Values::constant(0.0),
+        each => Values { each: PerCompartment::Each(each.to_vec()), ..Values::constant(0.0) },
+    };
     LoihiParameters {
-        current_decay: DecayParameter::Effective(Values::constant(decay)),
-        voltage_decay: DecayParameter::Effective(Values::constant(decay)),
-        threshold: ThresholdParameter::Real(Values::constant(start.threshold)),
-        bias: BiasParameter::Real(Values::constant(0.0)),
-        refractory: Values::constant(1.0),
+        current_decay: decay(fit.du),
+        voltage_decay: decay(fit.dv),
+        threshold: ThresholdParameter::Real(Values::constant(fit.threshold)),
+        bias: BiasParameter::Real(bias),
+        refractory: Values::constant(fit.refractory.get().into()),
         vmin_exp: Values::constant(23.0),
         vmax_exp: Values::constant(7.0),
         start_step: 0,
     }
 }
 
-/// The network with Loihi compartments only.
+/// The same way of reaching targets with each target's weights times its gain.
+fn scaled(kind: &ProjectionKind, gains: &[f64]) -> ProjectionKind {
+    match kind {
+        ProjectionKind::Dense { weights, rows } => {
+            let columns = weights.len() / gains.len().max(1);
+            let numbers = (0..weights.len()).map(|i| weights.real(i) * gains[i / columns.max(1)]).collect();
+            match Tensor::new(weights.shape().to_vec(), Numbers::Reals(numbers)) {
+                Some(weights) => ProjectionKind::Dense { weights: Arc::new(weights), rows: rows.clone() },
+                None => kind.clone(),
+            }
+        }
+        ProjectionKind::Sparse { synapses } => {
+            let each =
+                synapses.iter().map(|&(source, target, w, span)| (source, target, w * gains[target as usize], span));
+            ProjectionKind::Sparse { synapses: each.collect() }
+        }
+        ProjectionKind::Conv2d { .. } | ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => {
+            kind.clone()
+        }
+    }
+}
+
+/// The network with Loihi compartments only, those of `fits` (in the order of the file) in place of spike response neurons.
+#[must_use]
+pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
+    let kinds = graph.with_kinds(|node, population| match (&population.kind, &fits[node.index()]) {
+        (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Loihi(Box::new(parameters(fit))),
+        (other, _) => other.clone(),
+    });
+    kinds.with_projections(|target, projection| match &fits[target.index()] {
+        Some(fit) if !fit.gains.is_empty() => {
+            crate::ir::graph::Projection { kind: scaled(&projection.kind, &fit.gains), ..projection.clone() }
+        }
+        _ => projection.clone(),
+    })
+}
+
+/// The network with Loihi compartments only, by analysis alone.
 #[must_use]
 pub fn convert(graph: &Graph) -> Graph {
-    let timestep_ms = graph.facts().timestep_ms;
-    graph.with_kinds(|_, population| match &population.kind {
-        PopulationKind::Srm(srm) => PopulationKind::Loihi(Box::new(parameters(&start(srm, timestep_ms)))),
-        other => other.clone(),
-    })
+    with_fits(graph, &starts(graph))
 }
 
 #[cfg(test)]
@@ -91,16 +171,18 @@ mod tests {
     #[test]
     fn peak_and_time_to_peak_are_those_of_the_alpha_kernel() {
         for tau in [0.4, 1.0, 2.5, 10.0, 37.0, 400.0] {
-            let start = start(&SrmParameters { tau_sr_ms: tau, ..PAPER }, 1.0);
+            let srm = SrmParameters { tau_sr_ms: tau, ..PAPER };
+            let r = real_keep(&srm, 1.0);
+            let threshold = matched_threshold(&srm, 1.0, r, r);
             let alpha = |k: u32| f64::from(k) / tau * (1.0 - f64::from(k) / tau).exp();
-            let r = 1.0 - start.real_decay / 4096.0;
             // A unit weight's response relative to the threshold, one step earlier.
             for k in 0..2000u32 {
-                let v = f64::from(k + 1) * r.powi(k as i32) / start.real_threshold;
+                let v = f64::from(k + 1) * r.powi(k as i32) / threshold;
                 assert!((v - alpha(k + 1) / PAPER.theta).abs() < 1e-12, "tau {tau}, k {k}");
             }
-            let quantised = |k: i32| f64::from(k + 1) * (1.0 - f64::from(start.decay.get()) / 4096.0).powi(k);
-            let height = (0..5000).map(quantised).fold(0.0, f64::max) / start.threshold;
+            let fit = start(&srm, 1.0);
+            let quantised = |k: i32| f64::from(k + 1) * keep(fit.du).powi(k);
+            let height = (0..5000).map(quantised).fold(0.0, f64::max) / fit.threshold;
             let wanted = (0..5000).map(alpha).fold(0.0, f64::max) / PAPER.theta;
             assert!((height / wanted - 1.0).abs() < 1e-12, "tau {tau}: {height} {wanted}");
         }
@@ -108,8 +190,8 @@ mod tests {
 
     #[test]
     fn the_paper_s_neuron_becomes_this() {
-        let start = start(&PAPER, 1.0);
-        assert_eq!(start.decay.get(), 390, "4096 (1 - exp(-1/10)) = 389.8");
-        assert!((start.real_threshold - 40.657).abs() < 1e-3, "{}", start.real_threshold);
+        let fit = start(&PAPER, 1.0);
+        assert_eq!((fit.du.get(), fit.dv.get()), (390, 390), "4096 (1 - exp(-1/10)) = 389.8");
+        assert!((fit.threshold - 40.65).abs() < 0.05, "{}", fit.threshold);
     }
 }

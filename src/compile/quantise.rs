@@ -79,6 +79,15 @@ pub fn quantise(graph: &Graph) -> Result<Quantised, Diagnostic> {
     Quantised::new(parts).map_err(|e| Diagnostic::new("model.inconsistent", e.to_string()).in_file(facts.source.path()))
 }
 
+/// Register units for a real unit of each population, in the order of the file; none where the model gives integers.
+///
+/// # Errors
+/// As [`quantise`], for thresholds and scales.
+pub fn scales(graph: &Graph) -> Result<Vec<Option<f64>>, Diagnostic> {
+    let stage = Stage { graph, notes: Vec::new() };
+    graph.populations().map(|(node, population)| stage.scale(node, population)).collect()
+}
+
 /// Nodes are added in the order of the file, so they are numbered alike.
 fn population_id(node: NodeIndex) -> PopulationId {
     PopulationId(node.index() as u32)

@@ -380,6 +380,16 @@ impl Graph {
         graph
     }
 
+    /// The same network with other projections; `f` gets each with its target.
+    #[must_use]
+    pub fn with_projections(&self, mut f: impl FnMut(NodeIndex, &Projection) -> Projection) -> Graph {
+        let mut graph = self.clone();
+        for (edge, _, target, projection) in self.projections() {
+            graph.graph[edge] = f(target, projection);
+        }
+        graph
+    }
+
     /// The petgraph, for algorithms over it.
     #[must_use]
     pub fn petgraph(&self) -> &DiGraph<Population, Projection> {

@@ -11,7 +11,7 @@ pub mod cuba;
 pub mod engine;
 pub mod kernel;
 pub mod srm;
-mod synapses;
+pub mod synapses;
 
 pub use engine::{Model, Options, Reference};
 pub use kernel::Kernel;

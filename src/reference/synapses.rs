@@ -8,20 +8,41 @@ use super::Real;
 
 /// How the sources of a projection reach its targets. Indices are within the populations.
 #[derive(Debug, Clone)]
-pub(super) enum Synapses<F> {
-    /// All to all: `[source][target]`.
-    Dense { targets: u32, weights: Vec<F> },
-    /// Those of source s are `first[s]..first[s + 1]`.
-    List { first: Vec<usize>, synapses: Vec<(u32, F)> },
-    /// Cross-correlation with `[C'][C / groups][kh][kw]`.
-    Conv { window: Window, kernel: Vec<F> },
+pub enum Synapses<F> {
+    /// All to all.
+    Dense {
+        /// Number of targets.
+        targets: u32,
+        /// `[source][target]`.
+        weights: Vec<F>,
+    },
+    /// Listed: those of source s are `first[s]..first[s + 1]`.
+    List {
+        /// One more than sources.
+        first: Vec<usize>,
+        /// (target, weight) each.
+        synapses: Vec<(u32, F)>,
+    },
+    /// Cross-correlation.
+    Conv {
+        /// Geometry.
+        window: Window,
+        /// `[C'][C / groups][kh][kw]`.
+        kernel: Vec<F>,
+    },
     /// The same weight from each position of a window.
-    Pool { window: Window, weight: F },
+    Pool {
+        /// Geometry.
+        window: Window,
+        /// The weight.
+        weight: F,
+    },
 }
 
 impl<F: Real> Synapses<F> {
     /// Those of a projection, each weight times `factor`.
-    pub(super) fn new(projection: &Projection, sources: u32, targets: u32, factor: f64) -> Self {
+    #[must_use]
+    pub fn new(projection: &Projection, sources: u32, targets: u32, factor: f64) -> Self {
         match &projection.kind {
             ProjectionKind::Dense { weights, .. } => {
                 let (columns, first) = (columns(weights), projection.first_source as usize);
@@ -57,14 +78,16 @@ impl<F: Real> Synapses<F> {
         }
     }
 
-    fn list(sources: u32, mut synapses: Vec<(u32, u32, f64)>) -> Self {
+    /// Listed synapses from (source, target, weight), in any order.
+    #[must_use]
+    pub fn list(sources: u32, mut synapses: Vec<(u32, u32, f64)>) -> Self {
         synapses.sort_by_key(|&(source, target, _)| (source, target));
         let first = (0..=sources).map(|s| synapses.partition_point(|&(source, ..)| source < s)).collect();
         Synapses::List { first, synapses: synapses.into_iter().map(|(_, t, w)| (t, F::of(w))).collect() }
     }
 
     /// Adds a source's spike to the sums of its targets; returns the number of its synapses.
-    pub(super) fn deliver(&self, source: u32, sums: &mut [F]) -> u64 {
+    pub fn deliver(&self, source: u32, sums: &mut [F]) -> u64 {
         match self {
             Synapses::Dense { targets, weights } => {
                 let row = source as usize * *targets as usize;

@@ -3,15 +3,18 @@
 //! Goes in: finished results. Comes out: strings; writing them is the command line's. Nothing is computed here but the
 //! rounding of what is printed.
 
+pub mod agree;
 pub mod bench;
 pub mod calibration;
 pub mod compared;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod pareto;
 pub mod plot;
 pub mod run;
 pub mod sanafe;
+pub mod stress;
 
 /// The width of text for people.
 const WIDTH: usize = 100;

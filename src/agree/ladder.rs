@@ -1,0 +1,658 @@
+//! A ladder of networks from the trained one to the machine, each differing from the last in one thing.
+//!
+//! Comes in: a graph, what stands for its spike response populations ([`Fit`]). Goes out: [`Trace`]s of the network with any
+//! set of the [`Cause`]s switched on. One simulation serves all rungs: potentials and thresholds are in register units
+//! throughout, so that nothing but the causes themselves tells two rungs apart. It is held from both ends by tests: with
+//! none switched on it spikes as `reference` with truncated kernels does, with all switched on it is the machine, bit for bit.
+//!
+//! Arithmetic is in doubles. All causes on, every number is an integer below 2^53 and every product one of 24 by 13 bits,
+//! so that the doubles hold exactly what the chip's registers hold.
+
+use crate::base::diagnostic::Diagnostic;
+use crate::compile::convert::{self, Fit};
+use crate::compile::quantise::{quantise, scales};
+use crate::desc::network::ThresholdTest;
+use crate::ir::graph::{Graph, LoihiParameters, PopulationKind, SrmParameters};
+use crate::ir::quantised::{Quantised, Reset, Units};
+use crate::ir::spikes::Sample;
+use crate::reference::kernel::{Alpha, EPSILON};
+use crate::reference::synapses::Synapses;
+
+use super::trace::{Layer, Trace};
+
+/// Something in which the machine differs from the trained network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cause {
+    /// The response and refractory kernels without end instead of cut.
+    Untruncated,
+    /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step longer at the end.
+    Kernel,
+    /// A hard reset and a refractory period instead of the refractory kernel.
+    HardReset,
+    /// Decays in 4096ths.
+    Decays,
+    /// The thresholds, gains and biases that a search chose instead of those of the analysis.
+    Calibration,
+    /// Integer weights, thresholds and biases.
+    Weights,
+    /// Integer state: rounding toward zero, wrapping, clipping.
+    State,
+}
+
+impl Cause {
+    /// Every cause in the order of the ladder.
+    pub const ALL: [Cause; 7] = [
+        Cause::Untruncated,
+        Cause::Kernel,
+        Cause::HardReset,
+        Cause::Decays,
+        Cause::Calibration,
+        Cause::Weights,
+        Cause::State,
+    ];
+
+    /// Its name in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Cause::Untruncated => "exact-kernel",
+            Cause::Kernel => "cuba-kernel",
+            Cause::HardReset => "hard-reset",
+            Cause::Decays => "quantised-decays",
+            Cause::Calibration => "calibration",
+            Cause::Weights => "quantised-weights",
+            Cause::State => "integer-state",
+        }
+    }
+}
+
+/// Which causes are switched on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Rung([bool; 7]);
+
+impl Rung {
+    /// The trained network.
+    pub const TRAINED: Rung = Rung([false; 7]);
+    /// The machine.
+    pub const MACHINE: Rung = Rung([true; 7]);
+
+    /// Whether a cause is on.
+    #[must_use]
+    pub fn has(self, cause: Cause) -> bool {
+        self.0[cause as usize]
+    }
+
+    /// The same with one more.
+    #[must_use]
+    pub fn with(mut self, cause: Cause) -> Rung {
+        self.0[cause as usize] = true;
+        self
+    }
+}
+
+/// What a population was before it was converted.
+#[derive(Debug, Clone)]
+enum Origin {
+    Srm(SrmParameters, Fit),
+    Loihi(Box<LoihiParameters>),
+}
+
+#[derive(Debug)]
+struct Population {
+    origin: Option<Origin>,
+    first: u32,
+    count: u32,
+    /// Register units for a real unit.
+    scale: f64,
+}
+
+#[derive(Debug)]
+struct Link {
+    source: usize,
+    target: usize,
+    delay: u32,
+    /// In register units: real, and rounded without and with what a search chose.
+    real: Synapses<f64>,
+    rounded: Synapses<f64>,
+    calibrated: Synapses<f64>,
+}
+
+/// A network in every form at once.
+#[derive(Debug)]
+pub struct Ladder {
+    populations: Vec<Population>,
+    links: Vec<Link>,
+    compartments: u32,
+    slots: usize,
+    test: ThresholdTest,
+    reset: Option<Reset>,
+    timestep_ms: f64,
+    /// The converted network without what a search chose, and with it.
+    rounded: Quantised,
+    calibrated: Quantised,
+    causes: Vec<Cause>,
+}
+
+/// A compartment as a rung has it.
+#[derive(Debug, Clone, Copy)]
+struct Neuron {
+    keep_u: f64,
+    keep_v: f64,
+    threshold: f64,
+    bias: f64,
+    gain: f64,
+    refractory: u32,
+    clip: (f64, f64),
+}
+
+fn wrapped(x: f64, bits: i32) -> f64 {
+    let half = f64::from(1 << bits);
+    if x >= -half && x < half { x } else { (x + half).rem_euclid(2.0 * half) - half }
+}
+
+impl Ladder {
+    /// The ladder of a network; `fits` are in the order of its populations.
+    ///
+    /// # Errors
+    /// As [`quantise`].
+    pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<Ladder, Diagnostic> {
+        let timestep_ms = graph.facts().timestep_ms;
+        let plain: Vec<Option<Fit>> = graph
+            .populations()
+            .zip(fits)
+            .map(|((_, population), fit)| match (&population.kind, fit) {
+                (PopulationKind::Srm(srm), Some(fit)) => Some(uncalibrated(srm, fit, timestep_ms)),
+                _ => None,
+            })
+            .collect();
+        let (real, chosen) = (convert::with_fits(graph, &plain), convert::with_fits(graph, fits));
+        let (rounded, calibrated) = (quantise(&real)?, quantise(&chosen)?);
+        // Everything is in the register units of the network that is deployed.
+        let units = scales(&chosen)?;
+        let plain_units = scales(&real)?;
+        let (mut channels, mut compartments) = (0, 0);
+        let mut populations = Vec::new();
+        for (((node, population), fit), scale) in graph.populations().zip(fits).zip(&units) {
+            let count = population.shape.len();
+            let origin = match (&population.kind, fit) {
+                (PopulationKind::Srm(srm), Some(fit)) => Some(Origin::Srm(*srm, fit.clone())),
+                (PopulationKind::Loihi(parameters), _) => Some(Origin::Loihi(parameters.clone())),
+                (PopulationKind::Srm(srm), None) => Some(Origin::Srm(*srm, convert::start(srm, timestep_ms))),
+                (PopulationKind::Input, _) => None,
+            };
+            debug_assert_eq!(node.index(), populations.len());
+            let counter = if origin.is_none() { &mut channels } else { &mut compartments };
+            populations.push(Population { origin, first: *counter, count, scale: scale.unwrap_or(1.0) });
+            *counter += count;
+        }
+        let mut links = Vec::new();
+        for ((_, source, target, projection), (whole, chosen)) in
+            graph.projections().zip(rounded.projections().iter().zip(calibrated.projections()))
+        {
+            let (sources, targets) = (populations[source.index()].count, populations[target.index()].count);
+            let factor = match units[target.index()] {
+                Some(scale) => scale,
+                None => {
+                    projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value)
+                        * libm::exp2(6.0 + projection.weight_exp.value as f64)
+                }
+            };
+            // A network rounded at another scale is brought to the units of the deployed one.
+            let rescale = match (units[target.index()], plain_units[target.index()]) {
+                (Some(here), Some(there)) => here / there,
+                _ => 1.0,
+            };
+            links.push(Link {
+                source: source.index(),
+                target: target.index(),
+                delay: projection.delay.get().into(),
+                real: Synapses::new(projection, sources, targets, factor),
+                rounded: integer(whole, sources, rescale),
+                calibrated: integer(chosen, sources, 1.0),
+            });
+        }
+        let slots = links.iter().map(|link| link.delay as usize + 2).max().unwrap_or(1);
+        let facts = graph.facts();
+        let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
+        let mut ladder = Ladder {
+            populations,
+            links,
+            compartments,
+            slots,
+            test: facts.threshold,
+            reset,
+            timestep_ms,
+            rounded,
+            calibrated,
+            causes: Vec::new(),
+        };
+        ladder.causes = ladder.present(graph, fits, &plain);
+        Ok(ladder)
+    }
+
+    /// The causes that tell this network from its trained form.
+    fn present(&self, graph: &Graph, fits: &[Option<Fit>], plain: &[Option<Fit>]) -> Vec<Cause> {
+        let srm = graph.has_srm();
+        let real = self.populations.iter().any(|population| match &population.origin {
+            Some(Origin::Loihi(p)) => !matches!(p.threshold, crate::ir::graph::ThresholdParameter::Mantissa(_)),
+            Some(Origin::Srm(..)) => true,
+            None => false,
+        }) || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some());
+        let timed = self.populations.iter().any(|population| match &population.origin {
+            Some(Origin::Loihi(p)) => {
+                let timed = |decay| matches!(decay, &crate::ir::graph::DecayParameter::TimeConstantMs(_));
+                timed(&p.current_decay) || timed(&p.voltage_decay)
+            }
+            Some(Origin::Srm(..)) => true,
+            None => false,
+        });
+        let holds = |cause: &Cause| match cause {
+            Cause::Untruncated | Cause::Kernel | Cause::HardReset => srm,
+            Cause::Decays => timed,
+            Cause::Calibration => fits != plain,
+            Cause::Weights => real,
+            Cause::State => true,
+        };
+        Cause::ALL.into_iter().filter(holds).collect()
+    }
+
+    /// The trained network: what tells nothing apart here counts as switched on.
+    #[must_use]
+    pub fn trained(&self) -> Rung {
+        Cause::ALL.into_iter().filter(|cause| !self.causes.contains(cause)).fold(Rung::TRAINED, Rung::with)
+    }
+
+    /// The causes that tell this network from its trained form, in the order of the ladder.
+    #[must_use]
+    pub fn causes(&self) -> &[Cause] {
+        &self.causes
+    }
+
+    /// The steps by which a rung answers later than the trained network: negative, it answers earlier.
+    #[must_use]
+    pub fn shift(&self, rung: Rung) -> i32 {
+        -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
+    }
+
+    /// The network that the last rung is.
+    #[must_use]
+    pub fn deployed(&self) -> &Quantised {
+        &self.calibrated
+    }
+
+    /// The populations with compartments.
+    #[must_use]
+    pub fn layers(&self) -> Vec<Layer> {
+        layers(&self.calibrated)
+    }
+
+    /// A compartment as a rung has it.
+    fn neuron(&self, population: usize, index: u32, rung: Rung) -> Neuron {
+        let of = &self.populations[population];
+        let network = if rung.has(Cause::Calibration) { &self.calibrated } else { &self.rounded };
+        let integers = match &network.populations().as_slice()[population].units {
+            Units::Loihi { neurons, .. } => Some(neurons.get(index)),
+            Units::Input(_) => None,
+        };
+        let bias_field = integers.map_or(0.0, |n| f64::from(i32::from(n.bias_mant.get()) << n.bias_exp.get()));
+        let vth_field = integers.map_or(0.0, |n| f64::from(n.vth.get()) * 64.0);
+        let clip = match (rung.has(Cause::State), integers) {
+            (true, Some(n)) => {
+                (f64::from(1 - (1i32 << n.vmin.get())), f64::from((1i32 << (9 + 2 * u32::from(n.vmax.get()))) - 1))
+            }
+            _ => (f64::MIN, f64::MAX),
+        };
+        match &of.origin {
+            Some(Origin::Srm(srm, fit)) => {
+                let keeps = match rung.has(Cause::Decays) {
+                    true => (convert::keep(fit.du), convert::keep(fit.dv)),
+                    false => {
+                        let r = convert::real_keep(srm, self.timestep_ms);
+                        (r, r)
+                    }
+                };
+                let matched = convert::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1);
+                let chosen = rung.has(Cause::Calibration);
+                // The factor by which a search moved the threshold from where the peaks match.
+                let moved = match chosen {
+                    true => {
+                        let at = convert::matched_threshold(
+                            srm,
+                            self.timestep_ms,
+                            convert::keep(fit.du),
+                            convert::keep(fit.dv),
+                        );
+                        fit.threshold / at
+                    }
+                    false => 1.0,
+                };
+                let real = matched * moved * of.scale;
+                let weights = rung.has(Cause::Weights);
+                let at = |each: &[f64], default: f64| each.get(index as usize).copied().unwrap_or(default);
+                Neuron {
+                    keep_u: keeps.0,
+                    keep_v: keeps.1,
+                    // The mantissa's own when decays and calibration are the deployed ones.
+                    threshold: match (weights, chosen && rung.has(Cause::Decays)) {
+                        (true, true) => vth_field,
+                        (true, false) => (real / 64.0).round_ties_even() * 64.0,
+                        (false, _) => real,
+                    },
+                    bias: match (chosen, weights) {
+                        (true, true) => bias_field,
+                        (true, false) => at(&fit.biases, 0.0) * of.scale,
+                        (false, _) => 0.0,
+                    },
+                    gain: if chosen && !weights { at(&fit.gains, 1.0) } else { 1.0 },
+                    refractory: u32::from(fit.refractory.get()).max(1),
+                    clip,
+                }
+            }
+            Some(Origin::Loihi(p)) => {
+                let decay = |parameter: &crate::ir::graph::DecayParameter, field: f64| match parameter {
+                    crate::ir::graph::DecayParameter::TimeConstantMs(tau) if !rung.has(Cause::Decays) => {
+                        libm::exp(-self.timestep_ms / tau.each.get(index))
+                    }
+                    _ => 1.0 - field / 4096.0,
+                };
+                let threshold = match &p.threshold {
+                    crate::ir::graph::ThresholdParameter::Real(values) if !rung.has(Cause::Weights) => {
+                        values.each.get(index) * of.scale
+                    }
+                    _ => vth_field,
+                };
+                let bias = match &p.bias {
+                    crate::ir::graph::BiasParameter::Real(values) if !rung.has(Cause::Weights) => {
+                        values.each.get(index) * of.scale
+                    }
+                    _ => bias_field,
+                };
+                Neuron {
+                    keep_u: decay(&p.current_decay, integers.map_or(0.0, |n| n.du.get().into())),
+                    keep_v: decay(&p.voltage_decay, integers.map_or(0.0, |n| n.dv.get().into())),
+                    threshold,
+                    bias,
+                    gain: 1.0,
+                    refractory: integers.map_or(1, |n| u32::from(n.refractory.get()).max(1)),
+                    clip,
+                }
+            }
+            None => Neuron { keep_u: 0.0, keep_v: 0.0, threshold: 1.0, bias: 0.0, gain: 1.0, refractory: 1, clip },
+        }
+    }
+
+    /// What the network of a rung does in a sample.
+    #[must_use]
+    pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
+        let steps = sample.steps();
+        let mut states: Vec<Option<State>> =
+            (0..self.populations.len()).map(|index| State::new(self, index, rung)).collect();
+        let mut arrivals: Vec<Vec<Vec<f64>>> = self
+            .populations
+            .iter()
+            .map(|p| vec![vec![0.0; if p.origin.is_some() { p.count as usize } else { 0 }]; self.slots])
+            .collect();
+        let mut trace = Trace {
+            steps,
+            trains: vec![Vec::new(); self.compartments as usize],
+            potentials: if potentials { vec![0.0; self.compartments as usize * steps as usize] } else { Vec::new() },
+        };
+        let mut spikes: Vec<(usize, u32)> = Vec::new();
+        for now in 0..steps {
+            for link in self.links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
+                let of = &self.populations[link.source];
+                // Spike response kernels are 0 at their start.
+                let late = states[link.target].as_ref().is_some_and(|state| state.late);
+                let slot = (now + link.delay + u32::from(late)) as usize % self.slots;
+                let mine = sample.at(now).iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
+                mine.for_each(|c| _ = link.synapses(rung).deliver(c, &mut arrivals[link.target][slot]));
+            }
+            spikes.clear();
+            let slot = now as usize % self.slots;
+            for (index, state) in states.iter_mut().enumerate() {
+                let Some(state) = state else { continue };
+                if self.reset.is_some_and(|reset| reset.falls_on(now, state.start_step)) {
+                    state.clear();
+                }
+                let sums = &mut arrivals[index][slot];
+                let first = self.populations[index].first;
+                if now >= state.start_step {
+                    state.step(sums, |neuron| {
+                        spikes.push((index, neuron));
+                        trace.trains[(first + neuron) as usize].push(now);
+                    });
+                }
+                sums.fill(0.0);
+                if potentials {
+                    for (neuron, potential) in state.shown.iter().enumerate() {
+                        let place = (first as usize + neuron) * steps as usize + now as usize;
+                        trace.potentials[place] = (potential / state.neurons[neuron].threshold) as f32;
+                    }
+                }
+            }
+            for link in &self.links {
+                let slot = (now + 1 + link.delay) as usize % self.slots;
+                for &(_, neuron) in spikes.iter().filter(|(population, _)| *population == link.source) {
+                    link.synapses(rung).deliver(neuron, &mut arrivals[link.target][slot]);
+                }
+            }
+        }
+        trace
+    }
+}
+
+/// The populations of a network that have compartments.
+#[must_use]
+pub fn layers(network: &Quantised) -> Vec<Layer> {
+    let layer = |p: &crate::ir::quantised::Population| {
+        Some(Layer { name: p.name.clone(), first: p.first_compartment()?.0, count: p.shape.len() })
+    };
+    network.populations().iter().filter_map(layer).collect()
+}
+
+/// A fit without what only a search would choose: the peaks matched, no gains, no biases.
+fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
+    Fit {
+        threshold: convert::matched_threshold(srm, timestep_ms, convert::keep(fit.du), convert::keep(fit.dv)),
+        gains: Vec::new(),
+        biases: Vec::new(),
+        ..fit.clone()
+    }
+}
+
+/// Integer synapses as what they add to the accumulator.
+fn integer(projection: &crate::ir::quantised::Projection, sources: u32, factor: f64) -> Synapses<f64> {
+    let mut synapses = Vec::new();
+    for source in 0..sources {
+        projection.connectivity.for_each_from(source, |target, weight| {
+            if weight != 0 {
+                synapses.push((source, target, f64::from(projection.format.scaled(weight)) * factor));
+            }
+        });
+    }
+    Synapses::list(sources, synapses)
+}
+
+impl Link {
+    fn synapses(&self, rung: Rung) -> &Synapses<f64> {
+        match (rung.has(Cause::Weights), rung.has(Cause::Calibration)) {
+            (false, _) => &self.real,
+            (true, false) => &self.rounded,
+            (true, true) => &self.calibrated,
+        }
+    }
+}
+
+/// A population of a rung while it runs.
+#[derive(Debug)]
+struct State {
+    neurons: Vec<Neuron>,
+    start_step: u32,
+    /// Whether input spikes count a step later.
+    late: bool,
+    strict: bool,
+    integers: bool,
+    hard: bool,
+    u: Vec<f64>,
+    v: Vec<f64>,
+    /// With truncated kernels: the response's taps, the inputs of the past, and what resets and biases left.
+    taps: Vec<f64>,
+    past: Vec<Vec<f64>>,
+    newest: usize,
+    left: Vec<f64>,
+    /// The refractory kernel relative to the threshold: decay, factor, taps when truncated, and its state.
+    nu: Alpha,
+    nu_taps: Vec<f64>,
+    nu_first: Vec<f64>,
+    nu_second: Vec<f64>,
+    spiked: Vec<f64>,
+    own: Vec<Vec<u32>>,
+    held: Vec<u32>,
+    now: u32,
+    shown: Vec<f64>,
+}
+
+impl State {
+    fn new(ladder: &Ladder, population: usize, rung: Rung) -> Option<State> {
+        let of = &ladder.populations[population];
+        let origin = of.origin.as_ref()?;
+        let count = of.count as usize;
+        let neurons: Vec<Neuron> = (0..of.count).map(|index| ladder.neuron(population, index, rung)).collect();
+        let (srm, nu) = match origin {
+            Origin::Srm(srm, _) => (true, Alpha { peak: -srm.scale_ref, tau: srm.tau_ref_ms / ladder.timestep_ms }),
+            Origin::Loihi(_) => (false, Alpha { peak: 0.0, tau: 1.0 }),
+        };
+        let hard = !srm || rung.has(Cause::HardReset);
+        let truncated = srm && !rung.has(Cause::Untruncated) && !rung.has(Cause::Kernel);
+        // (k + 1) r^k, cut where the alpha kernel that it is falls below SLAYER's limit.
+        let taps: Vec<f64> = match (truncated, origin) {
+            (true, Origin::Srm(srm, _)) => {
+                let alpha = Alpha { peak: 1.0, tau: srm.tau_sr_ms / ladder.timestep_ms };
+                let length = alpha.truncated(EPSILON, 100_000).len().saturating_sub(1);
+                let r = neurons.first().map_or(0.0, |n| n.keep_u);
+                (0..length).map(|k| (k as f64 + 1.0) * libm::pow(r, k as f64)).collect()
+            }
+            _ => Vec::new(),
+        };
+        // SLAYER's limit is for the kernel with its factor, threshold included.
+        let nu_taps = match (truncated, origin) {
+            (true, Origin::Srm(srm, _)) => nu.truncated(EPSILON / srm.theta, 100_000),
+            _ => Vec::new(),
+        };
+        let start_step = match origin {
+            Origin::Srm(..) => 0,
+            Origin::Loihi(p) => p.start_step,
+        };
+        Some(State {
+            start_step,
+            late: srm && !rung.has(Cause::Kernel),
+            strict: hard && ladder.test == ThresholdTest::Strict,
+            integers: rung.has(Cause::State),
+            hard,
+            u: vec![0.0; count],
+            v: vec![0.0; count],
+            past: vec![vec![0.0; count]; taps.len().max(1)],
+            taps,
+            newest: 0,
+            left: vec![0.0; count],
+            nu,
+            nu_taps,
+            nu_first: vec![0.0; count],
+            nu_second: vec![0.0; count],
+            spiked: vec![0.0; count],
+            own: vec![Vec::new(); count],
+            held: vec![0; count],
+            now: 0,
+            shown: vec![0.0; count],
+            neurons,
+        })
+    }
+
+    fn clear(&mut self) {
+        for zero in
+            [&mut self.u, &mut self.v, &mut self.left, &mut self.nu_first, &mut self.nu_second, &mut self.spiked]
+        {
+            zero.fill(0.0);
+        }
+        self.past.iter_mut().for_each(|row| row.fill(0.0));
+        self.own.iter_mut().for_each(Vec::clear);
+        self.held.fill(0);
+    }
+
+    /// The refractory response of a neuron in register units.
+    fn refractory(&mut self, i: usize) -> f64 {
+        let threshold = self.neurons[i].threshold;
+        let relative = if self.nu_taps.is_empty() {
+            let r = self.nu.decay();
+            self.nu_first[i] = r * self.nu_first[i] + self.spiked[i];
+            self.nu_second[i] = r * (self.nu_second[i] + self.nu_first[i]);
+            self.nu.gain() * self.nu_second[i]
+        } else {
+            let ago = |&spike: &u32| self.nu_taps.get((self.now - spike) as usize).copied().unwrap_or(0.0);
+            self.own[i].iter().rev().take(self.nu_taps.len()).map(ago).sum()
+        };
+        relative * threshold
+    }
+
+    fn step(&mut self, arrivals: &[f64], mut spike: impl FnMut(u32)) {
+        let integers = self.integers;
+        let narrow = |x: f64| if integers { x.trunc() } else { x };
+        let truncated = !self.taps.is_empty();
+        if truncated {
+            let rows = self.past.len();
+            self.newest = (self.newest + rows - 1) % rows;
+            self.past[self.newest].copy_from_slice(arrivals);
+        }
+        for (i, &arrived) in arrivals.iter().enumerate() {
+            let n = self.neurons[i];
+            let x = narrow(arrived * n.gain);
+            let q = if self.integers { wrapped(x, 21) } else { x };
+            let free = if truncated {
+                self.past[self.newest][i] = q;
+                let rows = self.past.len();
+                let response: f64 =
+                    self.taps.iter().enumerate().map(|(k, tap)| tap * self.past[(self.newest + k) % rows][i]).sum();
+                self.left[i] = narrow(n.keep_v * self.left[i]) + n.bias;
+                narrow(response) + self.left[i]
+            } else {
+                let u = narrow(n.keep_u * self.u[i]) + q;
+                self.u[i] = if self.integers { wrapped(u, 23) } else { u };
+                let input = self.u[i] + n.bias;
+                let input = if self.integers { wrapped(input, 23) } else { input };
+                narrow(n.keep_v * self.v[i]) + input
+            };
+            let mut v = free.clamp(n.clip.0, n.clip.1);
+            if !truncated {
+                self.v[i] = v;
+            }
+            if !self.hard {
+                let own = self.refractory(i);
+                v += if self.integers { own.trunc() } else { own };
+            }
+            let held = self.hard && self.held[i] > 0;
+            let over = if self.strict { v > n.threshold } else { v >= n.threshold };
+            let fires = over && !held;
+            self.shown[i] = v;
+            if self.hard && (held || fires) {
+                // The reset leaves 0 here, and what it took away decays as the voltage does.
+                self.held[i] = if fires { n.refractory - 1 } else { self.held[i] - 1 };
+                if truncated {
+                    self.left[i] -= free;
+                } else {
+                    self.v[i] = 0.0;
+                }
+                if held {
+                    self.shown[i] = 0.0;
+                }
+            }
+            self.spiked[i] = f64::from(u8::from(fires));
+            if fires {
+                if !self.hard {
+                    self.own[i].push(self.now);
+                }
+                spike(i as u32);
+            }
+        }
+        self.now += 1;
+    }
+}

@@ -1,0 +1,239 @@
+//! What a network did in one sample, and the comparison of two such traces.
+
+use super::metrics::Tally;
+use crate::base::id::CompartmentId;
+use crate::ir::spikes::{Engine, Sample};
+
+/// A population as a trace has it: its neurons' place in the network.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Layer {
+    /// Its name.
+    pub name: String,
+    /// The first compartment.
+    pub first: u32,
+    /// How many.
+    pub count: u32,
+}
+
+/// The spikes and potentials of all compartments in one sample.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Trace {
+    /// Timesteps.
+    pub steps: u32,
+    /// For each compartment the steps in which it spiked, ascending.
+    pub trains: Vec<Vec<u32>>,
+    /// `[compartment][step]`, the potential after each step in thresholds; empty when none were kept.
+    pub potentials: Vec<f32>,
+}
+
+impl Trace {
+    /// Runs a sample through an engine and keeps what it does; `potential` reads a compartment's in thresholds.
+    pub fn record<E: Engine>(
+        engine: &mut E,
+        sample: &Sample,
+        compartments: u32,
+        potential: impl Fn(&E, CompartmentId) -> f64,
+    ) -> Trace {
+        let steps = sample.steps();
+        let mut trace = Trace {
+            steps,
+            trains: vec![Vec::new(); compartments as usize],
+            potentials: vec![0.0; compartments as usize * steps as usize],
+        };
+        engine.begin(steps);
+        for step in 0..steps {
+            engine.step(sample.at(step));
+            engine.spikes().iter().for_each(|spike| trace.trains[spike.0 as usize].push(step));
+            for c in 0..compartments {
+                trace.potentials[c as usize * steps as usize + step as usize] =
+                    potential(engine, CompartmentId(c)) as f32;
+            }
+        }
+        trace
+    }
+
+    /// The first steps only.
+    #[must_use]
+    pub fn until(mut self, steps: u32) -> Trace {
+        let (kept, all) = (steps.min(self.steps), self.steps.max(1) as usize);
+        self.trains.iter_mut().for_each(|train| train.retain(|&t| t < kept));
+        self.potentials = self.potentials.chunks(all).flat_map(|row| row[..kept as usize].to_vec()).collect();
+        self.steps = kept;
+        self
+    }
+
+    /// The class by spikes of an output layer: most spikes, lowest index on a tie, none when silent.
+    #[must_use]
+    pub fn class(&self, output: &Layer) -> Option<u32> {
+        let counts = self.trains[output.first as usize..(output.first + output.count) as usize].iter().map(Vec::len);
+        let most = counts.clone().max().filter(|&most| most > 0)?;
+        counts.clone().position(|count| count == most).map(|class| class as u32)
+    }
+
+    fn potential(&self, compartment: u32, step: u32) -> Option<f64> {
+        self.potentials.get(compartment as usize * self.steps as usize + step as usize).map(|&p| f64::from(p))
+    }
+}
+
+/// Where two networks first differ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Divergence {
+    /// The sample, in the order of the run.
+    pub sample: usize,
+    /// The step, in the first network's time.
+    pub timestep: u32,
+    /// The neuron within its layer.
+    pub neuron: u32,
+    /// Whether the first spiked there.
+    pub a: bool,
+    /// Whether the second did.
+    pub b: bool,
+    /// Their potentials in thresholds, where known.
+    pub potential_a: Option<f64>,
+    /// See `potential_a`.
+    pub potential_b: Option<f64>,
+}
+
+/// A layer of the two networks over all samples so far.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Comparison {
+    /// Sums.
+    pub tally: Tally,
+    /// The first sample, in it the first step, in it the lowest neuron in which they differ.
+    pub first_divergence: Option<Divergence>,
+}
+
+impl Comparison {
+    /// Adds a sample: layer `layer` of both, where the second answers `shift` steps later than the first.
+    pub fn add(&mut self, sample: usize, layer: &Layer, a: &Trace, b: &Trace, shift: i32) {
+        let steps = a.steps.min(b.steps);
+        // Steps of the first that have a counterpart in the second.
+        let from = (-shift).max(0) as u32;
+        let to = steps.saturating_sub(shift.max(0) as u32);
+        let mut earliest: Option<(u32, u32)> = None;
+        for neuron in 0..layer.count {
+            let compartment = layer.first + neuron;
+            let within = |&t: &u32| (from..to).contains(&t);
+            let own: Vec<u32> = a.trains[compartment as usize].iter().copied().filter(within).collect();
+            let shifted = b.trains[compartment as usize].iter().filter_map(|&t| t.checked_add_signed(-shift));
+            let other: Vec<u32> = shifted.filter(within).collect();
+            self.tally.trains(&own, &other, to.saturating_sub(from));
+            if let Some(step) = first_difference(&own, &other)
+                && earliest.is_none_or(|earliest| (step, neuron) < earliest)
+            {
+                earliest = Some((step, neuron));
+            }
+            if !a.potentials.is_empty() && !b.potentials.is_empty() {
+                let (mut i, mut j) = (0, 0);
+                for step in from..to {
+                    let spiked = |train: &[u32], at: &mut usize| {
+                        let here = train.get(*at) == Some(&step);
+                        *at += usize::from(here);
+                        here
+                    };
+                    // Where one spikes, the other's convention decides what is read: a reset, or the peak.
+                    let (a_spikes, b_spikes) = (spiked(&own, &mut i), spiked(&other, &mut j));
+                    if !a_spikes
+                        && !b_spikes
+                        && let Some(there) = step.checked_add_signed(shift)
+                        && let (Some(x), Some(y)) = (a.potential(compartment, step), b.potential(compartment, there))
+                    {
+                        self.tally.potentials(x, y);
+                    }
+                }
+            }
+        }
+        if self.first_divergence.is_none()
+            && let Some((timestep, neuron)) = earliest
+        {
+            let compartment = layer.first + neuron;
+            let there = timestep.saturating_add_signed(shift);
+            let spikes = |trace: &Trace, step: u32| trace.trains[compartment as usize].binary_search(&step).is_ok();
+            self.first_divergence = Some(Divergence {
+                sample,
+                timestep,
+                neuron,
+                a: spikes(a, timestep),
+                b: spikes(b, there),
+                potential_a: a.potential(compartment, timestep),
+                potential_b: b.potential(compartment, there),
+            });
+        }
+    }
+}
+
+fn first_difference(a: &[u32], b: &[u32]) -> Option<u32> {
+    let same = a.iter().zip(b).take_while(|(x, y)| x == y).count();
+    match (a.get(same), b.get(same)) {
+        (Some(&x), Some(&y)) => Some(x.min(y)),
+        (Some(&x), None) | (None, Some(&x)) => Some(x),
+        (None, None) => None,
+    }
+}
+
+/// The constant delay by which the second's spikes of a layer come later, of those within +-4 steps: the one at which most
+/// spikes coincide, the smallest on a tie.
+#[must_use]
+pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
+    let coincident = |shift: i32| {
+        let of = |(a, b): &(&Trace, &Trace)| {
+            let range = layer.first as usize..(layer.first + layer.count) as usize;
+            let each = a.trains[range.clone()].iter().zip(&b.trains[range]);
+            let count = |(x, y): (&Vec<u32>, &Vec<u32>)| {
+                let there = x.iter().filter_map(|&t| t.checked_add_signed(shift));
+                there.filter(|t| y.binary_search(t).is_ok()).count()
+            };
+            each.map(count).sum::<usize>()
+        };
+        pairs.iter().map(of).sum::<usize>()
+    };
+    let candidates = [0, -1, 1, -2, 2, -3, 3, -4, 4];
+    let mut best = (0, 0);
+    for shift in candidates {
+        let count = coincident(shift);
+        if count > best.1 {
+            best = (shift, count);
+        }
+    }
+    best.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn layer() -> Layer {
+        Layer { name: "l".to_string(), first: 1, count: 2 }
+    }
+
+    fn trace(trains: [&[u32]; 3]) -> Trace {
+        Trace { steps: 20, trains: trains.map(<[u32]>::to_vec).to_vec(), potentials: vec![0.0; 60] }
+    }
+
+    #[test]
+    fn a_shift_is_removed_and_what_has_no_counterpart_is_left_out() {
+        let a = trace([&[], &[0, 4, 9], &[19]]);
+        let b = trace([&[5], &[3, 8, 19], &[18]]);
+        assert_eq!(measured_shift(&layer(), &[(&a, &b)]), -1);
+        let mut comparison = Comparison::default();
+        comparison.add(0, &layer(), &a, &b, -1);
+        assert_eq!(comparison.first_divergence, None, "step 0 of the first and 19 of the second have no counterpart");
+        assert_eq!(comparison.tally.coincidence(), 1.0);
+        comparison.add(3, &layer(), &a, &b, 0);
+        let divergence = comparison.first_divergence.unwrap();
+        assert_eq!((divergence.sample, divergence.timestep, divergence.neuron), (3, 0, 0));
+        assert!(divergence.a && !divergence.b);
+    }
+
+    #[test]
+    fn potentials_are_compared_where_nobody_spikes() {
+        let a = trace([&[], &[2], &[]]);
+        let mut b = trace([&[], &[3], &[]]);
+        b.potentials.fill(0.5);
+        let mut comparison = Comparison::default();
+        comparison.add(0, &layer(), &a, &b, 0);
+        assert_eq!(comparison.tally.potential_rmse(), Some(0.5));
+        assert_eq!(a.class(&layer()), Some(0));
+        assert_eq!(trace([&[1], &[], &[]]).class(&layer()), None);
+    }
+}

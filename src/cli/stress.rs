@@ -1,0 +1,54 @@
+//! `nsim stress`: does the arithmetic hold at its edges?
+
+use rayon::prelude::*;
+
+use crate::cli::{Answer, Context, common};
+use crate::error::Error;
+use crate::io;
+use crate::report::stress::StressReport;
+use crate::stress::{CASES, Case, Verdict};
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim stress                                 every case, with its verdict
+  nsim stress --case ten-million-steps        one of them
+  nsim stress --format json";
+
+/// Run the numerical stability suite: overflow, rounding and long runs at the ends of every field
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// Only these cases [default: all]
+    #[arg(long, value_name = "NAME", num_args = 1.., value_parser = case)]
+    case: Vec<&'static Case>,
+}
+
+fn case(name: &str) -> Result<&'static Case, String> {
+    CASES.iter().find(|case| case.name == name).ok_or_else(|| {
+        let names: Vec<&str> = CASES.iter().map(|case| case.name).collect();
+        format!("cases are: {}", names.join(", "))
+    })
+}
+
+/// The command; the answer is no when a case fails.
+///
+/// # Errors
+/// [`Error`] when stdout cannot be written.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let cases: Vec<&Case> = if args.case.is_empty() { CASES.iter().collect() } else { args.case.clone() };
+    let target = io::target::load_target("loihi1-chip")?;
+    let bar = common::progress(context, cases.len() as u64, "cases");
+    let verdicts: Vec<Verdict> = cases
+        .par_iter()
+        .with_max_len(1)
+        .map(|case| {
+            let verdict = case.run(&target);
+            bar.inc(1);
+            verdict
+        })
+        .collect();
+    bar.finish_and_clear();
+    let report = StressReport { verdicts: &verdicts };
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(if verdicts.iter().all(|verdict| verdict.pass) { Answer::Yes } else { Answer::No })
+}

@@ -1,0 +1,225 @@
+//! The result of `nsim bench pareto` as text, JSON, CSV, Markdown and SVG.
+
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use super::plot::{self, Axis, Series};
+use crate::bench::Environment;
+use crate::bench::pareto::Row;
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct ParetoReport<'a> {
+    /// The network's name.
+    pub model: &'a str,
+    /// Where the samples came from.
+    pub input: &'a [String],
+    /// Their seed, when they had one.
+    pub seed: Option<u64>,
+    /// How many.
+    pub samples: usize,
+    /// Where it was measured.
+    pub environment: &'a Environment,
+    /// The variants.
+    pub rows: &'a [Row],
+}
+
+fn rounded(x: f64) -> f64 {
+    format!("{x:.6}").parse().unwrap_or(x)
+}
+
+const HEAD: [&str; 9] = [
+    "variant",
+    "us a step",
+    "quartiles apart",
+    "classes agree",
+    "accuracy",
+    "coincidence",
+    "potential rmse",
+    "exact",
+    "front",
+];
+
+impl ParetoReport<'_> {
+    fn cells(row: &Row) -> [String; 9] {
+        let or_none = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.4}"));
+        [
+            row.variant.name(),
+            format!("{:.3}", row.us_per_timestep),
+            format!("{:.3}", row.spread),
+            format!("{:.4}", row.class_agreement),
+            or_none(row.accuracy),
+            format!("{:.4}", row.coincidence),
+            or_none(row.potential_rmse),
+            row.exact.map_or("", |exact| if exact { "yes" } else { "NO" }).to_string(),
+            if row.on_front { "*" } else { "" }.to_string(),
+        ]
+    }
+
+    /// `nsim.bench/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let Environment { cpu, cores, os, rustc, nsim, profile } = self.environment;
+        let row = |row: &Row| {
+            json!({
+                "variant": row.variant.name(),
+                "us_per_timestep": rounded(row.us_per_timestep),
+                "spread": rounded(row.spread),
+                "class_agreement": rounded(row.class_agreement),
+                "coincidence": rounded(row.coincidence),
+                "potential_rmse": row.potential_rmse.map(rounded),
+                "on_front": row.on_front,
+                "accuracy": row.accuracy.map(rounded),
+                "exact": row.exact,
+                "repeats": row.repeats,
+            })
+        };
+        json!({
+            "schema": "nsim.bench/1",
+            "name": "pareto",
+            "model": self.model,
+            "input": self.input,
+            "seed": self.seed,
+            "samples": self.samples,
+            "environment": {
+                "cpu": cpu, "cores": cores, "os": os, "rustc": rustc, "nsim": nsim, "profile": profile,
+            },
+            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row a variant.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        out.write_record([
+            "variant",
+            "us_per_timestep",
+            "spread",
+            "class_agreement",
+            "accuracy",
+            "coincidence",
+            "potential_rmse",
+            "exact",
+            "on_front",
+        ])?;
+        for row in self.rows {
+            let mut cells = Self::cells(row);
+            cells[8] = row.on_front.to_string();
+            out.write_record(&cells)?;
+        }
+        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    fn what(&self) -> String {
+        let seed = self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
+        format!("{}, {} samples of {}{seed}", self.model, self.samples, self.input.join(" "))
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut table = Table::new();
+        table.load_style(comfy_table::presets::NOTHING);
+        table.set_header(HEAD);
+        self.rows.iter().for_each(|row| _ = table.add_row(Self::cells(row)));
+        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        format!(
+            "{}\n{}\nagainst the trained network in doubles; one thread\n\n{table}\n",
+            self.environment,
+            self.what()
+        )
+    }
+
+    /// A section of a document, with a chart under `picture`.
+    #[must_use]
+    pub fn markdown(&self, picture: &str) -> String {
+        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+        let mut out = format!("{}; {}.\n\n", self.what(), self.environment);
+        out += &format!("![run time against error of {}]({picture})\n\n", self.model);
+        out += &line(&HEAD.map(String::from));
+        out += &line(&HEAD.map(|_| "---".to_string()));
+        self.rows.iter().for_each(|row| out += &line(&Self::cells(row)));
+        out
+    }
+
+    /// Run time against error, with the front.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        // Nothing is exactly at the reference on an axis of factors: what is nearer than this is drawn here.
+        const NEAREST: f64 = 1e-4;
+        let point = |row: &Row| (row.us_per_timestep, (1.0 - row.coincidence).max(NEAREST), row.variant.name());
+        let pick = |on_front: bool| self.rows.iter().filter(|row| row.on_front == on_front).map(point).collect();
+        let series = [
+            Series::Points { name: "on the front".to_string(), points: pick(true), joined: true },
+            Series::Points { name: "behind it".to_string(), points: pick(false), joined: false },
+        ];
+        let title = format!("{}: run time against error", self.model);
+        plot::chart(
+            &title,
+            &Axis::log("microseconds a timestep"),
+            &Axis::log("1 - coincidence (0.0001: none)"),
+            &series,
+        )
+    }
+}
+
+/// Puts a section between `<!-- NAME -->` and `<!-- end NAME -->` of a document.
+#[must_use]
+pub fn replaced(document: &str, name: &str, section: &str) -> Option<String> {
+    let (open, close) = (format!("<!-- {name} -->\n"), format!("<!-- end {name} -->"));
+    let from = document.find(&open)? + open.len();
+    let to = from + document[from..].find(&close)?;
+    Some(format!("{}{section}{}", &document[..from], &document[to..]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::pareto::Variant;
+
+    #[test]
+    fn json_has_the_keys_of_the_contract() {
+        let row = Row {
+            variant: Variant::Fast { skip: true },
+            us_per_timestep: 1.5,
+            spread: 0.1,
+            repeats: 5,
+            class_agreement: 1.0,
+            accuracy: Some(0.5),
+            coincidence: 0.9,
+            potential_rmse: None,
+            exact: Some(true),
+            on_front: true,
+        };
+        let rows = [row];
+        let report = ParetoReport {
+            model: "m",
+            input: &[],
+            seed: None,
+            samples: 3,
+            environment: &Environment::here(),
+            rows: &rows,
+        };
+        let json = report.json();
+        assert_eq!((&json["schema"], &json["name"]), (&json!("nsim.bench/1"), &json!("pareto")));
+        let row = &json["rows"][0];
+        for key in
+            ["variant", "us_per_timestep", "spread", "class_agreement", "coincidence", "potential_rmse", "on_front"]
+        {
+            assert!(row.get(key).is_some(), "{key}");
+        }
+        assert!(report.svg().contains("fast") && report.markdown("p.svg").contains("| fast |"));
+        assert!(report.csv().unwrap().contains("fast,1.500"));
+    }
+
+    #[test]
+    fn a_section_is_replaced_between_its_marks() {
+        let document = "a\n<!-- x -->\nold\n<!-- end x -->\nb\n";
+        assert_eq!(replaced(document, "x", "new\n").unwrap(), "a\n<!-- x -->\nnew\n<!-- end x -->\nb\n");
+        assert_eq!(replaced(document, "y", "new"), None);
+    }
+}

@@ -1,0 +1,72 @@
+//! Does the arithmetic hold at its edges? A suite with a verdict a case.
+//!
+//! Comes in: a target whose cores the integer cases are mapped onto. Goes out: [`Verdict`]s. Each integer case is run by
+//! three: the machine, the golden interpreter, and a model in 128-bit integers written from `docs/semantics.md` with
+//! remainders and quotients ([`exact`]); it passes when every register and spike of every step agrees *and* the edge that
+//! it is about was met (something wrapped, clipped, spiked). Cases in real numbers hold the recursions of `reference`
+//! against compensated sums of the definition, with a bound that follows from the number of roundings.
+
+pub mod exact;
+mod integers;
+mod reals;
+
+use crate::desc::target::Target;
+
+/// What became of a case.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Verdict {
+    /// The case.
+    pub name: &'static str,
+    /// Whether it held.
+    pub pass: bool,
+    /// Timesteps that were run.
+    pub steps: u64,
+    /// What was seen, or what is wrong.
+    pub detail: String,
+}
+
+/// A case of the suite.
+#[derive(Debug, Clone, Copy)]
+pub struct Case {
+    /// Its name.
+    pub name: &'static str,
+    run: fn(&Target) -> Outcome,
+}
+
+/// Steps and what was seen, or steps and what is wrong.
+type Outcome = Result<(u64, String), (u64, String)>;
+
+impl Case {
+    /// Runs it; the target's limits on the variety of compartments are lifted, since a case holds many kinds.
+    #[must_use]
+    pub fn run(&self, target: &Target) -> Verdict {
+        match (self.run)(target) {
+            Ok((steps, detail)) => Verdict { name: self.name, pass: true, steps, detail },
+            Err((steps, detail)) => Verdict { name: self.name, pass: false, steps, detail },
+        }
+    }
+}
+
+/// The whole suite, in the order in which it is reported.
+pub const CASES: [Case; 20] = [
+    Case { name: "fan-in-4096-negative", run: integers::fan_in_negative },
+    Case { name: "fan-in-4096-positive", run: integers::fan_in_positive },
+    Case { name: "weight-exponent-least", run: integers::exponent_least },
+    Case { name: "weight-exponent-greatest", run: integers::exponent_greatest },
+    Case { name: "decays-at-both-ends", run: integers::decays },
+    Case { name: "thresholds-at-both-ends", run: integers::thresholds },
+    Case { name: "biases-at-both-ends", run: integers::biases },
+    Case { name: "refractory-1-and-63", run: integers::refractory },
+    Case { name: "current-overflows-upward", run: integers::overflow_up },
+    Case { name: "current-overflows-downward", run: integers::overflow_down },
+    Case { name: "voltage-clips-at-every-limit", run: integers::clips },
+    Case { name: "alternating-extremes", run: integers::alternating },
+    Case { name: "delays-at-the-ring-s-end", run: integers::delays },
+    Case { name: "ten-million-steps", run: integers::ten_million },
+    Case { name: "million-steps-f64", run: reals::million_f64 },
+    Case { name: "million-steps-f32", run: reals::million_f32 },
+    Case { name: "refractory-million-steps-f64", run: reals::refractory_f64 },
+    Case { name: "current-based-million-steps-f64", run: reals::cuba_f64 },
+    Case { name: "denormals-f64", run: reals::denormals_f64 },
+    Case { name: "denormals-f32", run: reals::denormals_f32 },
+];
