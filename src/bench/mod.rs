@@ -7,6 +7,7 @@
 
 pub mod cpu;
 pub mod environment;
+pub mod gpu;
 pub mod mapping;
 pub mod measure;
 pub mod networks;
