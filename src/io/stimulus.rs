@@ -8,6 +8,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use super::events::{self, EventFormat, EventOptions, Expected, nir_data};
 use super::foreign::hdf5;
 use super::text::{MOST_ARRAY, is_standard_stream, read_bytes};
@@ -238,14 +240,16 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, u32, std::path::PathBuf)>,
 /// # Errors
 /// As [`list_folder`] and [`read_npy`]; `input.shape` for a file with several samples.
 pub fn read_folder(folder: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-    list_folder(folder)?
-        .into_iter()
+    let read: Vec<_> = list_folder(folder)?
+        .into_par_iter()
         .map(|(_, label, path)| {
             let mut recording = one_sample(&path, units)?;
             recording.label = Some(label);
             Ok(recording)
         })
-        .collect()
+        .collect();
+    // The first problem in order of the samples, whichever thread met one first.
+    read.into_iter().collect()
 }
 
 /// Reads a source that holds exactly one sample.

@@ -37,21 +37,32 @@ pub enum ImageError {
     TooMany(usize),
 }
 
-/// Where a spike comes from: channels first, then compartments in the network's order.
+/// Consecutive lanes that each source of a panel reaches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Source(pub u32);
-
-/// Consecutive lanes that a source reaches.
-#[derive(Debug, Clone, Copy)]
 pub(super) struct Row {
     /// The first lane.
     pub target: u32,
-    /// The first weight.
-    pub weights: u32,
     /// Chunks of sixteen lanes.
     pub chunks: u16,
+    /// Synapses: lanes without the zeros that fill the last chunk.
+    pub synapses: u16,
     /// Delay field.
     pub delay: u8,
+}
+
+/// Consecutive sources that reach the same lanes, each with weights of its own: a dense projection makes one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Panel {
+    /// The first source.
+    pub first: u32,
+    /// The first source after it.
+    pub end: u32,
+    /// What each source reaches.
+    pub rows: Vec<Row>,
+    /// The first source's weights, a chunk of sixteen after the other, row by row; then the next source's.
+    pub weights: usize,
+    /// Chunks of a source.
+    pub stride: usize,
 }
 
 /// Synapses of one delay by source; weights in units of 64.
@@ -61,10 +72,94 @@ pub(super) struct Sparse {
     pub delay: u8,
     /// One more than sources.
     pub first: Vec<u32>,
-    /// Lane of each.
-    pub targets: Vec<u32>,
-    /// Weight of each.
-    pub weights: Vec<i16>,
+    /// The synapses.
+    pub synapses: Synapses,
+}
+
+/// Lanes and weights.
+#[derive(Debug)]
+pub(super) enum Synapses {
+    /// In one word.
+    Packed(Packing, Vec<u32>),
+    /// Where a weight does not fit beside its lane.
+    Apart {
+        /// Lane of each.
+        targets: Vec<u32>,
+        /// Weight of each.
+        weights: Vec<i16>,
+    },
+}
+
+/// How a synapse is packed: the lane in as many low bits as the share's lanes need, the weight in the others. A share of
+/// 65,536 lanes leaves the weight all of its 16 bits, one of a million twelve: any of exponents 0 to 3.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Packing {
+    target_bits: u32,
+}
+
+impl Packing {
+    fn new(lanes: usize) -> Self {
+        Packing { target_bits: (usize::BITS - lanes.leading_zeros()).clamp(1, 31) }
+    }
+
+    /// The word of a synapse, if it fits.
+    fn pack(self, target: u32, weight: i16) -> Option<u32> {
+        let packed = (i32::from(weight) << self.target_bits) as u32 | target;
+        Some(packed).filter(|&packed| self.unpack(packed) == (target as usize, weight))
+    }
+
+    /// Takes a word apart.
+    #[inline(always)]
+    pub fn unpack(self, word: u32) -> (usize, i16) {
+        ((word & ((1 << self.target_bits) - 1)) as usize, (word as i32 >> self.target_bits) as i16)
+    }
+}
+
+impl Synapses {
+    /// None yet, of a share with so many lanes.
+    fn new(lanes: usize) -> Self {
+        Synapses::Packed(Packing::new(lanes), Vec::new())
+    }
+
+    /// Number of synapses.
+    pub fn len(&self) -> usize {
+        match self {
+            Synapses::Packed(_, words) => words.len(),
+            Synapses::Apart { targets, .. } => targets.len(),
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Synapses::Packed(_, words) => 4 * words.len(),
+            Synapses::Apart { targets, .. } => 6 * targets.len(),
+        }
+    }
+
+    /// Appends a synapse; the first that does not fit a word takes all apart.
+    fn push(&mut self, target: u32, weight: i16) {
+        if let Synapses::Packed(packing, words) = self {
+            if let Some(word) = packing.pack(target, weight) {
+                return words.push(word);
+            }
+            let (targets, weights) = words.iter().map(|&w| packing.unpack(w)).map(|(t, w)| (t as u32, w)).unzip();
+            *self = Synapses::Apart { targets, weights };
+        }
+        if let Synapses::Apart { targets, weights } = self {
+            targets.push(target);
+            weights.push(weight);
+        }
+    }
+
+    fn shrink_to_fit(&mut self) {
+        match self {
+            Synapses::Packed(_, words) => words.shrink_to_fit(),
+            Synapses::Apart { targets, weights } => {
+                targets.shrink_to_fit();
+                weights.shrink_to_fit();
+            }
+        }
+    }
 }
 
 /// Fields of a block.
@@ -93,6 +188,17 @@ pub(super) struct Block {
     pub starts: u32,
 }
 
+/// Blocks of a granule that follow each other and are updated together.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Stretch {
+    /// The first block.
+    pub first: u32,
+    /// The first block after it.
+    pub end: u32,
+    /// The fields that all share where they can be updated as vectors; one block alone otherwise.
+    pub vector: Option<u32>,
+}
+
 /// One share of the lanes; lanes count from its own first.
 #[derive(Debug)]
 pub(super) struct Share {
@@ -100,16 +206,16 @@ pub(super) struct Share {
     pub lanes: usize,
     /// Blocks in order.
     pub blocks: Vec<Block>,
-    /// First block of each granule, and one more.
+    /// Stretches in order.
+    pub stretches: Vec<Stretch>,
+    /// First stretch of each granule, and one more.
     pub granules: Vec<u32>,
     /// Granules that never rest, a bit each.
     pub driven: Vec<u64>,
-    /// First row of each source, and one more; empty when there is no row at all.
-    pub first_row: Vec<u32>,
-    /// Rows.
-    pub rows: Vec<Row>,
-    /// Weights of rows, in units of 64.
-    pub row_weights: Vec<i16>,
+    /// Panels by their sources, which do not overlap.
+    pub panels: Vec<Panel>,
+    /// Weights of panels, in units of 64.
+    pub weights: Vec<[i16; LANES]>,
     /// Lists by delay, ascending.
     pub sparse: Vec<Sparse>,
 }
@@ -134,8 +240,8 @@ pub struct Image<'p> {
     /// First lane of each share, over all.
     bases: Vec<u32>,
     pub(super) shares: Vec<Share>,
-    /// Synaptic events of a spike of each source when all of them arrive.
-    pub(super) events: Vec<u32>,
+    /// Whether no sum of a step can leave 16 bits.
+    pub(super) narrow: bool,
     pub(super) channels: u32,
     /// Granules of all shares.
     pub(super) granules: usize,
@@ -161,7 +267,7 @@ impl<'p> Image<'p> {
             lanes: vec![0; program.compartments() as usize],
             bases: Vec::new(),
             shares: Vec::new(),
-            events: Vec::new(),
+            narrow: true,
             channels: program.channels(),
             granules: 0,
         };
@@ -179,20 +285,6 @@ impl<'p> Image<'p> {
         self.program
     }
 
-    /// A channel's number as a source.
-    #[inline]
-    #[must_use]
-    pub fn channel(&self, channel: ChannelId) -> Source {
-        Source(channel.0)
-    }
-
-    /// A compartment's number as a source.
-    #[inline]
-    #[must_use]
-    pub fn compartment(&self, compartment: CompartmentId) -> Source {
-        Source(self.channels + compartment.0)
-    }
-
     /// Number of sources.
     #[must_use]
     pub fn sources(&self) -> usize {
@@ -205,6 +297,15 @@ impl<'p> Image<'p> {
         match number.checked_sub(self.channels as usize) {
             None => SpikeSource::Channel(ChannelId::new(number)),
             Some(compartment) => SpikeSource::Compartment(CompartmentId::new(compartment)),
+        }
+    }
+
+    /// A source's number.
+    #[must_use]
+    pub(super) fn number(&self, source: SpikeSource) -> usize {
+        match source {
+            SpikeSource::Channel(channel) => channel.index(),
+            SpikeSource::Compartment(compartment) => self.channels as usize + compartment.index(),
         }
     }
 
@@ -225,13 +326,19 @@ impl<'p> Image<'p> {
     #[must_use]
     pub fn bytes(&self) -> usize {
         let of = |share: &Share| {
-            let sparse: usize = share.sparse.iter().map(|s| 4 * s.first.len() + 6 * s.targets.len()).sum();
-            let rows = size_of::<Row>() * share.rows.len() + 4 * share.first_row.len() + 2 * share.row_weights.len();
-            size_of::<Block>() * share.blocks.len() + 4 * share.granules.len() + 8 * share.driven.len() + rows + sparse
+            let sparse: usize = share.sparse.iter().map(|s| 4 * s.first.len() + s.synapses.bytes()).sum();
+            let panel = |panel: &Panel| size_of::<Panel>() + size_of::<Row>() * panel.rows.len();
+            let panels = share.panels.iter().map(panel).sum::<usize>() + size_of_val(share.weights.as_slice());
+            size_of::<Block>() * share.blocks.len()
+                + size_of_val(share.stretches.as_slice())
+                + 4 * share.granules.len()
+                + 8 * share.driven.len()
+                + panels
+                + sparse
         };
         let shares: usize = self.shares.iter().map(of).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
-        shares + fields + 4 * (self.ids.len() + self.lanes.len() + self.events.len())
+        shares + fields + 4 * (self.ids.len() + self.lanes.len())
     }
 
     /// Lays compartments out in lanes over all shares and returns their blocks.
@@ -294,7 +401,8 @@ impl<'p> Image<'p> {
     }
 
     /// Makes sure that no sum can leave 32 bits: a source spikes once a step, so each synapse adds at most once.
-    fn check_fan_in(&self) -> Result<(), ImageError> {
+    fn check_fan_in(&mut self) -> Result<(), ImageError> {
+        let mut most = 0;
         for image in self.program.cores() {
             let mut weight = vec![0u64; image.compartments.len()];
             for synapse in image.synapses.items() {
@@ -303,7 +411,9 @@ impl<'p> Image<'p> {
             if let Some(slot) = weight.iter().position(|&weight| weight > i32::MAX as u64) {
                 return Err(ImageError::FanIn(image.ids[slot]));
             }
+            most = weight.into_iter().fold(most, u64::max);
         }
+        self.narrow = most <= i16::MAX as u64;
         Ok(())
     }
 
@@ -322,15 +432,28 @@ impl<'p> Image<'p> {
             }
             let Some((_, share)) = current.as_mut() else { continue };
             block.start -= self.bases[self.bases.len() - 1];
+            let vector = match block.fields {
+                // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
+                BlockFields::Same(f) if self.semantics == Semantics::Hardware => {
+                    Some(f).filter(|&f| self.fields[f as usize].fires_from > 0)
+                }
+                _ => None,
+            };
+            let begins = share.granules.len() <= block.start as usize / GRANULE;
             while share.granules.len() <= block.start as usize / GRANULE {
-                share.granules.push(share.blocks.len() as u32);
+                share.granules.push(share.stretches.len() as u32);
+            }
+            let index = share.blocks.len() as u32;
+            match share.stretches.last_mut() {
+                Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => stretch.end += 1,
+                _ => share.stretches.push(Stretch { first: index, end: index + 1, vector }),
             }
             share.blocks.push(block);
         }
         self.shares.extend(current.map(|(_, share)| share));
         self.granules = granules;
         for share in &mut self.shares {
-            share.granules.push(share.blocks.len() as u32);
+            share.granules.push(share.stretches.len() as u32);
             let granules = share.granules.len() - 1;
             // A row that begins in the last lanes reads and writes zeros up to a chunk beyond them.
             share.lanes = granules * GRANULE + LANES;
@@ -368,11 +491,11 @@ impl<'p> Image<'p> {
         let lists = || parts.cores.iter().flat_map(|image| image.synapses.iter().map(<[Synapse]>::len));
         let in_short: usize = lists().filter(|&length| length < SHORTEST_ROW).sum();
         let shortest_row = if in_short * MANY < lists().sum() { 1 } else { SHORTEST_ROW };
-        let empty = |delay| Sparse { delay, first: vec![0], targets: Vec::new(), weights: Vec::new() };
         for share in &mut self.shares {
-            share.sparse = delays.iter().map(|&delay| empty(delay)).collect();
-            share.first_row.push(0);
+            let empty = |&delay: &u8| Sparse { delay, first: vec![0], synapses: Synapses::new(share.lanes) };
+            share.sparse = delays.iter().map(empty).collect();
         }
+        let mut rows = vec![Vec::new(); self.shares.len()];
         for source in 0..self.sources() as u32 {
             let messages = match source.checked_sub(self.channels) {
                 None => self.program.channel(ChannelId(source)),
@@ -381,40 +504,30 @@ impl<'p> Image<'p> {
                     parts.cores[seat.core].axons_out.get(usize::from(seat.slot))
                 }
             };
-            let mut events = 0u32;
             for message in messages {
                 let image = &parts.cores[message.core];
                 let synapses = image.synapses.get(usize::from(message.axon));
-                events += synapses.len() as u32;
-                self.append(image, synapses, shortest_row);
+                self.append(image, synapses, shortest_row, &mut rows);
             }
-            self.events.push(events);
-            for share in &mut self.shares {
-                share.first_row.push(share.rows.len() as u32);
-                for table in &mut share.sparse {
-                    table.first.push(table.targets.len() as u32);
-                }
+            for (share, rows) in self.shares.iter_mut().zip(&mut rows) {
+                share.close(source, rows);
             }
         }
         for share in &mut self.shares {
-            let most = share.sparse.iter().map(|t| t.targets.len()).max().unwrap_or(0).max(share.row_weights.len());
+            let most = share.sparse.iter().map(|table| table.synapses.len()).max().unwrap_or(0);
             if u32::try_from(most).is_err() {
                 return Err(ImageError::TooMany(most));
             }
-            share.sparse.retain(|table| !table.targets.is_empty());
+            share.sparse.retain(|table| table.synapses.len() > 0);
             for table in &mut share.sparse {
-                table.targets.shrink_to_fit();
-                table.weights.shrink_to_fit();
-            }
-            if share.rows.is_empty() {
-                share.first_row = Vec::new();
+                table.synapses.shrink_to_fit();
             }
         }
         Ok(())
     }
 
     /// Adds one axon's list to the source that is being connected: consecutive lanes as a row, others one by one.
-    fn append(&mut self, image: &CoreImage, synapses: &[Synapse], shortest_row: usize) {
+    fn append(&mut self, image: &CoreImage, synapses: &[Synapse], shortest_row: usize, rows: &mut [Vec<Row>]) {
         let place = |image_of: &Self, synapse: &Synapse| {
             let (share, lane) = image_of.lane(image.ids[usize::from(synapse.slot)]);
             (share, lane, synapse.delay.get())
@@ -428,19 +541,16 @@ impl<'p> Image<'p> {
             let data = &mut self.shares[share];
             if run >= shortest_row {
                 let chunks = run.div_ceil(LANES);
-                data.rows.push(Row {
-                    target: lane as u32,
-                    weights: data.row_weights.len() as u32,
-                    chunks: chunks as u16,
-                    delay,
-                });
-                data.row_weights.extend(weights);
-                data.row_weights.resize(data.row_weights.len() + chunks * LANES - run, 0);
+                rows[share].push(Row { target: lane as u32, chunks: chunks as u16, synapses: run as u16, delay });
+                let mut weights = weights;
+                let chunk = |_| std::array::from_fn(|_| weights.next().unwrap_or(0));
+                data.weights.extend((0..chunks).map(chunk));
             } else {
                 let table = data.sparse.iter_mut().find(|table| table.delay == delay);
                 let table = table.expect("every delay has a table");
-                table.targets.extend((lane..lane + run).map(|lane| lane as u32));
-                table.weights.extend(weights);
+                for (lane, weight) in (lane..).zip(weights) {
+                    table.synapses.push(lane as u32, weight);
+                }
             }
             from += run;
         }
@@ -448,17 +558,44 @@ impl<'p> Image<'p> {
 }
 
 impl Share {
+    /// The place of its first compartment in the order of lanes.
+    #[inline(always)]
+    pub(super) fn first_id(&self) -> usize {
+        self.blocks.first().map_or(0, |block| block.id as usize)
+    }
+
     fn empty() -> Self {
         Share {
             lanes: 0,
             blocks: Vec::new(),
+            stretches: Vec::new(),
             granules: Vec::new(),
             driven: Vec::new(),
-            first_row: Vec::new(),
-            rows: Vec::new(),
-            row_weights: Vec::new(),
+            panels: Vec::new(),
+            weights: Vec::new(),
             sparse: Vec::new(),
         }
+    }
+
+    /// Ends a source's lists; its rows, whose weights are the last, continue a panel or begin one.
+    fn close(&mut self, source: u32, rows: &mut Vec<Row>) {
+        for table in &mut self.sparse {
+            table.first.push(table.synapses.len() as u32);
+        }
+        if rows.is_empty() {
+            return;
+        }
+        if let Some(panel) = self.panels.last_mut()
+            && panel.end == source
+            && panel.rows == *rows
+        {
+            panel.end += 1;
+            rows.clear();
+            return;
+        }
+        let stride = rows.iter().map(|row| usize::from(row.chunks)).sum();
+        let weights = self.weights.len() - stride;
+        self.panels.push(Panel { first: source, end: source + 1, rows: std::mem::take(rows), weights, stride });
     }
 }
 

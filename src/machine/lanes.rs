@@ -4,18 +4,23 @@
 //! A granule is visited when something arrived at it, when it was not at rest after its last visit, or when a bias drives
 //! it; all others are as if they had been visited.
 
-use crate::base::id::{ChannelId, CompartmentId, CoreId};
+use std::ops::Range;
+
+use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
-use crate::machine::image::{Block, BlockFields, GRANULE, Image, Share, Source, Sparse};
-use crate::machine::kernel::{self, LANES, Q_WRAPPED, U_WRAPPED, V_CLIPPED};
-use crate::machine::neuron::{Fields, Registers, update};
+use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Stretch, Synapses};
+use crate::machine::kernel::{self, LANES, Sum};
+use crate::machine::neuron::{Registers, update};
+use crate::machine::prefetch::{prefetch, prefetch_range};
 
 /// What a step is told.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Order<'a> {
     /// The step.
     pub step: u32,
+    /// Steps of the sample that are left, this one included: what arrives later is no event.
+    pub left: u32,
     /// Input channels that spike in it.
     pub channels: &'a [ChannelId],
     /// Compartments that spiked in the step before.
@@ -53,196 +58,425 @@ impl pulp::NullaryFnOnce for Step<'_> {
 /// The state of a share.
 #[derive(Debug)]
 pub(super) struct Lanes {
-    u: Vec<i32>,
-    v: Vec<i32>,
-    hold: Vec<i32>,
-    /// Sums of arrivals in units of 64, one array a ring slot.
-    ring: Vec<Vec<i32>>,
-    /// Granules with arrivals, a bit each, one set a ring slot.
+    state: State,
+    ring: Sums,
+}
+
+/// Sums of arrivals, as narrow as they can be.
+#[derive(Debug)]
+enum Sums {
+    Narrow(Ring<i16>),
+    Wide(Ring<i32>),
+}
+
+/// What arrives in the coming steps, a slot each.
+#[derive(Debug)]
+struct Ring<S> {
+    /// Sums in units of 64, by lane.
+    sums: Vec<Vec<S>>,
+    /// Granules with arrivals, a bit each.
     arrivals: Vec<Vec<u64>>,
+}
+
+/// Registers, and what was counted.
+#[derive(Debug)]
+pub(super) struct State {
+    u: Vec<i32>,
+    /// As `kernel::store` writes them; plain where `hold` is not empty.
+    v: Vec<i32>,
+    /// Steps until v is free again, where a voltage may need its whole register: in SLAYER's semantics.
+    hold: Vec<u8>,
     /// Granules that are not at rest.
     busy: Vec<u64>,
     /// Compartments that spiked in the last step, in the order of lanes.
     pub spikes: Vec<CompartmentId>,
+    /// Spikes of each compartment, in the order of blocks, since they were last taken.
+    pub fired: Vec<u32>,
     /// Compartments of a core that were not at rest in the last step, block by block, if asked for.
     pub active: Vec<(CoreId, u32)>,
     /// How many were not at rest in the last step.
     pub active_now: u64,
     /// The same by block since it was last taken.
     pub active_by_block: Vec<u64>,
+    /// Synapses that arrivals of the last step came over, or of a later one before the sample's end.
+    pub events_now: u64,
     /// What left its field.
     pub overflow: Overflow,
     /// Compartments visited.
     pub visited: u64,
 }
 
+impl std::ops::Deref for Lanes {
+    type Target = State;
+
+    fn deref(&self) -> &State {
+        &self.state
+    }
+}
+
+impl std::ops::DerefMut for Lanes {
+    fn deref_mut(&mut self) -> &mut State {
+        &mut self.state
+    }
+}
+
 impl Lanes {
     /// A share at rest, with so many ring slots.
-    pub fn new(share: &Share, slots: usize) -> Self {
+    pub fn new(image: &Image, share: &Share, slots: usize) -> Self {
         let words = share.driven.len();
-        Lanes {
+        let holds = if image.semantics == Semantics::Slayer { share.lanes } else { 0 };
+        let state = State {
             u: vec![0; share.lanes],
             v: vec![0; share.lanes],
-            hold: vec![0; share.lanes],
-            ring: vec![vec![0; share.lanes]; slots],
-            arrivals: vec![vec![0; words]; slots],
+            hold: vec![0; holds],
             busy: vec![0; words],
             spikes: Vec::new(),
+            fired: vec![0; share.blocks.iter().map(|block| block.length as usize).sum()],
             active: Vec::new(),
             active_now: 0,
             active_by_block: vec![0; share.blocks.len()],
+            events_now: 0,
             overflow: Overflow::default(),
             visited: 0,
-        }
+        };
+        let ring = match image.narrow {
+            true => Sums::Narrow(Ring::new(share.lanes, words, slots)),
+            false => Sums::Wide(Ring::new(share.lanes, words, slots)),
+        };
+        Lanes { state, ring }
     }
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        let words: usize = self.arrivals.iter().map(Vec::len).sum::<usize>() + self.busy.len();
-        4 * self.u.len() * (3 + self.ring.len()) + 8 * (words + self.active_by_block.len())
+        let state = &self.state;
+        let words =
+            state.u.len() + state.v.len() + state.fired.len() + 2 * (state.busy.len() + state.active_by_block.len());
+        let ring = match &self.ring {
+            Sums::Narrow(ring) => ring.bytes(),
+            Sums::Wide(ring) => ring.bytes(),
+        };
+        4 * words + state.hold.len() + ring
     }
 
     /// Back to the state before the first step; what is counted over samples stays.
     pub fn clear(&mut self) {
-        self.u.fill(0);
-        self.v.fill(0);
-        self.hold.fill(0);
-        for (sums, arrivals) in self.ring.iter_mut().zip(&mut self.arrivals) {
-            sums.fill(0);
-            arrivals.fill(0);
+        match &mut self.ring {
+            Sums::Narrow(ring) => ring.clear(),
+            Sums::Wide(ring) => ring.clear(),
         }
-        self.busy.fill(0);
-        self.spikes.clear();
-        self.overflow = Overflow::default();
-        self.visited = 0;
+        let state = &mut self.state;
+        state.u.fill(0);
+        state.v.fill(0);
+        state.hold.fill(0);
+        state.busy.fill(0);
+        state.spikes.clear();
+        state.overflow = Overflow::default();
+        state.visited = 0;
     }
 
     /// Whether nothing is in flight and every compartment is at rest and stays so without input.
     pub fn at_rest(&self, share: &Share) -> bool {
+        let arrivals = match &self.ring {
+            Sums::Narrow(ring) => &ring.arrivals,
+            Sums::Wide(ring) => &ring.arrivals,
+        };
         let clear = |words: &[u64]| words.iter().all(|&word| word == 0);
-        clear(&self.busy) && clear(&share.driven) && self.arrivals.iter().all(|words| clear(words))
-    }
-
-    /// Registers of a lane.
-    pub fn registers(&self, lane: usize) -> Registers {
-        Registers { u: self.u[lane], v: self.v[lane], hold: self.hold[lane] as u8 }
+        clear(&self.state.busy) && clear(&share.driven) && arrivals.iter().all(|words| clear(words))
     }
 
     /// Deliver and Update.
     #[inline(always)]
     pub fn step(&mut self, image: &Image, share: &Share, order: Order) {
-        let cursor = order.step as usize % self.ring.len();
-        if order.everywhere {
-            let granules = share.granules.len() - 1;
-            // Arrivals of this step's spikes may lie in any slot that a delay leads to.
-            self.arrivals.iter_mut().for_each(|words| fill_bits(words, granules));
-            self.deliver::<false>(image, share, order, cursor);
-        } else {
-            self.deliver::<true>(image, share, order, cursor);
+        match &mut self.ring {
+            Sums::Narrow(ring) => self.state.step(ring, image, share, order),
+            Sums::Wide(ring) => self.state.step(ring, image, share, order),
         }
-        self.update(image, share, order, cursor);
+    }
+}
+
+impl<S: Sum> Ring<S> {
+    fn new(lanes: usize, words: usize, slots: usize) -> Self {
+        Ring { sums: vec![vec![S::default(); lanes]; slots], arrivals: vec![vec![0; words]; slots] }
     }
 
-    /// The ring slot of a delay.
+    fn bytes(&self) -> usize {
+        let of = |(sums, words): (&Vec<S>, &Vec<u64>)| size_of_val(sums.as_slice()) + size_of_val(words.as_slice());
+        self.sums.iter().zip(&self.arrivals).map(of).sum()
+    }
+
+    fn clear(&mut self) {
+        for (sums, arrivals) in self.sums.iter_mut().zip(&mut self.arrivals) {
+            sums.fill(S::default());
+            arrivals.fill(0);
+        }
+    }
+
+    /// The slot of a delay.
     #[inline(always)]
     fn slot(&self, cursor: usize, delay: u8) -> usize {
         let slot = cursor + usize::from(delay);
-        if slot >= self.ring.len() { slot - self.ring.len() } else { slot }
+        if slot >= self.sums.len() { slot - self.sums.len() } else { slot }
     }
 
+    /// Delivers what these sources reach, `first` being the first of their kind; returns the synapses over which it
+    /// arrives within `left` steps.
     #[inline(always)]
-    fn deliver<const NOTE: bool>(&mut self, image: &Image, share: &Share, order: Order, cursor: usize) {
-        let channels = order.channels.iter().map(|&channel| image.channel(channel));
-        let carried = order.carried.iter().map(|&compartment| image.compartment(compartment));
-        if !share.first_row.is_empty() {
-            self.deliver_rows::<NOTE>(share, channels.clone(), cursor);
-            self.deliver_rows::<NOTE>(share, carried.clone(), cursor);
+    fn deliver<const NOTE: bool, I: Id>(
+        &mut self,
+        share: &Share,
+        sources: Sources<'_, I>,
+        cursor: usize,
+        left: u32,
+    ) -> u64 {
+        let mut events = 0;
+        if !share.panels.is_empty() {
+            events += self.deliver_panels::<NOTE, I>(share, sources, cursor, left);
         }
         for table in &share.sparse {
             let slot = self.slot(cursor, table.delay);
-            self.deliver_sparse::<NOTE>(table, channels.clone(), slot);
-            self.deliver_sparse::<NOTE>(table, carried.clone(), slot);
+            let synapses = self.deliver_sparse::<NOTE, I>(table, sources, slot);
+            events += if u32::from(table.delay) < left { synapses } else { 0 };
+        }
+        events
+    }
+
+    #[inline(always)]
+    fn deliver_panels<const NOTE: bool, I: Id>(
+        &mut self,
+        share: &Share,
+        sources: Sources<'_, I>,
+        cursor: usize,
+        left: u32,
+    ) -> u64 {
+        let (mut events, mut panels, mut rest) = (0, share.panels.as_slice(), sources.ids);
+        while let Some(&next) = rest.first() {
+            let next = sources.number(next) as u32;
+            let passed = first_at_least(panels, |panel| panel.end > next);
+            panels = &panels[passed..];
+            let Some(panel) = panels.first() else { break };
+            let before = rest.iter().take_while(|&&id| (sources.number(id) as u32) < panel.first).count();
+            rest = &rest[before..];
+            let within = rest.iter().take_while(|&&id| (sources.number(id) as u32) < panel.end).count();
+            let (spiking, after) = rest.split_at(within);
+            rest = after;
+            if !spiking.is_empty() {
+                events +=
+                    self.deliver_panel::<NOTE, I>(share, panel, Sources { ids: spiking, ..sources }, cursor, left);
+            }
+        }
+        events
+    }
+
+    /// Adds the weights of a panel's sources, a few chunks of lanes at a time, which stay in registers meanwhile: going
+    /// through memory for each source would wait for the store before.
+    #[inline(always)]
+    fn deliver_panel<const NOTE: bool, I: Id>(
+        &mut self,
+        share: &Share,
+        panel: &Panel,
+        sources: Sources<'_, I>,
+        cursor: usize,
+        left: u32,
+    ) -> u64 {
+        let (mut events, mut chunk) = (0, 0);
+        for row in &panel.rows {
+            let slot = self.slot(cursor, row.delay);
+            if NOTE {
+                self.note(slot, row, share.lanes);
+            }
+            let count = usize::from(row.chunks);
+            let target = row.target as usize;
+            let (sums, _) = self.sums[slot][target..target + count * LANES].as_chunks_mut::<LANES>();
+            let weights = &share.weights[panel.weights + chunk..];
+            let first = panel.first as usize;
+            let (fours, ones) = sums.as_chunks_mut::<4>();
+            for (index, sums) in fours.iter_mut().enumerate() {
+                add(sums, weights, sources.numbers().map(|s| (s - first) * panel.stride + 4 * index));
+            }
+            let left_of = 4 * fours.len();
+            for (index, sums) in ones.iter_mut().enumerate() {
+                let offset = left_of + index;
+                add(
+                    std::array::from_mut(sums),
+                    weights,
+                    sources.numbers().map(|s| (s - first) * panel.stride + offset),
+                );
+            }
+            events += if u32::from(row.delay) < left { u64::from(row.synapses) } else { 0 };
+            chunk += count;
+        }
+        events * sources.ids.len() as u64
+    }
+
+    /// Notes that something arrives at a row's granules.
+    #[inline(always)]
+    fn note(&mut self, slot: usize, row: &Row, lanes: usize) {
+        let target = row.target as usize;
+        let last = (target + usize::from(row.chunks) * LANES - 1).min(lanes - LANES - 1);
+        for granule in target / GRANULE..=last / GRANULE {
+            self.arrivals[slot][granule / 64] |= 1 << (granule % 64);
         }
     }
 
-    /// Adds rows of weights. Sources of one population reach the same lanes, so the chunk that was added to last is kept
-    /// in registers until another is needed: going through memory each time would wait for the store before.
     #[inline(always)]
-    fn deliver_rows<const NOTE: bool>(&mut self, share: &Share, sources: impl Iterator<Item = Source>, cursor: usize) {
-        let (mut open, mut sum): (Option<(usize, usize)>, Chunk) = (None, [0; LANES]);
-        for source in sources {
-            let s = source.0 as usize;
-            for row in &share.rows[share.first_row[s] as usize..share.first_row[s + 1] as usize] {
-                let (slot, target) = (self.slot(cursor, row.delay), row.target as usize);
-                let (first, count) = (row.weights as usize, usize::from(row.chunks));
-                let (weights, _) = share.row_weights[first..first + count * LANES].as_chunks::<LANES>();
-                if NOTE {
-                    let last = (target + count * LANES - 1).min(share.lanes - LANES - 1);
-                    for granule in target / GRANULE..=last / GRANULE {
-                        self.arrivals[slot][granule / 64] |= 1 << (granule % 64);
+    fn deliver_sparse<const NOTE: bool, I: Id>(&mut self, table: &Sparse, sources: Sources<'_, I>, slot: usize) -> u64 {
+        let (sums, arrivals) = (self.sums[slot].as_mut_slice(), self.arrivals[slot].as_mut_slice());
+        let mut add = |target: usize, weight: i16| {
+            sums[target] = sums[target].plus(weight);
+            if NOTE {
+                let granule = target / GRANULE;
+                arrivals[granule / 64] |= 1 << (granule % 64);
+            }
+        };
+        let range = |s: usize| table.first[s] as usize..table.first[s + 1] as usize;
+        let mut events = 0;
+        match &table.synapses {
+            Synapses::Packed(packing, words) => {
+                let packing = *packing;
+                for index in 0..sources.ids.len() {
+                    if let Some(s) = sources.get(index + FAR) {
+                        prefetch(&table.first, s);
+                    }
+                    if let Some(s) = sources.get(index + NEAR) {
+                        prefetch_range(words, range(s));
+                    }
+                    let list = &words[range(sources.number(sources.ids[index]))];
+                    events += list.len();
+                    for &word in list {
+                        let (target, weight) = packing.unpack(word);
+                        add(target, weight);
                     }
                 }
-                if let [weights] = weights {
-                    if open != Some((slot, target)) {
-                        self.put(open, sum);
-                        sum = *chunk(&mut self.ring[slot], target);
-                        open = Some((slot, target));
-                    }
-                    add(&mut sum, weights);
-                } else {
-                    self.put(open.take(), sum);
-                    let (sums, _) = self.ring[slot][target..target + count * LANES].as_chunks_mut::<LANES>();
-                    for (sums, weights) in sums.iter_mut().zip(weights) {
-                        add(sums, weights);
+            }
+            Synapses::Apart { targets, weights } => {
+                for s in sources.numbers() {
+                    events += range(s).len();
+                    for (&target, &weight) in targets[range(s)].iter().zip(&weights[range(s)]) {
+                        add(target as usize, weight);
                     }
                 }
             }
         }
-        self.put(open, sum);
+        events as u64
+    }
+}
+
+/// Sources ahead whose list is fetched, and whose place in the table is.
+const NEAR: usize = 3;
+const FAR: usize = 16;
+
+/// Spikes of one kind, ascending.
+#[derive(Debug, Clone, Copy)]
+struct Sources<'a, I> {
+    ids: &'a [I],
+    /// The number as a source of the kind's first.
+    first: usize,
+}
+
+impl<'a, I: Id> Sources<'a, I> {
+    #[inline(always)]
+    fn number(self, id: I) -> usize {
+        self.first + id.index()
     }
 
     #[inline(always)]
-    fn put(&mut self, open: Option<(usize, usize)>, sum: Chunk) {
-        if let Some((slot, target)) = open {
-            *chunk(&mut self.ring[slot], target) = sum;
+    fn numbers(self) -> impl Iterator<Item = usize> + use<'a, I> {
+        self.ids.iter().map(move |&id| self.number(id))
+    }
+
+    #[inline(always)]
+    fn get(self, index: usize) -> Option<usize> {
+        self.ids.get(index).map(|&id| self.number(id))
+    }
+}
+
+/// How many do not yet hold what all from some place on do; near places are looked at first.
+#[inline(always)]
+fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
+    match items.iter().take(4).position(&holds) {
+        Some(near) => near,
+        None => items.partition_point(|item| !holds(item)),
+    }
+}
+
+/// Adds the chunks of weights that begin at each place to as many chunks of sums.
+#[inline(always)]
+fn add<S: Sum, const N: usize>(
+    sums: &mut [[S; LANES]; N],
+    weights: &[[i16; LANES]],
+    places: impl Iterator<Item = usize>,
+) {
+    let mut kept = *sums;
+    for place in places {
+        let weights = &weights[place..place + N];
+        for chunk in 0..N {
+            for lane in 0..LANES {
+                kept[chunk][lane] = kept[chunk][lane].plus(weights[chunk][lane]);
+            }
         }
     }
+    *sums = kept;
+}
 
-    #[inline(always)]
-    fn deliver_sparse<const NOTE: bool>(&mut self, table: &Sparse, sources: impl Iterator<Item = Source>, slot: usize) {
-        let (sums, arrivals) = (&mut self.ring[slot], &mut self.arrivals[slot]);
-        for source in sources {
-            let s = source.0 as usize;
-            let range = table.first[s] as usize..table.first[s + 1] as usize;
-            for (&target, &weight) in table.targets[range.clone()].iter().zip(&table.weights[range]) {
-                sums[target as usize] += i32::from(weight);
-                if NOTE {
-                    let granule = target as usize / GRANULE;
-                    arrivals[granule / 64] |= 1 << (granule % 64);
-                }
+impl State {
+    /// Registers of a lane.
+    pub fn registers(&self, lane: usize) -> Registers {
+        match self.hold.get(lane) {
+            Some(&hold) => Registers { u: self.u[lane], v: self.v[lane], hold },
+            None => {
+                let (v, hold) = kernel::load(self.v[lane]);
+                Registers { u: self.u[lane], v, hold }
             }
         }
     }
 
+    fn set(&mut self, lane: usize, new: Registers) {
+        self.u[lane] = new.u;
+        match self.hold.get_mut(lane) {
+            Some(hold) => (self.v[lane], *hold) = (new.v, new.hold),
+            None => self.v[lane] = kernel::store(new.v, new.hold),
+        }
+    }
+
     #[inline(always)]
-    fn update(&mut self, image: &Image, share: &Share, order: Order, cursor: usize) {
+    fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order) {
+        let cursor = order.step as usize % ring.sums.len();
+        let channels = Sources { ids: order.channels, first: 0 };
+        let carried = Sources { ids: order.carried, first: image.channels as usize };
+        self.events_now = 0;
+        if order.everywhere {
+            let granules = share.granules.len() - 1;
+            // Arrivals of this step's spikes may lie in any slot that a delay leads to.
+            ring.arrivals.iter_mut().for_each(|words| fill_bits(words, granules));
+            self.events_now += ring.deliver::<false, _>(share, channels, cursor, order.left);
+            self.events_now += ring.deliver::<false, _>(share, carried, cursor, order.left);
+        } else {
+            self.events_now += ring.deliver::<true, _>(share, channels, cursor, order.left);
+            self.events_now += ring.deliver::<true, _>(share, carried, cursor, order.left);
+        }
+        self.update(&mut ring.sums[cursor], &mut ring.arrivals[cursor], image, share, order);
+    }
+
+    #[inline(always)]
+    fn update<S: Sum>(&mut self, sums: &mut [S], arrivals: &mut [u64], image: &Image, share: &Share, order: Order) {
         self.spikes.clear();
         self.active.clear();
         self.active_now = 0;
         let granules = share.granules.len() - 1;
         for word in 0..self.busy.len() {
             let mut set = match order.skip {
-                true => self.busy[word] | share.driven[word] | self.arrivals[cursor][word],
+                true => self.busy[word] | share.driven[word] | arrivals[word],
                 false => ones(granules - word * 64),
             };
-            self.arrivals[cursor][word] = 0;
+            arrivals[word] = 0;
             let mut busy = 0;
             while set != 0 {
                 let bit = set.trailing_zeros();
                 set &= set - 1;
                 let granule = word * 64 + bit as usize;
-                for index in share.granules[granule] as usize..share.granules[granule + 1] as usize {
-                    if self.update_block(image, share.blocks[index], index, order, cursor) {
+                for stretch in &share.stretches[share.granules[granule] as usize..share.granules[granule + 1] as usize]
+                {
+                    if self.update_stretch(sums, image, share, *stretch, order) {
                         busy |= 1 << bit;
                     }
                 }
@@ -251,87 +485,111 @@ impl Lanes {
         }
     }
 
-    /// Updates one block; says whether it holds anything that is not at rest.
+    /// Updates a stretch; says whether it holds anything that is not at rest.
     #[inline(always)]
-    fn update_block(&mut self, image: &Image, block: Block, index: usize, order: Order, cursor: usize) -> bool {
-        let length = block.length as usize;
-        self.visited += u64::from(block.length);
-        let (active, busy) = match block.fields {
-            _ if order.step < block.starts => {
-                let lanes = block.start as usize..block.start as usize + length;
-                self.ring[cursor][lanes].fill(0);
-                (0, false)
+    fn update_stretch<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        share: &Share,
+        stretch: Stretch,
+        order: Order,
+    ) -> bool {
+        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
+        let Some(first) = blocks.first() else { return false };
+        // All blocks of a stretch have the same fields, the first step among them.
+        if order.step < first.starts {
+            for block in blocks {
+                self.visited += u64::from(block.length);
+                sums[block.start as usize..(block.start + block.length) as usize].fill(S::default());
             }
-            // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
-            BlockFields::Same(fields)
-                if image.semantics == Semantics::Hardware && image.fields[fields as usize].fires_from > 0 =>
-            {
-                self.vector(image, block, fields as usize, order, cursor)
-            }
-            BlockFields::Same(fields) => self.scalar(image, block, |_| &image.fields[fields as usize], order, cursor),
-            BlockFields::Each(first) => {
-                let of = |lane: usize| &image.fields[image.field_of[first as usize + lane] as usize];
-                self.scalar(image, block, of, order, cursor)
-            }
+            return false;
+        }
+        let Some(fields) = stretch.vector else {
+            let (active, busy) = self.scalar(sums, image, share, *first, 0..first.length as usize, order);
+            self.count_active(stretch.first as usize, first, active, order);
+            return busy;
         };
+        let start = first.start as usize;
+        let end = blocks.last().map_or(start, |last| (last.start + last.length) as usize).next_multiple_of(LANES);
+        let lanes = start..end;
+        if let Some(reset) = image.reset
+            && reset.falls_on(order.step, image.fields[fields as usize].resets_from)
+        {
+            self.u[lanes.clone()].fill(0);
+            self.v[lanes.clone()].fill(0);
+        }
+        let mut registers =
+            kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
+        let effects = kernel::hardware(&mut registers, &image.shared[fields as usize]);
+        let mut busy = effects.busy;
+        for (index, block) in (stretch.first as usize..).zip(blocks) {
+            let (chunk, length) = ((block.start - first.start) as usize / LANES, block.length as usize);
+            let chunks = chunk..chunk + length.div_ceil(LANES);
+            let mut active = effects.active[chunks.clone()].iter().sum();
+            let spiked = effects.spiked >> (chunk * LANES) & ones(length);
+            if effects.overflowed == 0 {
+                self.spike(share, image, *block, spiked);
+            } else {
+                for chunk in chunks {
+                    let from = chunk * LANES - (block.start - first.start) as usize;
+                    let lanes = from..(from + LANES).min(length);
+                    if effects.overflowed >> chunk & 1 == 1 {
+                        let (moved, moves) = self.scalar(sums, image, share, *block, lanes, order);
+                        active += moved;
+                        busy |= moves;
+                    } else {
+                        self.spike(share, image, *block, spiked & ones(lanes.end) & !ones(lanes.start));
+                    }
+                }
+            }
+            // Padding is never at rest under a bias, and always without.
+            let active = if image.fields[fields as usize].bias != 0 { block.length } else { active };
+            self.count_active(index, block, active, order);
+        }
+        busy
+    }
+
+    /// Counts a block that was visited.
+    #[inline(always)]
+    fn count_active(&mut self, index: usize, block: &Block, active: u32, order: Order) {
+        self.visited += u64::from(block.length);
         self.active_now += u64::from(active);
         self.active_by_block[index] += u64::from(active);
         if order.list_active && active > 0 {
             self.active.push((block.core, active));
         }
-        busy
     }
 
+    /// Notes the spikes of a block's lanes.
     #[inline(always)]
-    fn vector(&mut self, image: &Image, block: Block, fields: usize, order: Order, cursor: usize) -> (u32, bool) {
-        let start = block.start as usize;
-        let lanes = start..start + (block.length as usize).next_multiple_of(LANES);
-        let valid = ones(block.length as usize);
-        if let Some(reset) = image.reset
-            && reset.falls_on(order.step, image.fields[fields].resets_from)
-        {
-            self.u[lanes.clone()].fill(0);
-            self.v[lanes.clone()].fill(0);
-            self.hold[lanes.clone()].fill(0);
+    fn spike(&mut self, share: &Share, image: &Image, block: Block, mut lanes: u64) {
+        while lanes != 0 {
+            let id = block.id as usize + lanes.trailing_zeros() as usize;
+            self.spikes.push(image.ids[id]);
+            self.fired[id - share.first_id()] += 1;
+            lanes &= lanes - 1;
         }
-        let shared = &image.shared[fields];
-        let mut registers = kernel::Block {
-            u: &mut self.u[lanes.clone()],
-            v: &mut self.v[lanes.clone()],
-            hold: &mut self.hold[lanes.clone()],
-            sums: &mut self.ring[cursor][lanes],
-        };
-        let mut flags = [0; GRANULE];
-        let effects = kernel::hardware(&mut registers, shared, &mut flags);
-        let ids = &image.ids[block.id as usize..(block.id + block.length) as usize];
-        let mut spiked = effects.spiked & valid;
-        while spiked != 0 {
-            self.spikes.push(ids[spiked.trailing_zeros() as usize]);
-            spiked &= spiked - 1;
-        }
-        if effects.overflowed {
-            for (&flag, &id) in flags.iter().zip(ids).filter(|(flag, _)| **flag != 0) {
-                self.note(order.step, id, flag & Q_WRAPPED != 0, flag & U_WRAPPED != 0, flag & V_CLIPPED != 0);
-            }
-        }
-        // Padding is never at rest under a bias, and always without.
-        let active = if image.fields[fields].bias != 0 { block.length } else { effects.active };
-        (active, effects.busy)
     }
 
-    fn scalar<'f>(
+    /// Updates some lanes of a block one by one.
+    fn scalar<S: Sum>(
         &mut self,
+        sums: &mut [S],
         image: &Image,
+        share: &Share,
         block: Block,
-        fields: impl Fn(usize) -> &'f Fields,
+        lanes: Range<usize>,
         order: Order,
-        cursor: usize,
     ) -> (u32, bool) {
         let (mut active, mut busy) = (0, false);
-        for offset in 0..block.length as usize {
-            let (lane, id, fields) =
-                (block.start as usize + offset, image.ids[block.id as usize + offset], fields(offset));
-            let arrived = std::mem::take(&mut self.ring[cursor][lane]);
+        for offset in lanes {
+            let lane = block.start as usize + offset;
+            let fields = match block.fields {
+                BlockFields::Same(fields) => &image.fields[fields as usize],
+                BlockFields::Each(first) => &image.fields[image.field_of[first as usize + offset] as usize],
+            };
+            let arrived = std::mem::take(&mut sums[lane]).value();
             if order.step < fields.start_step {
                 continue;
             }
@@ -342,45 +600,20 @@ impl Lanes {
             let rest = old.u == 0 && old.v == 0 && !fields.holds(&old) && arrived == 0 && fields.bias == 0;
             active += u32::from(!rest);
             let (new, effect) = update(old, arrived, fields, image.semantics);
-            (self.u[lane], self.v[lane], self.hold[lane]) = (new.u, new.v, i32::from(new.hold));
+            self.set(lane, new);
             busy |= new != Registers::default();
             if effect.spiked {
-                self.spikes.push(id);
+                self.spike(share, image, block, 1 << offset);
             }
-            self.note(order.step, id, effect.q_wrapped, effect.u_wrapped, effect.v_clipped);
+            if effect.q_wrapped | effect.u_wrapped | effect.v_clipped {
+                self.overflow.q_wrapped += u64::from(effect.q_wrapped);
+                self.overflow.u_wrapped += u64::from(effect.u_wrapped);
+                self.overflow.v_clipped += u64::from(effect.v_clipped);
+                self.overflow.note(order.step, image.ids[block.id as usize + offset]);
+            }
         }
         (active, busy)
     }
-
-    #[inline(always)]
-    fn note(&mut self, step: u32, id: CompartmentId, q: bool, u: bool, v: bool) {
-        if q | u | v {
-            self.overflow.q_wrapped += u64::from(q);
-            self.overflow.u_wrapped += u64::from(u);
-            self.overflow.v_clipped += u64::from(v);
-            self.overflow.note(step, id);
-        }
-    }
-}
-
-/// Sums of sixteen lanes.
-type Chunk = [i32; LANES];
-
-/// The chunk that begins at a lane; every lane of a share has sixteen from itself on.
-#[inline(always)]
-fn chunk(sums: &mut [i32], lane: usize) -> &mut Chunk {
-    let (chunks, _) = sums[lane..lane + LANES].as_chunks_mut::<LANES>();
-    &mut chunks[0]
-}
-
-/// Adds weights as vectors; the copy tells the compiler that the arrays are apart.
-#[inline(always)]
-fn add(sums: &mut Chunk, weights: &[i16; LANES]) {
-    let mut sum = *sums;
-    for lane in 0..LANES {
-        sum[lane] += i32::from(weights[lane]);
-    }
-    *sums = sum;
 }
 
 /// The lowest `count` bits, all 64 from there on.

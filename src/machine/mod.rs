@@ -18,6 +18,7 @@ pub mod image;
 pub mod kernel;
 mod lanes;
 pub mod neuron;
+mod prefetch;
 pub mod tally;
 
 use rayon::prelude::*;
@@ -61,14 +62,15 @@ pub struct Machine<'i> {
     steps: u32,
     spikes: Vec<CompartmentId>,
     carried: Vec<CompartmentId>,
-    /// Synaptic events that the last step's spikes make.
-    carried_events: u64,
-    /// Of the sample.
+    /// Synaptic events of the last step, whose number says how much the coming one will have to deliver.
+    last_events: u64,
+    /// Of the sample, without the events of spikes that are still to be delivered.
     totals: Totals,
     last: StepActivity,
-    /// Spikes of each source since the activity was last taken, but for `late` ones.
+    /// Spikes of each channel since the activity was last taken; compartments' are noted with their lanes.
     fired: Vec<u32>,
-    /// Spikes so near a sample's end that a delivery could fall after it: source and steps that its deliveries reach.
+    /// Of all spikes those so near a sample's end that a delivery could fall after it: source and steps that its
+    /// deliveries reach.
     late: Vec<(SpikeSource, u32)>,
     /// Steps since the activity was last taken.
     run_steps: u64,
@@ -81,17 +83,17 @@ impl<'i> Machine<'i> {
         let slots = image.longest_delay as usize + 1;
         Machine {
             image,
-            shares: image.shares.iter().map(|share| Lanes::new(share, slots)).collect(),
+            shares: image.shares.iter().map(|share| Lanes::new(image, share, slots)).collect(),
             settings,
             arch: pulp::Arch::new(),
             step: 0,
             steps: 0,
             spikes: Vec::new(),
             carried: Vec::new(),
-            carried_events: 0,
+            last_events: 0,
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
-            fired: vec![0; image.sources()],
+            fired: vec![0; image.channels as usize],
             late: Vec::new(),
             run_steps: 0,
         }
@@ -107,12 +109,14 @@ impl<'i> Machine<'i> {
     pub fn take_activity(&mut self) -> Activity {
         let program = self.image.program();
         let mut sum = StepActivity::new(program.cores().len());
-        for (source, fired) in self.fired.iter_mut().enumerate().filter(|(_, fired)| **fired > 0) {
-            let times = u64::from(std::mem::take(fired));
-            tally::add_spikes(program, self.image.source(source), u32::MAX, times, &mut sum);
-        }
-        for (source, reach) in self.late.drain(..) {
+        let mut fired = self.take_fired();
+        for &(source, reach) in &self.late {
+            fired[self.image.number(source)] -= 1;
             tally::add_spikes(program, source, reach, 1, &mut sum);
+        }
+        self.late.clear();
+        for (source, &times) in fired.iter().enumerate().filter(|(_, times)| **times > 0) {
+            tally::add_spikes(program, self.image.source(source), u32::MAX, times.into(), &mut sum);
         }
         tally::add_visits(program, self.run_steps, &mut sum);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
@@ -144,24 +148,23 @@ impl<'i> Machine<'i> {
         self.shares.iter().map(Lanes::bytes).sum::<usize>() + 4 * self.fired.len()
     }
 
-    /// Notes a step's spikes of one kind; `reach` is how many steps their deliveries may take. Returns the synaptic events
-    /// that they will make if nothing ends.
-    #[inline(always)]
-    fn count<I: Id>(&mut self, first: usize, spikes: &[I], reach: u32) -> u64 {
-        let events: u64 = spikes.iter().map(|spike| u64::from(self.image.events[first + spike.index()])).sum();
-        if reach > self.image.longest_delay {
-            for spike in spikes {
-                self.fired[first + spike.index()] += 1;
-            }
-            self.totals.synaptic_events += events;
-        } else {
-            for spike in spikes {
-                let source = self.image.source(first + spike.index());
-                self.totals.synaptic_events += tally::events_within(self.image.program(), source, reach);
-                self.late.push((source, reach));
+    /// Spikes of each source since this was last asked.
+    fn take_fired(&mut self) -> Vec<u32> {
+        let mut fired: Vec<u32> = self.fired.iter_mut().map(std::mem::take).collect();
+        fired.resize(self.image.sources(), 0);
+        for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
+            let ids = &self.image.ids[share.first_id()..];
+            for (&id, count) in ids.iter().zip(&mut lanes.fired) {
+                fired[self.image.channels as usize + id.index()] += std::mem::take(count);
             }
         }
-        events
+        fired
+    }
+
+    /// Notes spikes whose deliveries may take `reach` steps, fewer than the longest delay needs.
+    #[cold]
+    fn note_late(&mut self, sources: impl Iterator<Item = SpikeSource>, reach: u32) {
+        self.late.extend(sources.map(|source| (source, reach)));
     }
 
     fn lane(&self, compartment: CompartmentId) -> (&Lanes, usize) {
@@ -175,7 +178,7 @@ impl Engine for Machine<'_> {
         self.shares.iter_mut().for_each(Lanes::clear);
         (self.step, self.steps) = (0, steps);
         self.spikes.clear();
-        self.carried_events = 0;
+        self.last_events = 0;
         self.totals = Totals::default();
         self.last.clear();
     }
@@ -184,10 +187,16 @@ impl Engine for Machine<'_> {
         let image = self.image;
         let left = self.steps.saturating_sub(self.step);
         std::mem::swap(&mut self.spikes, &mut self.carried);
-        let coming = self.count(0, channels, left) + self.carried_events;
-        let everywhere = coming >= CROWDED * image.granules as u64;
+        for channel in channels {
+            self.fired[channel.index()] += 1;
+        }
+        if left <= image.longest_delay {
+            self.note_late(channels.iter().map(|&channel| SpikeSource::Channel(channel)), left);
+        }
+        let everywhere = self.last_events >= CROWDED * image.granules as u64;
         let order = Order {
             step: self.step,
+            left,
             channels,
             carried: &self.carried,
             everywhere,
@@ -203,9 +212,11 @@ impl Engine for Machine<'_> {
                 .for_each(|(lanes, share)| arch.dispatch(Step { lanes, image, share, order })),
         }
         self.spikes.clear();
+        self.last_events = 0;
         for lanes in &self.shares {
             self.spikes.extend_from_slice(&lanes.spikes);
             self.totals.active_updates += lanes.active_now;
+            self.last_events += lanes.events_now;
         }
         if !image.in_order {
             self.spikes.sort_unstable();
@@ -213,9 +224,12 @@ impl Engine for Machine<'_> {
         self.totals.spikes_in += channels.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
         self.totals.compartment_updates += image.ids.len() as u64;
-        let spikes = std::mem::take(&mut self.spikes);
-        self.carried_events = self.count(image.channels as usize, &spikes, left.saturating_sub(1));
-        self.spikes = spikes;
+        self.totals.synaptic_events += self.last_events;
+        if left <= image.longest_delay + 1 {
+            let spikes = std::mem::take(&mut self.spikes);
+            self.note_late(spikes.iter().map(|&spike| SpikeSource::Compartment(spike)), left.saturating_sub(1));
+            self.spikes = spikes;
+        }
         if self.settings.per_step {
             self.last.clear();
             tally::add_visits(image.program(), 1, &mut self.last);
@@ -272,7 +286,12 @@ impl Engine for Machine<'_> {
     }
 
     fn totals(&self) -> Totals {
-        self.totals
+        // A spike's events are its own step's, and are added up where they are delivered, a step later.
+        let left = self.steps.saturating_sub(self.step);
+        let pending =
+            |&spike: &CompartmentId| tally::events_within(self.image.program(), SpikeSource::Compartment(spike), left);
+        let pending: u64 = self.spikes.iter().map(pending).sum();
+        Totals { synaptic_events: self.totals.synaptic_events + pending, ..self.totals }
     }
 
     fn overflow(&self) -> Overflow {
