@@ -108,6 +108,154 @@ fn every_command_prints_its_object() {
     }
 }
 
+const SRM: &str = "Network(name: \"srm\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [6]),
+    Srm(name: \"hidden\", shape: [5], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10),
+    Srm(name: \"out\", shape: [2], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10)],
+  projections: [Dense(from: [\"in\"], to: \"hidden\", weights: Uniform(low: -1, high: 4, seed: 1)),
+    Dense(from: [\"hidden\"], to: \"out\", weights: Uniform(low: -2, high: 4, seed: 2))], output: \"out\")";
+
+#[test]
+fn a_spike_response_model_runs_in_real_numbers_and_agrees_or_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "srm.ron", SRM);
+    let scene = "scene:noise?samples=6&rate=0.1";
+    let run =
+        object(&["run", &model, "--input", scene, "--probe", "hidden.u", "-o", folder.path().to_str().unwrap()], 0);
+    assert_eq!((&run["engine"], &run["samples"]), (&"reference".into(), &6.into()));
+    let bytes = std::fs::read(folder.path().join("hidden.u.npy")).unwrap();
+    assert!(String::from_utf8_lossy(&bytes[..80]).contains("<f8"));
+    let (code, _, stderr) = said(&["run", &model, "--input", scene, "--engine", "fast"]);
+    assert!(code == 0 && stderr.contains("analysis") && stderr.contains("nsim agree"), "{stderr}");
+    assert_eq!(said(&["run", &model, "--input", scene, "--engine", "reference", "--prune", "static"]).0, 2);
+
+    let agree = object(&["agree", &model, "--input", scene, "--calibration-samples", "8"], 0);
+    assert_eq!((&agree["schema"], &agree["samples"]), (&"nsim.agree/1".into(), &6.into()));
+    has_keys(&agree, &["class_agreement", "layers", "attribution", "conversion"]);
+    let keys =
+        ["name", "shift", "spikes_a", "spikes_b", "coincidence", "van_rossum", "victor_purpura", "potential_rmse"];
+    has_keys(&agree["layers"][0], &keys);
+    has_keys(&agree["layers"][0]["first_divergence"], &["sample", "timestep", "neuron", "a", "b"]);
+    assert!(agree["attribution"].as_array().unwrap().len() >= 5);
+    has_keys(&agree["attribution"][0], &["cause", "class_agreement", "coincidence", "potential_rmse", "share"]);
+    let search = &agree["conversion"]["search"];
+    assert!(search["residual"]["count_error"].as_f64() <= search["start"]["count_error"].as_f64(), "{search}");
+    let analytic = ["agree", &model, "--input", scene, "--conversion", "analytic"];
+    object(&[&analytic[..], &["--require-exact"]].concat(), 1);
+    object(&[&analytic[..], &["--against", "golden", "--require-exact"]].concat(), 0);
+    assert_eq!(said(&[&analytic[..], &["--require-class-agreement", "1.5"]].concat()).0, 2);
+    assert_eq!(said(&["agree", "vtsnn-slip", "--against", "srm"]).0, 2);
+    let one_thread = object(&[&analytic[..], &["--threads", "1"]].concat(), 0);
+    assert_eq!(one_thread, object(&[&analytic[..], &["--threads", "2"]].concat(), 0));
+}
+
+#[test]
+fn the_stability_suite_and_the_front_print_their_objects() {
+    let stress = object(&["stress", "--case", "fan-in-4096-negative", "refractory-1-and-63"], 0);
+    assert_eq!((&stress["schema"], &stress["cases"][1]["verdict"]), (&"nsim.stress/1".into(), &"pass".into()));
+    assert_eq!(said(&["stress", "--case", "no-such"]).0, 2);
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "srm.ron", SRM);
+    let svg = folder.path().join("front.svg");
+    let document = write(folder.path(), "d.md", "a\n<!-- pareto srm -->\nreplace me\n<!-- end pareto srm -->\nb\n");
+    let scene = "scene:noise?samples=4&rate=0.1";
+    let pareto = ["bench", "pareto", &model, "--input", scene, "--seconds", "0", "--conversion", "analytic", "--force"];
+    let files = ["--svg", svg.to_str().unwrap(), "--update", &document];
+    let pareto = object(&[&pareto[..], &files].concat(), 0);
+    assert_eq!((&pareto["schema"], &pareto["name"]), (&"nsim.bench/1".into(), &"pareto".into()));
+    let rows = pareto["rows"].as_array().unwrap();
+    assert!(rows.len() >= 20);
+    for row in rows {
+        has_keys(
+            row,
+            &["variant", "us_per_timestep", "spread", "class_agreement", "coincidence", "potential_rmse", "on_front"],
+        );
+        assert!(row["exact"] != false, "{row}");
+    }
+    let exact: Vec<&str> =
+        rows.iter().filter(|row| row["exact"] == true).filter_map(|row| row["variant"].as_str()).collect();
+    assert_eq!(exact, ["golden", "fast", "fast-no-skip", "metered-analytic", "metered-queued"]);
+    let trained = &rows[0];
+    assert_eq!((&trained["variant"], &trained["coincidence"]), (&"reference-f64-recursion".into(), &1.0.into()));
+    let written = std::fs::read_to_string(&document).unwrap();
+    assert!(written.contains("| golden |") && !written.contains("replace me") && svg.exists());
+    assert!(folder.path().join("pareto-srm.svg").exists());
+}
+
+#[test]
+fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
+    for (command, keys) in [
+        ("run", ["samples", "digest", "activity", "wall_s"]),
+        ("energy", ["rows", "cores_powered", "breakdown_pj_per_timestep", "constants"]),
+    ] {
+        let object = object(&[command, "--target", "tiny"], 1);
+        assert_eq!((&object["schema"], &object["fits"]), (&format!("nsim.{command}/1").into(), &false.into()));
+        has_keys(&object, &keys);
+        has_keys(&object["reasons"][0], &["code", "population", "core", "resource", "need", "limit", "help"]);
+        assert_eq!((&object["model"], &object["target"]), (&"vtsnn-slip".into(), &"tiny".into()));
+    }
+}
+
+#[test]
+fn other_hardware_stands_beside_the_chip_with_its_source() {
+    let energy = object(&["energy", "--samples", "0..1", "--copies", "1", "--cpu-watts", "5,20"], 0);
+    let rows = energy["rows"].as_array().unwrap();
+    let named: Vec<(&str, &str, &str)> = rows
+        .iter()
+        .map(|row| {
+            let text = |key: &str| row[key].as_str().unwrap();
+            (text("hardware"), text("source"), text("power_source"))
+        })
+        .collect();
+    assert_eq!(
+        named[3..],
+        [
+            ("RTX 2080 Ti", "published", "published"),
+            ("CPU, dense f32", "measured", "assumed"),
+            ("CPU, event-driven", "measured", "assumed"),
+        ]
+    );
+    for row in &rows[4..] {
+        assert_eq!((&row["static_mw"], &row["total_mw"]), (&5_000.0.into(), &20_000.0.into()));
+        assert!(row["latency_us"].as_f64().unwrap() > 0.0);
+    }
+    has_keys(&energy, &["ratios", "per_sample", "per_decision", "packing", "transport", "time_us_per_timestep"]);
+    assert_eq!(energy["ratios"].as_array().unwrap().len(), 3);
+    assert_eq!(energy["per_sample"].as_array().unwrap().len(), 4);
+    // Another network has no published row, but a modelled one.
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let small =
+        object(&["energy", &model, "--input", "scene:noise?samples=1&steps=20", "--baseline", "rtx-2080-ti"], 0);
+    assert_eq!(small["rows"][3]["source"], "modelled");
+    assert_eq!(object(&["energy", "--baseline", "abacus"], 3)["code"], "baseline.unknown");
+    assert_eq!(said(&["energy", "--cpu-watts", "20,5"]).0, 2);
+}
+
+#[test]
+fn a_chart_and_an_export_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let (svg, export) = (folder.path().join("e.svg"), folder.path().join("sanafe"));
+    let (svg, export) = (svg.to_str().unwrap(), export.to_str().unwrap());
+    let input = "scene:noise?samples=1&steps=20&rate=0.5";
+    let line = ["energy", &model, "--input", input, "--copies", "1", "--baseline"];
+    let both = [&line[..], &["--svg", svg, "--export-sanafe", export, "--transport", "queued"]].concat();
+    let report = object(&both, 0);
+    assert_eq!((&report["transport"], &report["rows"].as_array().unwrap().len()), (&"queued".into(), &3));
+    let chart = std::fs::read_to_string(svg).unwrap();
+    assert!(chart.starts_with("<svg") && chart.contains("x86 busy") && chart.contains("core step"), "{chart}");
+    let network = std::fs::read_to_string(Path::new(export).join("snn.yaml")).unwrap();
+    assert!(
+        network.contains("# run: timesteps=21 leading=1") && network.contains("- c0.0 -> c0.4: [weight: 30.0]"),
+        "{network}"
+    );
+    assert!(
+        std::fs::read_to_string(Path::new(export).join("arch.yaml")).unwrap().contains("latency_sync: 600000.0e-12")
+    );
+    // What is there is not replaced.
+    assert_eq!(object(&both, 3)["code"], "write.exists");
+}
+
 #[test]
 fn what_does_not_fit_is_an_answer() {
     let map = object(&["map", "--target", "tiny", "--copies", "4096"], 1);

@@ -304,9 +304,14 @@ impl Ladder {
         };
         match &of.origin {
             Some(Origin::Srm(srm, fit)) => {
-                let keeps = match rung.has(Cause::Decays) {
-                    true => (convert::keep(fit.du), convert::keep(fit.dv)),
-                    false => {
+                // An alpha kernel has one decay; only current and voltage can have two.
+                let keeps = match (rung.has(Cause::Decays), rung.has(Cause::Kernel)) {
+                    (true, true) => (convert::keep(fit.du), convert::keep(fit.dv)),
+                    (true, false) => {
+                        let r = convert::keep(convert::start(srm, self.timestep_ms).du);
+                        (r, r)
+                    }
+                    (false, _) => {
                         let r = convert::real_keep(srm, self.timestep_ms);
                         (r, r)
                     }
@@ -333,7 +338,7 @@ impl Ladder {
                     keep_u: keeps.0,
                     keep_v: keeps.1,
                     // The mantissa's own when decays and calibration are the deployed ones.
-                    threshold: match (weights, chosen && rung.has(Cause::Decays)) {
+                    threshold: match (weights, chosen && rung.has(Cause::Decays) && rung.has(Cause::Kernel)) {
                         (true, true) => vth_field,
                         (true, false) => (real / 64.0).round_ties_even() * 64.0,
                         (false, _) => real,

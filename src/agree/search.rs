@@ -5,7 +5,7 @@
 //! the spikes that its converted sources send, and is to send those that the trained population sends:
 //!
 //! 1. *Shape*: du, dv and the refractory period over a grid around the start, with the best threshold for each; then finer
-//!    steps while they help. The alpha kernel's refractory response is short and a hard reset's effect lasts as long as the
+//!    steps while they help. The grid is tried on some of the samples, what is best there on all. The alpha kernel's refractory response is short and a hard reset's effect lasts as long as the
 //!    voltage, so that a faster voltage than the start's often serves better.
 //! 2. *Compartments*: for each its own gain of the incoming weights and its own bias, both free integers of the hardware.
 //!
@@ -13,6 +13,8 @@
 //! whose counts are classes), over all calibration samples. This is done three times, with compartments of their own
 //! nowhere, in the output, everywhere; these and the start are run as integers, and what is nearest to the trained network is
 //! returned: the search never makes things worse on the calibration samples. No randomness; ties go to the first.
+
+use std::collections::HashMap;
 
 use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
@@ -30,6 +32,9 @@ use crate::reference::synapses::Synapses;
 
 /// Most neuron-steps that a candidate is tried on; calibration samples beyond are left out.
 const MOST_WORK: u64 = 4_000_000;
+
+/// Samples that the coarse grid is tried on.
+const FEW: usize = 20;
 
 /// How near a conversion is on the calibration samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -115,8 +120,19 @@ impl Task {
         sum
     }
 
-    fn total(&self, of: impl Fn(usize) -> Candidate + Sync) -> f64 {
-        (0..self.neurons).map(|neuron| self.distance(neuron, &of(neuron))).sum()
+    fn total(&self, candidate: &Candidate) -> f64 {
+        (0..self.neurons).map(|neuron| self.distance(neuron, candidate)).sum()
+    }
+
+    /// The same over [`FEW`] of the samples, evenly taken: enough to tell far shapes apart.
+    fn sketch(&self) -> Task {
+        let every = self.arrivals.len().div_ceil(FEW).max(1);
+        Task {
+            neurons: self.neurons,
+            arrivals: self.arrivals.iter().step_by(every).cloned().collect(),
+            wanted: self.wanted.iter().step_by(every).cloned().collect(),
+            count_weight: self.count_weight,
+        }
     }
 }
 
@@ -169,10 +185,10 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
 
     let start = score(&starts)?;
     let mut best = (starts.clone(), start);
-    let mut tried = 0;
+    let (mut tried, mut shapes) = (0, HashMap::new());
     let material = Material { graph, layers: &layers, samples, trained: &trained, starts: &starts };
     for own in [Own::Nowhere, Own::Output, Own::Everywhere] {
-        let fits = material.pipeline(own, &mut tried, &mut progress)?;
+        let fits = material.pipeline(own, &mut shapes, &mut tried, &mut progress)?;
         let score = score(&fits)?;
         if score.distance() < best.1.distance() {
             best = (fits, score);
@@ -202,6 +218,7 @@ impl Material<'_> {
     fn pipeline(
         &self,
         own: Own,
+        shapes: &mut HashMap<NodeIndex, Shape>,
         tried: &mut u64,
         progress: &mut impl FnMut(&str),
     ) -> Result<Vec<Option<Fit>>, Diagnostic> {
@@ -218,7 +235,16 @@ impl Material<'_> {
             // Classes are counts of the output; timing serves the layers behind.
             let count_weight = if output { 1.0 } else { 0.1 };
             let task = task(graph, node, layer, (self.samples, &converted, self.trained), count_weight);
-            let shape = best_shape(&task, srm, timestep_ms, tried);
+            // What only inputs drive is the same in every pipeline.
+            let inputs_only = graph
+                .projections()
+                .filter(|(_, _, target, _)| *target == node)
+                .all(|(_, source, _, _)| matches!(graph.population(source).kind, PopulationKind::Input));
+            let shape = match shapes.get(&node) {
+                Some(shape) if inputs_only => *shape,
+                _ => best_shape(&task, srm, timestep_ms, tried),
+            };
+            shapes.insert(node, shape);
             let mut fit = fit_of(&shape, srm, timestep_ms);
             if own == Own::Everywhere || (own == Own::Output && output) {
                 let shared = shape.candidate(srm, timestep_ms);
@@ -347,18 +373,19 @@ fn best_shape(task: &Task, srm: &SrmParameters, timestep_ms: f64, tried: &mut u6
             }
         }
     }
-    let distance = |shape: &Shape| {
-        let candidate = shape.candidate(srm, timestep_ms);
-        task.total(|_| candidate)
-    };
-    let nearest = |shapes: &[Shape], tried: &mut u64| {
+    let ranked = |task: &Task, shapes: &[Shape], tried: &mut u64| {
         *tried += shapes.len() as u64;
+        let distance = |shape: &Shape| task.total(&shape.candidate(srm, timestep_ms));
         let distances: Vec<f64> = shapes.par_iter().map(distance).collect();
-        let order = |a: &usize, b: &usize| distances[*a].total_cmp(&distances[*b]);
-        let best = (0..shapes.len()).min_by(order).unwrap_or(0);
-        (shapes[best], distances[best])
+        let mut order: Vec<usize> = (0..shapes.len()).collect();
+        order.sort_by(|&a, &b| distances[a].total_cmp(&distances[b]));
+        order.into_iter().map(|place| (shapes[place], distances[place])).collect::<Vec<_>>()
     };
-    let mut best = nearest(&shapes, tried);
+    let nearest = |shapes: &[Shape], tried: &mut u64| ranked(task, shapes, tried)[0];
+    // The best of the sketch, and the start, on everything.
+    let mut few: Vec<Shape> = ranked(&task.sketch(), &shapes, tried).into_iter().take(12).map(|r| r.0).collect();
+    few.push(start);
+    let mut best = nearest(&few, tried);
     for step in [1.2, 1.1, 1.05, 1.02] {
         loop {
             let scale = |x: i64, factor: f64| ((x as f64 * factor).round() as i64).clamp(1, 4096);

@@ -10,6 +10,7 @@
 
 use std::hint::black_box;
 use std::num::NonZeroU32;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::agree::ladder::layers;
@@ -21,6 +22,9 @@ use crate::base::id::{ChannelId, CompartmentId};
 use crate::compile::convert::{self, Fit};
 use crate::compile::quantise::quantise;
 use crate::compile::{CompileError, Options, compile_quantised};
+use crate::cost::constants::CostTable;
+use crate::cost::meter::{Metered, StepMeter};
+use crate::cost::transport::{Transport, Ways};
 use crate::desc::target::Target;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::drive::decision::{EarlyExit, Rule};
@@ -49,6 +53,8 @@ pub enum Variant {
         /// What is at rest is left out.
         skip: bool,
     },
+    /// The machine with every step metered, energy and time under this model of the mesh.
+    Metered(Transport),
     /// The machine with weights of so many bits; 1 is two values of one size.
     WeightBits(u8),
     /// The machine with decays of so many bits.
@@ -72,6 +78,7 @@ impl Variant {
         }
         all.push(Variant::Golden);
         all.extend([true, false].map(|skip| Variant::Fast { skip }));
+        all.extend(Transport::ALL.map(Variant::Metered));
         all.extend([6, 5, 4, 3, 2, 1].map(Variant::WeightBits));
         all.extend([10, 8, 6, 5, 4, 3].map(Variant::DecayBits));
         all.extend([2, 4, 8].map(Variant::Merged));
@@ -92,6 +99,7 @@ impl Variant {
             Variant::Golden => "golden".to_string(),
             Variant::Fast { skip: true } => "fast".to_string(),
             Variant::Fast { skip: false } => "fast-no-skip".to_string(),
+            Variant::Metered(transport) => format!("metered-{}", transport.name()),
             Variant::WeightBits(bits) => format!("weights-{bits}-bit"),
             Variant::DecayBits(bits) => format!("decays-{bits}-bit"),
             Variant::Merged(steps) => format!("merged-{steps}-steps"),
@@ -102,7 +110,7 @@ impl Variant {
     /// Whether it must be the golden interpreter's answer, spike by spike.
     #[must_use]
     pub fn claims_exact(self) -> bool {
-        matches!(self, Variant::Golden | Variant::Fast { .. })
+        matches!(self, Variant::Golden | Variant::Fast { .. } | Variant::Metered(_))
     }
 }
 
@@ -322,6 +330,30 @@ impl<'a> Subject<'a> {
         Ok(self.row(variant, &ended.collect::<Vec<_>>(), &times))
     }
 
+    /// The machine with a meter that sees every step.
+    fn metered(&self, variant: Variant, transport: Transport) -> Result<Row, ParetoError> {
+        let compiled = compile_quantised(self.deployed.clone(), self.target, &Options::default())?;
+        let program = &compiled.program;
+        let wrong = |e: &dyn std::fmt::Display| ParetoError::Variant(e.to_string());
+        let image = Image::new(program, 1).map_err(|e| wrong(&e))?;
+        let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
+        let tables = tables.map_err(|e| wrong(&e))?;
+        let metered = Metered { tables, tiles_used: 1, copies: 1, ways: Arc::new(Ways::of(program)), transport };
+        let meter = StepMeter::new(metered);
+        let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
+        let output = (CompartmentId(self.output.first), self.output.count);
+        let keep = Keep { output, probes: Vec::new(), early_exit: None };
+        let times = self.timed(|| {
+            for sample in &self.samples {
+                let mut seen = meter.fresh();
+                let add = |machine: &Machine<'_>, times| seen.add(machine.last_step(), times);
+                black_box(run_sample(&mut machine, sample, &keep, add));
+                black_box(&seen);
+            }
+        });
+        Ok(self.row(variant, &self.traces(&mut machine, &self.deployed, 1), &times))
+    }
+
     /// Measures one variant.
     ///
     /// # Errors
@@ -337,6 +369,7 @@ impl<'a> Subject<'a> {
                 Ok(self.row(variant, &self.golden, &times))
             }
             Variant::Fast { skip } => self.machine(variant, &self.deployed, skip, 1),
+            Variant::Metered(transport) => self.metered(variant, transport),
             Variant::WeightBits(bits) => {
                 let network = quantise(&with_weight_bits(&self.converted, bits)?)?;
                 self.machine(variant, &network, true, 1)

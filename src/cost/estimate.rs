@@ -115,6 +115,8 @@ pub struct Row {
     pub high: Option<Bound>,
     /// Where it comes from.
     pub source: RowSource,
+    /// Where its power comes from, which may be another place than its time.
+    pub power_source: RowSource,
 }
 
 impl Row {
@@ -258,6 +260,7 @@ impl Case<'_> {
                 low: None,
                 high: None,
                 source,
+                power_source: source,
             }
         };
         let Powers { x86_static, x86_dynamic, neuron_static, neuron_dynamic, .. } = powers;
