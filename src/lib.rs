@@ -23,3 +23,4 @@ pub mod reference;
 pub mod report;
 pub mod scene;
 pub mod stress;
+pub mod train;

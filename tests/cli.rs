@@ -182,6 +182,81 @@ fn the_stability_suite_and_the_front_print_their_objects() {
 }
 
 #[test]
+fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
+    for (command, keys) in [
+        ("run", ["samples", "digest", "activity", "wall_s"]),
+        ("energy", ["rows", "cores_powered", "breakdown_pj_per_timestep", "constants"]),
+    ] {
+        let object = object(&[command, "--target", "tiny"], 1);
+        assert_eq!((&object["schema"], &object["fits"]), (&format!("nsim.{command}/1").into(), &false.into()));
+        has_keys(&object, &keys);
+        has_keys(&object["reasons"][0], &["code", "population", "core", "resource", "need", "limit", "help"]);
+        assert_eq!((&object["model"], &object["target"]), (&"vtsnn-slip".into(), &"tiny".into()));
+    }
+}
+
+#[test]
+fn other_hardware_stands_beside_the_chip_with_its_source() {
+    let energy = object(&["energy", "--samples", "0..1", "--copies", "1", "--cpu-watts", "5,20"], 0);
+    let rows = energy["rows"].as_array().unwrap();
+    let named: Vec<(&str, &str, &str)> = rows
+        .iter()
+        .map(|row| {
+            let text = |key: &str| row[key].as_str().unwrap();
+            (text("hardware"), text("source"), text("power_source"))
+        })
+        .collect();
+    assert_eq!(
+        named[3..],
+        [
+            ("RTX 2080 Ti", "published", "published"),
+            ("CPU, dense f32", "measured", "assumed"),
+            ("CPU, event-driven", "measured", "assumed"),
+        ]
+    );
+    for row in &rows[4..] {
+        assert_eq!((&row["static_mw"], &row["total_mw"]), (&5_000.0.into(), &20_000.0.into()));
+        assert!(row["latency_us"].as_f64().unwrap() > 0.0);
+    }
+    has_keys(&energy, &["ratios", "per_sample", "per_decision", "packing", "transport", "time_us_per_timestep"]);
+    assert_eq!(energy["ratios"].as_array().unwrap().len(), 3);
+    assert_eq!(energy["per_sample"].as_array().unwrap().len(), 4);
+    // Another network has no published row, but a modelled one.
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let small =
+        object(&["energy", &model, "--input", "scene:noise?samples=1&steps=20", "--baseline", "rtx-2080-ti"], 0);
+    assert_eq!(small["rows"][3]["source"], "modelled");
+    assert_eq!(object(&["energy", "--baseline", "abacus"], 3)["code"], "baseline.unknown");
+    assert_eq!(said(&["energy", "--cpu-watts", "20,5"]).0, 2);
+}
+
+#[test]
+fn a_chart_and_an_export_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let (svg, export) = (folder.path().join("e.svg"), folder.path().join("sanafe"));
+    let (svg, export) = (svg.to_str().unwrap(), export.to_str().unwrap());
+    let input = "scene:noise?samples=1&steps=20&rate=0.5";
+    let line = ["energy", &model, "--input", input, "--copies", "1", "--baseline"];
+    let both = [&line[..], &["--svg", svg, "--export-sanafe", export, "--transport", "queued"]].concat();
+    let report = object(&both, 0);
+    assert_eq!((&report["transport"], &report["rows"].as_array().unwrap().len()), (&"queued".into(), &3));
+    let chart = std::fs::read_to_string(svg).unwrap();
+    assert!(chart.starts_with("<svg") && chart.contains("x86 busy") && chart.contains("core step"), "{chart}");
+    let network = std::fs::read_to_string(Path::new(export).join("snn.yaml")).unwrap();
+    assert!(
+        network.contains("# run: timesteps=21 leading=1") && network.contains("- c0.0 -> c0.4: [weight: 30.0]"),
+        "{network}"
+    );
+    assert!(
+        std::fs::read_to_string(Path::new(export).join("arch.yaml")).unwrap().contains("latency_sync: 600000.0e-12")
+    );
+    // What is there is not replaced.
+    assert_eq!(object(&both, 3)["code"], "write.exists");
+}
+
+#[test]
 fn what_does_not_fit_is_an_answer() {
     let map = object(&["map", "--target", "tiny", "--copies", "4096"], 1);
     assert_eq!((&map["schema"], &map["fits"]), (&"nsim.map/1".into(), &false.into()));

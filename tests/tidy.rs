@@ -14,7 +14,7 @@ const LAYERS: [&[&str]; 11] = [
     &["cost"],
     &["compile", "machine", "golden", "reference", "scene"],
     &["drive"],
-    &["agree", "stress"],
+    &["agree", "stress", "train"],
     &["bench"],
     &["report"],
     &["error"],

@@ -4,6 +4,7 @@
 
 pub mod diagnostic;
 pub mod fixed;
+pub mod folds;
 pub mod id;
 pub mod rng;
 pub mod units;

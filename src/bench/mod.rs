@@ -1,4 +1,4 @@
-//! How fast the machine is: standard networks, and steps of them measured.
+//! How fast the machine is, and how good mappings are: standard networks, steps of them measured, and mapped.
 //!
 //! Comes in: the name of a standard network. Goes out: medians with their spread, beside what a step did and the
 //! machine it was measured on. What a figure is good for, and how it was taken: `docs/benchmarks.md`.
@@ -7,10 +7,13 @@
 
 pub mod cpu;
 pub mod environment;
+pub mod gpu;
+pub mod mapping;
 pub mod measure;
 pub mod networks;
 pub mod pareto;
 pub mod power;
+pub mod suite;
 
 pub use environment::Environment;
 pub use measure::{Budget, Measured, measure, steps};

@@ -129,14 +129,14 @@ impl Standard {
 }
 
 /// Appends populations and projections in order.
-struct Builder {
+pub(super) struct Builder {
     parts: Parts,
     channels: u32,
     compartments: u32,
 }
 
 impl Builder {
-    fn new(name: &str) -> Self {
+    pub(super) fn new(name: &str) -> Self {
         let parts = Parts {
             name: name.to_string(),
             timestep_ms: 1.0,
@@ -152,14 +152,28 @@ impl Builder {
         Builder { parts, channels: 0, compartments: 0 }
     }
 
-    fn input(&mut self, name: &str, channels: u32) -> PopulationId {
+    pub(super) fn input(&mut self, name: &str, channels: u32) -> PopulationId {
         let units = Units::Input(ChannelId(self.channels));
         self.channels += channels;
         self.parts.populations.push(Population { name: name.to_string(), shape: Shape::Line(channels), units })
     }
 
+    /// Gives the last population a shape over space with as many units.
+    pub(super) fn over_space(&mut self, channels: u32, height: u32, width: u32) {
+        let shape = Shape::Volume(channels, height, width);
+        if let Some(last) = self.parts.populations.iter_mut().last().filter(|last| last.shape.len() == shape.len()) {
+            last.shape = shape;
+        }
+    }
+
     /// Compartments with the decays of the published visual-tactile network; the last population is the output.
-    fn loihi(&mut self, name: &str, compartments: u32, vth: i64, refractory: i64) -> Result<PopulationId, OutOfRange> {
+    pub(super) fn loihi(
+        &mut self,
+        name: &str,
+        compartments: u32,
+        vth: i64,
+        refractory: i64,
+    ) -> Result<PopulationId, OutOfRange> {
         let neurons = Neurons {
             du: PerCompartment::Same(Decay::new(1024)?),
             dv: PerCompartment::Same(Decay::new(128)?),
@@ -177,7 +191,7 @@ impl Builder {
         Ok(self.parts.output)
     }
 
-    fn connect(
+    pub(super) fn connect(
         &mut self,
         (source, target): (PopulationId, PopulationId),
         exponent: i64,
@@ -193,7 +207,7 @@ impl Builder {
     }
 
     /// All to all with even weights in `low..=high`.
-    fn dense(
+    pub(super) fn dense(
         &mut self,
         ends: (PopulationId, PopulationId),
         (low, high): (i16, i16),
@@ -207,7 +221,7 @@ impl Builder {
         self.connect(ends, 0, SignMode::Mixed, Connectivity::Dense { targets, weights })
     }
 
-    fn build(self) -> Result<Quantised, Inconsistent> {
+    pub(super) fn build(self) -> Result<Quantised, Inconsistent> {
         Quantised::new(self.parts)
     }
 }
@@ -217,7 +231,7 @@ const VTSNN_STEPS: u32 = 20 * 150;
 
 /// The layers, weights and thresholds of `models/vtsnn-slip.ron`, without its file: a retrained model would change what
 /// is measured.
-fn vtsnn(name: &str, percent: u64) -> Result<Bench, Unbuildable> {
+pub(super) fn vtsnn(name: &str, percent: u64) -> Result<Bench, Unbuildable> {
     let mut net = Builder::new(name);
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
     let (touch, sight) = (net.loihi("touch", 50, 80, 1)?, net.loihi("sight", 10, 80, 1)?);

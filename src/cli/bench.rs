@@ -4,7 +4,9 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use crate::bench::networks::{Bench, Standard};
-use crate::bench::{Budget, Environment, measure};
+use crate::bench::suite::{self, Case};
+use crate::bench::{Budget, Environment, mapping, measure};
+use crate::cli::early::{self, EarlyArgs};
 use crate::cli::pareto::ParetoArgs;
 use crate::cli::{Answer, Context, common, pareto};
 use crate::compile::{CompileError, Options, compile_quantised};
@@ -15,15 +17,19 @@ use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
 use crate::machine::{Image, Machine, Settings};
 use crate::report::bench::{StepReport, StepRow};
+use crate::report::bench_map::MapReport;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench step                                   microseconds a timestep on standard networks
   nsim bench step --network vtsnn-1pct --seconds 5  one of them, for longer
   nsim bench step --format json > speed.json        with the environment, for comparison
+  nsim bench map                                    cores, traffic, energy and time of mappings by every strategy
+  nsim bench map --network lenet pilotnet           of these networks
+  nsim bench map --full                             with networks of a million compartments
   nsim bench pareto --samples 0..50                 run time against error of the shipped network in many forms";
 
-/// Measure speed on standard networks, and run time against error
+/// Measure speed and mappings on standard networks, and run time against error
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -34,7 +40,32 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Which {
     Step(StepArgs),
+    Map(MapArgs),
+    Early(EarlyArgs),
     Pareto(Box<ParetoArgs>),
+}
+
+/// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each is run and its spikes
+/// are compared with the golden interpreter's
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct MapArgs {
+    /// Only these networks, for example vtsnn-slip-x32, lenet, pilotnet, small-world-10k [default: all below a million]
+    #[arg(long, value_name = "NAME", num_args = 1.., value_parser = case)]
+    network: Vec<Case>,
+    /// Networks of a million compartments as well
+    #[arg(long)]
+    full: bool,
+    /// Seconds that each search for a better mapping may take, counted in work
+    #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
+    time_budget: u32,
+}
+
+fn case(name: &str) -> Result<Case, String> {
+    let cases = suite::cases();
+    let names: Vec<&str> = cases.iter().map(|case| case.name).collect();
+    let unknown = format!("networks are: {}", names.join(", "));
+    cases.into_iter().find(|case| case.name == name).ok_or(unknown)
 }
 
 /// Microseconds a timestep on standard networks: medians, and the distance of the quartiles
@@ -76,10 +107,45 @@ pub fn seconds(text: &str) -> Result<Duration, String> {
 /// # Errors
 /// [`Error::Fault`] when a standard network cannot be made.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let args = match &args.bench {
-        Which::Step(args) => args,
-        Which::Pareto(args) => return pareto::run(args, context),
+    match &args.bench {
+        Which::Step(args) => step(args, context),
+        Which::Map(args) => map_suite(args, context),
+        Which::Early(args) => early::run(args, context),
+        Which::Pareto(args) => pareto::run(args, context),
+    }
+}
+
+/// `nsim bench map`.
+fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
+    let cases: Vec<Case> = match args.network.as_slice() {
+        [] => suite::cases().into_iter().filter(|case| args.full || !case.large).collect(),
+        given => given.to_vec(),
     };
+    let environment = Environment::here();
+    if environment.profile == "debug" {
+        tracing::warn!("this nsim was built without --release; its times mean nothing");
+    }
+    let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
+    let bar = common::progress(context, (cases.len() * ways) as u64, "mappings");
+    let mut rows = Vec::new();
+    for case in &cases {
+        let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
+        let target = io::target::load_target(bench.target)?;
+        mapping::map_all(case, &bench, &target, args.time_budget, |row| {
+            tracing::info!("{} {} placed {}: {:.1} s", row.network, row.strategy.name(), row.placed, row.seconds);
+            rows.push(row);
+            bar.inc(1);
+        })
+        .map_err(|error| Error::Fault(error.to_string()))?;
+    }
+    bar.finish_and_clear();
+    let report = MapReport { environment: &environment, rows: &rows };
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(Answer::Yes)
+}
+
+/// `nsim bench step`.
+fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     let networks: Vec<Standard> = match args.network.as_slice() {
         [] => Standard::ALL.to_vec(),
         given => given.to_vec(),

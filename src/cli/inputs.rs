@@ -10,7 +10,8 @@ use crate::base::id::ChannelId;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
 use crate::io::dataset;
-use crate::io::stimulus::{PopulationSpikes, read_source};
+use crate::io::events::{EventOptions, Expected};
+use crate::io::stimulus::{PopulationSpikes, holds_events, read_events, read_source};
 use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Sample, Stimulus};
 use crate::scene;
@@ -38,8 +39,12 @@ pub fn stimulus(
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
     let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
     for argument in &parsed {
-        let InputSource::Path(path) = &argument.source else {
-            return Err(Error::Usage("a scene drives all input populations and stands alone".to_string()));
+        let (path, options) = match &argument.source {
+            InputSource::Path(path) => (path, None),
+            InputSource::Events(path, pairs) => (path, Some(EventOptions::parse(pairs)?)),
+            InputSource::Scene(_) => {
+                return Err(Error::Usage("a scene drives all input populations and stands alone".to_string()));
+            }
         };
         let wanted: Vec<usize> = match &argument.population {
             Some(name) => vec![inputs.iter().position(|p| &p.name == name).ok_or_else(|| unknown(name, &inputs))?],
@@ -63,6 +68,11 @@ pub fn stimulus(
             let units = u64::from(population.shape.len());
             let spikes = match &manifest {
                 Some(manifest) => manifest.read(&population.name, units)?,
+                None if options.is_some() || holds_events(path) => {
+                    let dt_ms = network.parts().timestep_ms;
+                    let expected = Expected { units, volume: population.shape.volume(), dt_ms };
+                    read_events(path, &population.name, &expected, &options.clone().unwrap_or_default())?
+                }
                 None => read_source(path, units)?,
             };
             if sources[index].replace(spikes).is_some() {

@@ -7,6 +7,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
 use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, complain};
+use crate::compile::saved;
 use crate::compile::{self, CompileError, Compiled, Options, Reason};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
@@ -34,6 +35,15 @@ pub struct JobArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub prune: PruneArgs,
+}
+
+impl JobArgs {
+    /// A model on the default target, unpruned.
+    #[must_use]
+    pub fn of_model(model: &str) -> Self {
+        let target = "nahuku-32".to_string();
+        JobArgs { model: model.to_string(), target, mapping: None, prune: PruneArgs { prune: Vec::new() } }
+    }
 }
 
 /// A network ready to run.
@@ -203,7 +213,12 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: u32, probed: &[&st
     }
     let target = io::target::load_target(&args.target)?;
     let options = Options { copies, ..Options::default() };
-    let mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
+        // Copies share nothing, so one of them is the whole of what a run shows.
+        tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);
+        *file = saved::one_copy(file);
+    }
     match compiled(args, &network, &target, &options, mapping.as_ref(), probed)?.0 {
         Ok(compiled) => {
             say_notes(&compiled.quantised);
@@ -233,7 +248,10 @@ fn say_converted(network: &Network) {
 }
 
 /// A network in integers, without what `--prune` leaves out.
-fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
+///
+/// # Errors
+/// [`Error`] when the network or what it is pruned for cannot be used.
+pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
     let front = compile::front(network)?;
     say_converted(network);
     let of_name = |name: &&str| front.quantised().population_named(name);

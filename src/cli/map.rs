@@ -2,13 +2,20 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::base::id::Id;
 use crate::cli::jobs::{self, JobArgs};
-use crate::cli::{Answer, Context, common};
-use crate::compile::{CompileError, Objective, Options, Strategy, traffic};
+use crate::cli::{Answer, Context, common, inputs};
+use crate::compile::rates::Rates;
+use crate::compile::{CompileError, Objective, Options, Strategy, expect, remedy, traffic};
 use crate::desc::mapping::MappingFile;
+use crate::desc::target::Target;
 use crate::error::Error;
+use crate::golden::Golden;
 use crate::io;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Engine;
 use crate::report::map::{self as report, Outcome, Question};
+use crate::report::map_svg;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -17,6 +24,9 @@ EXAMPLES:
   nsim map --copies 32 -o packed.ron                32 copies; keep the mapping
   nsim map --copies 32 --mapping packed.ron         check and use a kept mapping
   nsim map --prune static                           without what can change no output, and what that was
+  nsim map --objective latency --profile recordings.npy   short steps, for sources that spike as these do
+  nsim map --pareto front.svg                       cores, energy and time of several mappings, and the front
+  nsim map --copies 32 --svg board.svg              a picture of the chips in use
   nsim map model.ron --format json                  for scripts";
 
 /// What is typed after `nsim map`.
@@ -32,12 +42,28 @@ pub struct MapArgs {
     /// What the mapping is to be good for: cores, energy or latency
     #[arg(long, default_value = "cores", value_parser = objective)]
     pub objective: Objective,
-    /// How compartments are gathered on cores: sequential
-    #[arg(long, default_value = "sequential", value_parser = strategy)]
+    /// How compartments are gathered on cores: sequential, greedy or multilevel
+    #[arg(long, default_value = "multilevel", value_parser = strategy)]
     pub strategy: Strategy,
+    /// Leave cores in the order of the partition instead of placing them near what they talk to
+    #[arg(long)]
+    pub unplaced: bool,
+    /// Seconds to spend on a better partition and placement, counted in work so that the result is the same everywhere
+    #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
+    pub time_budget: u32,
     /// Seed of strategies that draw
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// Spikes that show how often sources fire, as --input of nsim run has them; `scene` for the model's own
+    /// [default: an assumed rate, the same for all]
+    #[arg(long, value_name = "SOURCE")]
+    pub profile: Vec<String>,
+    /// Compare several mappings and draw cores, energy and step time, with the front
+    #[arg(long, value_name = "FILE.svg", conflicts_with = "mapping")]
+    pub pareto: Option<PathBuf>,
+    /// Draw the cores on their chips, what they hold and what links carry
+    #[arg(long, value_name = "FILE.svg")]
+    pub svg: Option<PathBuf>,
     /// Where to save the mapping
     #[arg(short, long)]
     pub output: Option<PathBuf>,
@@ -65,34 +91,113 @@ fn named<T: Copy>(name: &str, all: &[T], name_of: fn(T) -> &'static str) -> Resu
 /// # Errors
 /// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
-    if let Some(output) = &args.output {
+    for output in [&args.output, &args.svg, &args.pareto].into_iter().flatten() {
         io::write::check_free(output, context.force)?;
     }
     let network = io::model::load_model(&args.job.model)?;
     let target = io::target::load_target(&args.job.target)?;
     let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
-    let (compiled, pruned) = jobs::compiled(&args.job, &network, &target, &options, mapping.as_ref(), &[])?;
+    let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
+    let (compiled, pruned) = match mapping.as_ref() {
+        Some(file) => jobs::compiled(&args.job, &network, &target, &options, Some(file), &[])?,
+        None => {
+            args.job.prune.not_with_mapping(false)?;
+            let front = jobs::front(&args.job, &network, &[])?;
+            let pruned = front.quantised().pruned().cloned();
+            let rates = match args.profile.as_slice() {
+                [] => Rates::assumed(traffic::DEFAULT_RATE),
+                inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
+            };
+            if args.pareto.is_some()
+                && let Ok(found) = front.candidates(&target, &options, &rates)
+            {
+                candidates = found;
+            }
+            let one = front.quantised().clone();
+            let compiled = front.map_for(&target, &options, &rates);
+            if let Err(CompileError::DoesNotFit(_)) = &compiled {
+                remedies = remedy::remedies(&one, &target, &options, &larger(&target)?);
+            }
+            (compiled, pruned)
+        }
+    };
     let compiled = match compiled {
         Ok(compiled) => Ok(compiled),
         Err(CompileError::DoesNotFit(reasons)) => Err(reasons),
         Err(other) => return Err(other.into()),
     };
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
-    let question = Question { model: &network.file().name, target: &target, options: &options, pruned };
+    let model = &network.file().name;
+    let question = Question { model, target: &target, options: &options, pruned, remedies: &remedies };
     let outcome = match &compiled {
-        Ok(compiled) => Outcome::Fits(compiled, traffic::traffic(&compiled.program, traffic::DEFAULT_RATE)),
+        Ok(compiled) => {
+            let score = expect::score(compiled, &target)?;
+            Outcome::Fits(compiled, traffic::traffic(&compiled.program, &compiled.rates), score)
+        }
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
     // A mapping that goes to stdout goes there alone.
     if args.output.as_deref() != Some(Path::new("-")) || compiled.is_err() {
-        let (text, json) = (|| report::text(question, outcome), || report::json(question, outcome));
+        let text = || report::text(question, outcome) + &report::pareto_text(&candidates);
+        let json = || {
+            let mut object = report::json(question, outcome);
+            object["pareto"] = report::pareto_json(&candidates);
+            object
+        };
         common::print(context.format, text, json, || Ok(report::csv(outcome)))?;
     }
-    if let (Some(output), Ok(compiled)) = (&args.output, &compiled) {
-        io::write::text(output, context.force, &io::mapping::mapping_text(&compiled.mapping_file())?)?;
+    if let Ok(compiled) = &compiled {
+        if let Some(output) = &args.output {
+            io::write::text(output, context.force, &io::mapping::mapping_text(&compiled.mapping_file())?)?;
+        }
+        if let Some(path) = &args.svg {
+            let links = traffic::links(&compiled.program, &compiled.rates);
+            io::write::text(path, context.force, &map_svg::svg(compiled, &target, &links))?;
+        }
+        if let Some(path) = &args.pareto {
+            io::write::text(path, context.force, &report::pareto_svg(model, &candidates))?;
+        }
     }
     Ok(if compiled.is_ok() { Answer::Yes } else { Answer::No })
+}
+
+/// Samples of a profile run at most.
+const MOST_SAMPLES: usize = 64;
+
+/// How often each source spikes over samples, by the golden interpreter: it needs no mapping.
+fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Result<Rates, Error> {
+    let sources: Vec<String> = match sources {
+        [one] if one == "scene" => Vec::new(),
+        given => given.to_vec(),
+    };
+    let stimulus = inputs::stimulus(network, &sources, scene, None)?;
+    let mut channels = vec![0u64; network.channels() as usize];
+    let mut compartments = vec![0u64; network.compartments() as usize];
+    let mut engine = Golden::new(network);
+    let mut steps = 0;
+    for sample in stimulus.samples.iter().take(MOST_SAMPLES) {
+        engine.begin(sample.steps());
+        for step in 0..sample.steps() {
+            engine.step(sample.at(step));
+            sample.at(step).iter().for_each(|channel| channels[channel.index()] += 1);
+            engine.spikes().iter().for_each(|id| compartments[id.index()] += 1);
+        }
+        steps += u64::from(sample.steps());
+    }
+    Ok(Rates::profile(&channels, &compartments, steps))
+}
+
+/// Shipped targets with more cores than this one, ascending.
+fn larger(target: &Target) -> Result<Vec<Target>, Error> {
+    let mut boards = Vec::new();
+    for name in ["loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs"] {
+        let board = io::target::load_target(name)?;
+        if board.cores() > target.cores() {
+            boards.push(board);
+        }
+    }
+    Ok(boards)
 }
 
 /// How to compile; what a mapping was made with counts unless it is said otherwise.
@@ -102,6 +207,8 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
         strategy: args.strategy,
         objective: args.objective,
         seed: mapping.map_or(args.seed, |file| file.seed),
+        place: !args.unplaced,
+        effort_s: args.time_budget,
     }
 }
 

@@ -7,7 +7,10 @@ pub mod agree;
 pub mod bench;
 pub mod common;
 pub mod complain;
+pub mod early;
 pub mod energy;
+pub mod export;
+pub mod import;
 pub mod inputs;
 pub mod inspect;
 pub mod jobs;
@@ -15,8 +18,10 @@ pub mod map;
 pub mod pareto;
 pub mod prune;
 pub mod run;
+pub mod scene;
 pub mod simulate;
 pub mod stress;
+pub mod train;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -101,6 +106,12 @@ enum Command {
     Energy(energy::EnergyArgs),
     Agree(agree::Args),
     Bench(bench::Args),
+    Scene(scene::Args),
+    Train(train::Args),
+    /// Turn a model of another tool into one of nsim's own
+    Import(import::Args),
+    /// Write a model in a form that other tools read
+    Export(export::Args),
     Stress(stress::Args),
     /// Say what a file holds
     Inspect(inspect::Args),
@@ -119,6 +130,10 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Energy(args) => energy::run(args, context),
         Command::Agree(args) => agree::run(args, context),
         Command::Bench(args) => bench::run(args, context),
+        Command::Scene(args) => scene::run(args, context),
+        Command::Train(args) => train::run(args, context),
+        Command::Export(args) => export::run(args, context),
+        Command::Import(args) => import::run(args, context),
         Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Completions { shell } => {

@@ -75,6 +75,14 @@ pub struct InputArgs {
     pub seed: Option<u64>,
 }
 
+impl InputArgs {
+    /// All samples of these sources, once.
+    #[must_use]
+    pub fn of(sources: &[String]) -> Self {
+        InputArgs { input: sources.to_vec(), samples: None, repeat: 1, seed: None }
+    }
+}
+
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim run                                             the shipped network on its shipped scene

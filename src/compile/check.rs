@@ -17,7 +17,7 @@
 
 use rayon::prelude::*;
 
-use crate::base::fixed::Delay;
+use crate::base::fixed::{Delay, SignMode};
 use crate::base::id::{ChannelId, CompartmentId};
 use crate::ir::program::{AxonTarget, Compartment, Program};
 use crate::ir::quantised::{Projection, Quantised, SynapseFormat, Units};
@@ -43,8 +43,26 @@ pub enum Difference {
     },
 }
 
-/// One synapse as either side tells it.
-type Told = (CompartmentId, SynapseFormat, i16, Delay);
+/// One synapse as either side tells it, in one number, so that sorting is quick: target (27 bits), exponent (5), sign mode
+/// (2), bits (4), delay (6), weight (10).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Told(u64);
+
+impl Told {
+    fn new(target: CompartmentId, format: SynapseFormat, weight: i16, delay: Delay) -> Self {
+        let sign = match format.sign {
+            SignMode::Mixed => 0,
+            SignMode::Excitatory => 1,
+            SignMode::Inhibitory => 2,
+        };
+        let mut told = u64::from(target.0);
+        told = told << 5 | u64::from((format.exponent.get() + 16) as u8);
+        told = told << 2 | sign;
+        told = told << 4 | u64::from(format.bits.get());
+        told = told << 6 | u64::from(delay.get());
+        Told(told << 10 | u64::from((weight + 512) as u16 & 1023))
+    }
+}
 
 /// Checks that a program equals its network.
 ///
@@ -139,7 +157,7 @@ fn decode(program: &Program, messages: &[AxonTarget], decoded: &mut Vec<Told>) {
         let image = &program.cores()[message.core];
         for synapse in image.synapses.get(usize::from(message.axon)) {
             let format = image.formats[usize::from(synapse.format)].synapse;
-            decoded.push((image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay));
+            decoded.push(Told::new(image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay));
         }
     }
     decoded.sort_unstable();
@@ -151,7 +169,7 @@ fn mean(network: &Quantised, outgoing: &[&Projection], index: u32, meant: &mut V
     for projection in outgoing {
         let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
         projection.connectivity.for_each_from(index, |target, weight| {
-            meant.push((CompartmentId(first.0 + target), projection.format, weight, projection.delay));
+            meant.push(Told::new(CompartmentId(first.0 + target), projection.format, weight, projection.delay));
         });
     }
     meant.sort_unstable();

@@ -7,6 +7,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use crate::base::id::{IdVec, PopulationId, ProjectionId};
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Population, Quantised};
@@ -21,6 +23,9 @@ pub fn first_source(network: &Quantised, population: &Population) -> u32 {
     }
 }
 
+/// Sources, and targets, that one task looks at where there are many.
+const PIECE: u32 = 1 << 14;
+
 /// Sources by target.
 #[derive(Debug)]
 struct Transposed {
@@ -32,9 +37,68 @@ struct Transposed {
 
 impl Transposed {
     fn of(connectivity: &Connectivity, sources: u32, targets: u32) -> Self {
+        match sources > PIECE {
+            true => Self::in_pieces(connectivity, sources, targets),
+            false => Self::at_once(connectivity, sources, targets),
+        }
+    }
+
+    /// Pieces of sources sort their synapses into ranges of targets, then ranges read the pieces in order; so sources
+    /// ascend, and threads change nothing.
+    fn in_pieces(connectivity: &Connectivity, sources: u32, targets: u32) -> Self {
+        let ranges = targets.div_ceil(PIECE) as usize;
+        let pieces: Vec<Vec<Vec<(u32, u32)>>> = (0..sources.div_ceil(PIECE))
+            .into_par_iter()
+            .map(|piece| {
+                let mut by_range = vec![Vec::new(); ranges];
+                for source in piece * PIECE..((piece + 1) * PIECE).min(sources) {
+                    connectivity.for_each_target(source, |target| {
+                        by_range[(target / PIECE) as usize].push((target % PIECE, source));
+                    });
+                }
+                by_range
+            })
+            .collect();
+        let parts: Vec<(Vec<u32>, Vec<u32>)> = (0..ranges)
+            .into_par_iter()
+            .map(|range| {
+                let held = PIECE.min(targets - range as u32 * PIECE) as usize;
+                let mut counts = vec![0u32; held];
+                let all = || pieces.iter().flat_map(|by_range| &by_range[range]);
+                all().for_each(|&(target, _)| counts[target as usize] += 1);
+                let mut at = Vec::with_capacity(held);
+                let mut sum = 0usize;
+                for &count in &counts {
+                    at.push(sum);
+                    sum += count as usize;
+                }
+                let mut list = vec![0u32; sum];
+                for &(target, source) in all() {
+                    let place = &mut at[target as usize];
+                    list[*place] = source;
+                    *place += 1;
+                }
+                (counts, list)
+            })
+            .collect();
+        drop(pieces);
+        let mut transposed = Transposed { first: vec![0], sources: Vec::new() };
+        transposed.sources.reserve_exact(parts.iter().map(|(_, list)| list.len()).sum());
+        let mut sum = 0u64;
+        for (counts, list) in parts {
+            for count in counts {
+                sum += u64::from(count);
+                transposed.first.push(sum);
+            }
+            transposed.sources.extend(list);
+        }
+        transposed
+    }
+
+    fn at_once(connectivity: &Connectivity, sources: u32, targets: u32) -> Self {
         let mut first = vec![0u64; targets as usize + 1];
         for source in 0..sources {
-            connectivity.for_each_from(source, |target, _| first[target as usize + 1] += 1);
+            connectivity.for_each_target(source, |target| first[target as usize + 1] += 1);
         }
         for target in 0..targets as usize {
             first[target + 1] += first[target];
@@ -42,7 +106,7 @@ impl Transposed {
         let mut at = first.clone();
         let mut list = vec![0u32; first[targets as usize] as usize];
         for source in 0..sources {
-            connectivity.for_each_from(source, |target, _| {
+            connectivity.for_each_target(source, |target| {
                 let place = &mut at[target as usize];
                 list[*place as usize] = source;
                 *place += 1;
@@ -162,6 +226,17 @@ fn for_each_covered(window: &Window, target: u32, channel: u32, mut f: impl FnMu
 mod tests {
     use super::*;
     use crate::compile::testing::random_network;
+
+    #[test]
+    fn pieces_and_all_at_once_are_the_same() {
+        let random =
+            |targets| Connectivity::Random { targets, fan_out: 3, low: -8, high: 8, step: 2, seed: 5, first_source: 7 };
+        for (sources, targets) in [(40_000, 50), (20, 40_000), (17_000, 33_000)] {
+            let a = Transposed::at_once(&random(targets), sources, targets);
+            let b = Transposed::in_pieces(&random(targets), sources, targets);
+            assert!(a.first == b.first && a.sources == b.sources, "{sources} to {targets}");
+        }
+    }
 
     #[test]
     fn backwards_and_forwards_are_the_same_synapses() {

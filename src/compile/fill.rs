@@ -2,7 +2,8 @@
 //!
 //! In come compartments one by one; out goes whether the core still holds them all. The counts are exact, the same as
 //! those of [`crate::compile::usage`] except for output axons, which depend on where the targets end up: for these the
-//! caller gives an estimate for each compartment. Adding never lowers a need (formats excepted), so that a core that is too
+//! caller gives an estimate for each compartment. Adding never lowers a need (formats excepted, and
+//! the widest list when a core changes its mind about runs), so that a core that is too
 //! full stays too full; the caller then begins another.
 
 use std::collections::BTreeSet;
@@ -10,8 +11,8 @@ use std::collections::BTreeSet;
 use crate::base::fixed::{Delay, WeightBits};
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::compile::fanin::FanIn;
-use crate::compile::fanout::Formats;
-use crate::compile::packing::{self, Group, MOST_SLOTS, Widths};
+use crate::compile::formats::Formats;
+use crate::compile::packing::{self, Compression, Group, MOST_SLOTS, Widths};
 use crate::compile::usage::profiles;
 use crate::desc::target::Limits;
 use crate::ir::partition::CoreUsage;
@@ -37,7 +38,8 @@ pub struct Newcomer {
 struct Axon {
     /// The last of its groups, which leads to the others.
     last: Option<u32>,
-    words: u32,
+    /// Without and with runs.
+    words: [u32; 2],
 }
 
 /// The synapses of one format of one axon so far.
@@ -48,9 +50,31 @@ struct Entry {
     format: u16,
     last_slot: u16,
     synapses: u32,
-    words: u32,
+    /// Without and with runs.
+    words: [u32; 2],
     delayed: bool,
     dense: bool,
+    /// The widest gap between its slots; `None` once a slot stands twice.
+    gap: Option<u16>,
+    /// With runs.
+    compression: Compression,
+}
+
+impl Entry {
+    fn group(&self, weight_bits: WeightBits) -> Group {
+        let skip = self.gap.and_then(packing::skip_bits);
+        Group { weight_bits, synapses: self.synapses, delayed: self.delayed, dense: self.dense, skip }
+    }
+
+    /// Its class among the formats without runs, and among those with runs.
+    fn classes(&self) -> [usize; 2] {
+        let compression = match self.compression {
+            Compression::Dense => 0,
+            Compression::Sparse => 1,
+            Compression::RunLength(bits) => usize::from(bits),
+        };
+        [usize::from(self.delayed) * 2 + usize::from(self.dense), usize::from(self.delayed) * 6 + compression]
+    }
 }
 
 /// A core that is being filled.
@@ -67,15 +91,18 @@ pub struct Filling<'a> {
     members: Vec<CompartmentId>,
     axons: Vec<Axon>,
     entries: Vec<Entry>,
-    /// Groups by format and class: twice delayed plus dense.
+    /// Groups by format and class without runs: twice delayed plus dense.
     groups: Vec<[u32; 4]>,
+    /// Groups by format and class with runs: six times delayed plus 0 for dense, 1 for sparse, the bits of a run.
+    groups_with_runs: Vec<[u32; 12]>,
     profiles: BTreeSet<(u16, u16, u8)>,
     thresholds: BTreeSet<u32>,
     longest: Delay,
     widths: Widths,
     synapses: u64,
-    words: u64,
-    widest: u32,
+    /// Without and with runs.
+    words: [u64; 2],
+    widest: [u32; 2],
     slots_out: u64,
 }
 
@@ -96,14 +123,15 @@ impl<'a> Filling<'a> {
             axons: Vec::new(),
             entries: Vec::new(),
             groups: vec![[0; 4]; formats.len()],
+            groups_with_runs: vec![[0; 12]; formats.len()],
             formats,
             profiles: BTreeSet::new(),
             thresholds: BTreeSet::new(),
             longest: Delay::MIN,
             widths: Widths::of(0, Delay::MIN, limits.packing),
             synapses: 0,
-            words: 0,
-            widest: 0,
+            words: [0; 2],
+            widest: [0; 2],
             slots_out: 0,
         }
     }
@@ -114,11 +142,12 @@ impl<'a> Filling<'a> {
         self.axons.clear();
         self.entries.clear();
         self.groups.fill([0; 4]);
+        self.groups_with_runs.fill([0; 12]);
         self.profiles.clear();
         self.thresholds.clear();
         self.longest = Delay::MIN;
         self.widths = Widths::of(0, Delay::MIN, self.limits.packing);
-        (self.synapses, self.words, self.widest, self.slots_out) = (0, 0, 0, 0);
+        (self.synapses, self.words, self.widest, self.slots_out) = (0, [0; 2], [0; 2], 0);
         std::mem::take(&mut self.members)
     }
 
@@ -177,7 +206,7 @@ impl<'a> Filling<'a> {
         let mark = &mut self.marks[source as usize];
         if mark.0 != self.count {
             *mark = (self.count, self.axons.len() as u32);
-            self.axons.push(Axon { last: None, words: 0 });
+            self.axons.push(Axon { last: None, words: [0; 2] });
         }
         let axon_index = mark.1;
         let axon = &mut self.axons[axon_index as usize];
@@ -197,61 +226,89 @@ impl<'a> Filling<'a> {
                 format,
                 last_slot,
                 synapses: 0,
-                words: 0,
+                words: [0; 2],
                 delayed: false,
                 dense: true,
+                gap: Some(0),
+                compression: Compression::Dense,
             };
             self.entries.push(empty);
             index
         });
         let entry = &mut self.entries[index as usize];
-        let class = |entry: &Entry| usize::from(entry.delayed) * 2 + usize::from(entry.dense);
-        let counts = &mut self.groups[usize::from(format)];
         if entry.synapses > 0 {
-            counts[class(entry)] -= 1;
+            let [plain, with_runs] = entry.classes();
+            self.groups[usize::from(format)][plain] -= 1;
+            self.groups_with_runs[usize::from(format)][with_runs] -= 1;
             entry.dense &= slot == entry.last_slot + 1;
+            entry.gap = entry.gap.and_then(|gap| Some(gap.max((slot - entry.last_slot).checked_sub(1)?)));
         }
         entry.delayed |= self.delays[projection] > Delay::MIN;
-        counts[class(entry)] += 1;
         entry.synapses += 1;
         entry.last_slot = slot;
-        let group = Group { weight_bits, synapses: entry.synapses, delayed: entry.delayed, dense: entry.dense };
-        let words = packing::words(group, self.widths, self.limits);
-        let more = words - entry.words;
-        entry.words = words;
-        axon.words += more;
-        self.widest = self.widest.max(axon.words);
-        self.words += u64::from(more);
+        let group = entry.group(weight_bits);
+        let plain = packing::words(group, self.widths, self.limits);
+        let (compression, fewest) = packing::best(group, self.widths, self.limits);
+        entry.compression = compression;
+        let [class, class_with_runs] = entry.classes();
+        self.groups[usize::from(format)][class] += 1;
+        self.groups_with_runs[usize::from(format)][class_with_runs] += 1;
+        let before = std::mem::replace(&mut entry.words, [plain, fewest]);
+        for way in 0..2 {
+            // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
+            axon.words[way] = axon.words[way] + entry.words[way] - before[way];
+            self.widest[way] = self.widest[way].max(axon.words[way]);
+            self.words[way] = self.words[way] + u64::from(entry.words[way]) - u64::from(before[way]);
+        }
         self.synapses += 1;
     }
 
     /// Counts all words again, with other widths.
     fn recount(&mut self) {
-        (self.words, self.widest) = (0, 0);
-        self.axons.iter_mut().for_each(|axon| axon.words = 0);
+        (self.words, self.widest) = ([0; 2], [0; 2]);
+        self.axons.iter_mut().for_each(|axon| axon.words = [0; 2]);
         for entry in &mut self.entries {
-            let weight_bits = self.formats.get(entry.format).bits;
-            let group = Group { weight_bits, synapses: entry.synapses, delayed: entry.delayed, dense: entry.dense };
-            entry.words = packing::words(group, self.widths, self.limits);
-            self.axons[entry.axon as usize].words += entry.words;
-            self.words += u64::from(entry.words);
+            let group = entry.group(self.formats.get(entry.format).bits);
+            let (compression, fewest) = packing::best(group, self.widths, self.limits);
+            self.groups_with_runs[usize::from(entry.format)][entry.classes()[1]] -= 1;
+            entry.compression = compression;
+            self.groups_with_runs[usize::from(entry.format)][entry.classes()[1]] += 1;
+            entry.words = [packing::words(group, self.widths, self.limits), fewest];
+            for way in 0..2 {
+                self.axons[entry.axon as usize].words[way] += entry.words[way];
+                self.words[way] += u64::from(entry.words[way]);
+            }
         }
-        self.widest = self.axons.iter().map(|axon| axon.words).max().unwrap_or(0);
+        for way in 0..2 {
+            self.widest[way] = self.axons.iter().map(|axon| axon.words[way]).max().unwrap_or(0);
+        }
+    }
+
+    /// Whether the core stores runs, and the number of its formats.
+    fn runs(&self) -> (bool, u32) {
+        let plain = self.groups.iter().flatten().filter(|&&groups| groups > 0).count() as u32;
+        let with_runs = self.groups_with_runs.iter().flatten().filter(|&&groups| groups > 0).count() as u32;
+        match self.words[1] < self.words[0] && with_runs <= self.limits.synapse_formats {
+            true => (true, with_runs),
+            false => (false, plain),
+        }
     }
 
     /// What the compartments so far use, output axons left out.
     #[must_use]
     pub fn usage(&self) -> CoreUsage {
         let compartments = self.members.len() as u32;
+        let (runs, formats) = self.runs();
+        let way = usize::from(runs);
         CoreUsage {
             compartments,
             axons_in: self.axons.len() as u32,
             axons_out: 0,
             axons_out_per_compartment: 0,
             synapses: self.synapses,
-            synapse_words: self.words,
-            synapse_words_per_axon: self.widest,
-            synapse_formats: self.groups.iter().flatten().filter(|&&groups| groups > 0).count() as u32,
+            synapse_words: self.words[way],
+            synapse_words_per_axon: self.widest[way],
+            synapse_formats: formats,
             compartment_profiles: self.profiles.len() as u32,
             threshold_profiles: self.thresholds.len() as u32,
             accumulators: compartments.saturating_mul(packing::delay_slots(self.longest)),

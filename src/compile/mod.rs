@@ -7,18 +7,25 @@
 pub mod check;
 pub mod convert;
 pub mod copies;
+pub mod expect;
 pub mod fanin;
-pub mod fanout;
 pub mod fill;
+pub mod formats;
+pub mod gather;
 pub mod lower;
+pub mod memory;
 pub mod packing;
 pub mod partition;
 pub mod place;
 pub mod prune;
 pub mod quantise;
+pub mod rates;
 pub mod reason;
+pub mod remedy;
 pub mod route;
 pub mod saved;
+pub mod search;
+pub mod sent;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
@@ -31,6 +38,8 @@ use std::time::Instant;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CoreId, IdVec};
+use crate::compile::rates::Rates;
+use crate::compile::traffic::DEFAULT_RATE;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::target::Target;
@@ -43,7 +52,7 @@ use crate::ir::quantised::Quantised;
 pub use partition::Strategy;
 pub use reason::Reason;
 
-/// What a mapping is to be good for. It is recorded; the sequential strategy serves all alike.
+/// What a mapping is to be good for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Objective {
     /// Few cores.
@@ -81,13 +90,30 @@ pub struct Options {
     pub objective: Objective,
     /// Seed of strategies that draw; recorded in any case.
     pub seed: u64,
+    /// Whether cores are placed near what they talk to; otherwise one after the other.
+    pub place: bool,
+    /// Seconds that looking for a better partition and placement may take, counted in work, so that the result is the
+    /// same on every machine.
+    pub effort_s: u32,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Options { copies: 1, strategy: Strategy::default(), objective: Objective::default(), seed: 0 }
+        Options {
+            copies: 1,
+            strategy: Strategy::default(),
+            objective: Objective::default(),
+            seed: 0,
+            place: true,
+            effort_s: DEFAULT_EFFORT_S,
+        }
     }
 }
+
+/// The effort of a mapping of which nothing else is said.
+pub const DEFAULT_EFFORT_S: u32 = 4;
+/// Destinations of nets that placing looks at in a second, roughly.
+const PLACED_PER_SECOND: u64 = 25_000_000;
 
 /// Why there is no program.
 #[derive(Debug, thiserror::Error)]
@@ -131,8 +157,10 @@ pub struct Compiled {
     pub target: String,
     /// How it was compiled.
     pub options: Options,
-    /// Name of the placement: `sequential`, or `saved` when it came from a file.
+    /// Name of the placement: `sequential`, `annealed`, or `saved` when it came from a file.
     pub placed: &'static str,
+    /// Rates of all sources that it was made for.
+    pub rates: Rates,
 }
 
 impl Compiled {
@@ -150,7 +178,7 @@ impl Compiled {
 }
 
 /// Measures stages.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 struct Clock(Vec<(&'static str, f64)>);
 
 impl Clock {
@@ -177,7 +205,7 @@ pub fn compile(network: &Network, target: &Target, options: &Options) -> Result<
 /// # Errors
 /// [`CompileError`].
 pub fn compile_quantised(one: Quantised, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
-    mapped(one, target, options, Clock::default())
+    mapped(one, target, options, &Rates::assumed(DEFAULT_RATE), Clock::default())
 }
 
 /// Compiles a quantised network with a saved mapping's partition and places, pruned as it was for the mapping.
@@ -272,12 +300,33 @@ impl Front {
         Ok(self)
     }
 
+    /// Candidates of mappings onto a target.
+    ///
+    /// # Errors
+    /// As [`search::candidates`].
+    pub fn candidates(
+        &self,
+        target: &Target,
+        options: &Options,
+        rates: &Rates,
+    ) -> Result<Vec<search::Found>, CompileError> {
+        search::candidates(&self.one, target, options, rates)
+    }
+
     /// The network on a target.
     ///
     /// # Errors
     /// [`CompileError`].
     pub fn map(self, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
-        mapped(self.one, target, options, self.clock)
+        self.map_for(target, options, &Rates::assumed(DEFAULT_RATE))
+    }
+
+    /// The network on a target, for sources that spike this often; `rates` are of one copy.
+    ///
+    /// # Errors
+    /// [`CompileError`].
+    pub fn map_for(self, target: &Target, options: &Options, rates: &Rates) -> Result<Compiled, CompileError> {
+        mapped(self.one, target, options, rates, self.clock)
     }
 }
 
@@ -285,12 +334,107 @@ fn pruned(one: &Quantised, plan: &prune::Plan) -> Result<Quantised, CompileError
     prune::prune(one, plan).map_err(|error| CompileError::Fault(error.to_string()))
 }
 
-fn mapped(one: Quantised, target: &Target, options: &Options, mut clock: Clock) -> Result<Compiled, CompileError> {
-    clock.stage("bounds", || within_bounds(&one, target, options))?;
+fn mapped(
+    one: Quantised,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    clock: Clock,
+) -> Result<Compiled, CompileError> {
+    if options.objective != Objective::Cores {
+        let mut best = search::best(&one, target, options, rates)?;
+        best.seconds.splice(0..0, clock.0);
+        return Ok(best);
+    }
+    let Partitioned { one, all, partition, rates, mut clock } = partitioned_from(one, target, options, rates, clock)?;
+    let placed = clock.stage("place", || placed(&all, &partition, target, options, &rates));
+    let (placement, name) = placed.map_err(does_not_fit)?;
+    finished(one, all, partition, placement, name, target, options, rates, clock)
+}
+
+/// A network on logical cores, for placing in several ways.
+#[derive(Debug, Clone)]
+pub struct Partitioned {
+    one: Quantised,
+    all: Quantised,
+    partition: Partition,
+    rates: Rates,
+    clock: Clock,
+}
+
+/// Gathers a network on cores, for sources that spike this often.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn partitioned(
+    one: Quantised,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+) -> Result<Partitioned, CompileError> {
+    partitioned_from(one, target, options, rates, Clock::default())
+}
+
+fn partitioned_from(
+    one: Quantised,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    mut clock: Clock,
+) -> Result<Partitioned, CompileError> {
+    let search = partition_search(options, rates);
+    clock.stage("bounds", || within_bounds(&one, target, options, search))?;
     let all = clock.stage("copies", || all_copies(&one, options))?;
-    let partition = clock.stage("partition", || partition::partition(&one, &all, target, options.strategy))?;
-    let placement = clock.stage("place", || place::place(&partition, target)).map_err(does_not_fit)?;
-    finished(one, all, partition, placement, place::NAME, target, options, clock)
+    let partition = clock.stage("partition", || partition::partition(&one, &all, target, search))?;
+    Ok(Partitioned { one, all, partition, rates: rates.copies(options.copies), clock })
+}
+
+impl Partitioned {
+    /// Makes sure that it fits a target with other limits than it was made for.
+    ///
+    /// # Errors
+    /// [`CompileError::DoesNotFit`] when it has more cores; [`CompileError::Fault`] when the limits are lower.
+    pub fn within(&mut self, target: &Target) -> Result<(), CompileError> {
+        let (members, usage) = (self.partition.members().clone(), self.partition.usage().clone());
+        let partition = Partition::new(self.all.compartments(), members, usage, target.limits());
+        self.partition = partition.map_err(|e| CompileError::Fault(e.to_string()))?;
+        Ok(())
+    }
+
+    /// Places it and brings it to an end, with the options that it was made with but for how it is placed.
+    ///
+    /// # Errors
+    /// [`CompileError`].
+    pub fn placed(&self, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
+        let Partitioned { one, all, partition, rates, mut clock } = self.clone();
+        let placed = clock.stage("place", || placed(&all, &partition, target, options, &rates));
+        let (placement, name) = placed.map_err(does_not_fit)?;
+        finished(one, all, partition, placement, name, target, options, rates, clock)
+    }
+}
+
+fn partition_search<'a>(options: &Options, rates: &'a Rates) -> partition::Search<'a> {
+    let work = u64::from(options.effort_s) * partition::WORK_PER_SECOND;
+    partition::Search { strategy: options.strategy, rates, work }
+}
+
+fn placed(
+    all: &Quantised,
+    partition: &Partition,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+) -> Result<(Placement, &'static str), Reason> {
+    if !options.place {
+        return Ok((place::sequential(partition, target)?, place::SEQUENTIAL));
+    }
+    let work = u64::from(options.effort_s) * PLACED_PER_SECOND;
+    place::place(
+        all,
+        partition,
+        target,
+        place::Search { objective: options.objective, rates, seed: options.seed, work },
+    )
 }
 
 fn remapped(
@@ -316,10 +460,11 @@ fn remapped(
         // What was pruned otherwise than the file says has other compartments to map.
         (None, None) | (Some(_), Some(_)) => one,
     };
-    clock.stage("bounds", || within_bounds(&one, target, options))?;
+    let rates = Rates::assumed(DEFAULT_RATE);
+    clock.stage("bounds", || within_bounds(&one, target, options, partition_search(options, &rates)))?;
     let all = clock.stage("copies", || all_copies(&one, options))?;
     let (partition, placement) = clock.stage("mapping", || from_file(&all, target, file))?;
-    finished(one, all, partition, placement, "saved", target, options, clock)
+    finished(one, all, partition, placement, place::SAVED, target, options, rates, clock)
 }
 
 /// From places to a program that is known to be right.
@@ -332,6 +477,7 @@ fn finished(
     placed: &'static str,
     target: &Target,
     options: &Options,
+    rates: Rates,
     mut clock: Clock,
 ) -> Result<Compiled, CompileError> {
     let limits = target.limits();
@@ -340,7 +486,7 @@ fn finished(
     clock.stage("verify", || verify::verify(&program, target)).map_err(|e| fault(e.to_string()))?;
     clock.stage("check", || check::check(&quantised, &program)).map_err(|e| fault(e.to_string()))?;
     let (seconds, target) = (clock.0, target.name().to_string());
-    Ok(Compiled { one, quantised, partition, placement, program, seconds, target, options: *options, placed })
+    Ok(Compiled { one, quantised, partition, placement, program, seconds, target, options: *options, placed, rates })
 }
 
 fn does_not_fit(reason: Reason) -> CompileError {
@@ -353,7 +499,12 @@ fn all_copies(one: &Quantised, options: &Options) -> Result<Quantised, CompileEr
 }
 
 /// Refuses what cannot fit by its sizes alone, before anything large is made; with the reasons of a single copy, if any.
-fn within_bounds(one: &Quantised, target: &Target, options: &Options) -> Result<(), CompileError> {
+fn within_bounds(
+    one: &Quantised,
+    target: &Target,
+    options: &Options,
+    search: partition::Search<'_>,
+) -> Result<(), CompileError> {
     let (limits, copies) = (target.limits(), u64::from(options.copies));
     let (compartments, room) =
         (u64::from(one.compartments()), u64::from(target.cores()) * u64::from(limits.compartments));
@@ -367,7 +518,7 @@ fn within_bounds(one: &Quantised, target: &Target, options: &Options) -> Result<
     };
     let mut reasons = vec![bound];
     if compartments <= room
-        && let Err(partition::Failure::DoesNotFit(more)) = partition::partition(one, one, target, options.strategy)
+        && let Err(partition::Failure::DoesNotFit(more)) = partition::partition(one, one, target, search)
     {
         reasons.extend(more.into_iter().filter(|reason| reason.resource != Resource::Cores));
     }

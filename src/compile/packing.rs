@@ -5,7 +5,12 @@
 //! *group* of it, and a list takes the sum of its groups. A group is stored
 //!
 //! - *dense*, without target indices, when its slots follow each other without gap or repetition; a single synapse is dense;
-//! - *sparse* otherwise, with an index for each synapse.
+//! - *run-length*, with the number of slots left out before each synapse in 2 to 5 bits (the widths that NxTF uses), and the
+//!   index of the first slot once an entry; for ascending slots with gaps of at most 31;
+//! - *sparse*, with an index for each synapse.
+//!
+//! Of the last two the one with fewer words is taken ([`best`]), sparse on a tie. Each width of runs is a format of its
+//! own, and a core has few formats; a core on which they would not fit, or save nothing, stores no runs at all.
 //!
 //! Widths that a core's groups share, so that a core needs few distinct formats: the index of a sparse synapse has the
 //! fewest legal bits that hold every slot of the core ([`index_bits`]); a group in which any synapse is delayed has the
@@ -16,11 +21,12 @@
 //! - `Nengo` (nengo-loihi `builder/validate.py`, `bits_per_axon`): a group of n synapses is cut into entries of at most
 //!   `synapses_per_entry`; an entry of g synapses takes `ceil((g b + 4 + 6) / 64)` words, where b is weight, delay and
 //!   index bits, 4 the bits of the format number and 6 those of the count.
-//! - `Nxtf` (Intel's NxTF, `nxsdk_modules_ncl/dnn`): at most 60 synapses an entry; a dense entry also holds the index of
-//!   its first slot; one more word when the bits of an entry's last word are 0 or at least 59. NxTF also pads the axons
+//!   nengo-loihi has no run-length lists; theirs are counted with the index of the first slot, as NxTF has it.
+//! - `Nxtf` (Intel's NxTF, `nxsdk_modules_ncl/dnn`): at most 60 synapses an entry; one that is not sparse also holds the
+//!   index of its first slot; one more word when the bits of an entry's last word are 0 or at least 59. NxTF also pads the axons
 //!   that share one output axon to the longest of them; axons here are discrete, so there is nothing to pad.
 //!
-//! Left out on purpose: run-length compression, which nengo-loihi does not implement either, and learning tags.
+//! Left out on purpose: learning tags.
 
 use crate::base::fixed::{Delay, WeightBits};
 use crate::desc::target::{Limits, Packing};
@@ -29,6 +35,8 @@ use crate::desc::target::{Limits, Packing};
 pub const INDEX_BITS: [u8; 7] = [6, 7, 8, 9, 10, 11, 12];
 /// Slots that the widest index can tell apart: no core can hold more compartments, whatever its target says.
 pub const MOST_SLOTS: u32 = 1 << 12;
+/// Bits of a run that can be stored (NxTF, run-length skip).
+pub const SKIP_BITS: [u8; 4] = [2, 3, 4, 5];
 /// Bits of an entry's header: 4 for the number of the format, 6 for the count of synapses (nengo-loihi `validate.py`).
 const HEADER_BITS: u64 = 4 + 6;
 /// Synapses of an entry that NxTF uses at most (NxTF `ExclusionCriteria`).
@@ -60,6 +68,15 @@ pub fn delay_slots(longest: Delay) -> u32 {
     (u32::from(longest.get()) + 1).next_power_of_two()
 }
 
+/// Synapses of an entry at most.
+#[must_use]
+pub fn per_entry(limits: &Limits) -> u32 {
+    match limits.packing {
+        Packing::Nengo => limits.synapses_per_entry,
+        Packing::Nxtf => limits.synapses_per_entry.min(NXTF_PER_ENTRY),
+    }
+}
+
 /// Widths that a core's groups share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Widths {
@@ -89,22 +106,64 @@ pub struct Group {
     pub delayed: bool,
     /// Whether their slots follow each other.
     pub dense: bool,
+    /// The fewest bits that hold the gaps between their slots; `None` when no legal width does.
+    pub skip: Option<u8>,
 }
 
-/// Words of one group.
+/// How the targets of a group's synapses are told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Compression {
+    /// By their place in the list.
+    Dense,
+    /// By the slots left out before each, in so many bits.
+    RunLength(u8),
+    /// By an index each.
+    Sparse,
+}
+
+/// The fewest bits of a run that hold a gap of so many slots; `None` beyond the widest.
+#[inline]
+#[must_use]
+pub fn skip_bits(gap: u16) -> Option<u8> {
+    SKIP_BITS.into_iter().find(|&bits| gap < 1 << bits)
+}
+
+/// Words of one group without runs: dense where its slots follow each other, sparse otherwise.
 #[inline]
 #[must_use]
 pub fn words(group: Group, widths: Widths, limits: &Limits) -> u32 {
-    let delay = if group.delayed { widths.delay } else { 0 };
-    let index = if group.dense { 0 } else { widths.index };
-    let bits = u64::from(group.weight_bits.get()) + u64::from(delay) + u64::from(index);
-    let (most, header, nxtf) = match limits.packing {
-        Packing::Nengo => (limits.synapses_per_entry, HEADER_BITS, false),
-        Packing::Nxtf => {
-            let base = if group.dense { u64::from(widths.index) } else { 0 };
-            (limits.synapses_per_entry.min(NXTF_PER_ENTRY), HEADER_BITS + base, true)
+    let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
+    words_as(group, compression, widths, limits)
+}
+
+/// The compression of one group that takes the fewest words, and those.
+#[inline]
+#[must_use]
+pub fn best(group: Group, widths: Widths, limits: &Limits) -> (Compression, u32) {
+    let plain = words(group, widths, limits);
+    match group.skip {
+        _ if group.dense => (Compression::Dense, plain),
+        Some(bits) => {
+            let runs = words_as(group, Compression::RunLength(bits), widths, limits);
+            if runs < plain { (Compression::RunLength(bits), runs) } else { (Compression::Sparse, plain) }
         }
+        None => (Compression::Sparse, plain),
+    }
+}
+
+/// Words of one group stored in this way.
+#[inline]
+#[must_use]
+pub fn words_as(group: Group, compression: Compression, widths: Widths, limits: &Limits) -> u32 {
+    let delay = if group.delayed { widths.delay } else { 0 };
+    let (target, first) = match compression {
+        Compression::Dense => (0, limits.packing == Packing::Nxtf),
+        Compression::RunLength(bits) => (bits, true),
+        Compression::Sparse => (widths.index, false),
     };
+    let bits = u64::from(group.weight_bits.get()) + u64::from(delay) + u64::from(target);
+    let header = HEADER_BITS + if first { u64::from(widths.index) } else { 0 };
+    let (most, nxtf) = (per_entry(limits), limits.packing == Packing::Nxtf);
     let entry = |synapses: u32| {
         let used = u64::from(synapses) * bits + header;
         let rest = used % 64;
@@ -120,7 +179,7 @@ mod tests {
     use crate::compile::testing::limits;
 
     fn dense(synapses: u32) -> Group {
-        Group { weight_bits: WeightBits::new(8).unwrap(), synapses, delayed: false, dense: true }
+        Group { weight_bits: WeightBits::new(8).unwrap(), synapses, delayed: false, dense: true, skip: Some(2) }
     }
 
     const WIDTHS: Widths = Widths { index: 10, delay: 3 };
@@ -154,6 +213,23 @@ mod tests {
         assert_eq!(words(Group { dense: false, ..dense(3) }, WIDTHS, &limits), 2);
         // 61 synapses: an entry of 60 and one of 1 (8 + 20 = 28 bits).
         assert_eq!(words(dense(61), WIDTHS, &limits), 9);
+    }
+
+    #[test]
+    fn runs_are_taken_where_they_are_smaller() {
+        let limits = limits();
+        let gaps = |synapses, skip| Group { dense: false, skip, ..dense(synapses) };
+        // 9 x (8 + 4) + 10 + 10 bits are two words, 9 x 18 + 10 are three.
+        assert_eq!(best(gaps(9, Some(4)), WIDTHS, &limits), (Compression::RunLength(4), 2));
+        // 3 x 12 + 20 and 3 x 18 + 10 bits are one word each.
+        assert_eq!(best(gaps(3, Some(4)), WIDTHS, &limits), (Compression::Sparse, 1));
+        assert_eq!(best(gaps(9, None), WIDTHS, &limits), (Compression::Sparse, 3));
+        assert_eq!(best(dense(9), WIDTHS, &limits), (Compression::Dense, 2));
+        assert_eq!([0, 3, 4, 15, 16, 31].map(skip_bits), [Some(2), Some(2), Some(3), Some(4), Some(5), Some(5)]);
+        assert_eq!(skip_bits(32), None);
+        // NxTF: 58 bits and the rest of a word below six make one word more.
+        let nxtf = Limits { packing: Packing::Nxtf, ..limits };
+        assert_eq!(words_as(gaps(4, Some(2)), Compression::RunLength(2), WIDTHS, &nxtf), 2);
     }
 
     #[test]

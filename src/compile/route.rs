@@ -5,23 +5,26 @@
 //! Input axons of a core are numbered by source: channels in order, then compartments in order. A list is sorted by
 //! format, then slot, delay and weight; formats are numbered as they first appear. Widths are those of
 //! [`crate::compile::packing`].
+//!
+//! Cores are written down in parallel, from their own synapses alone; then messages are sorted from cores to sources, a
+//! range of sources each.
+
+use rayon::prelude::*;
 
 use crate::base::fixed::Delay;
-use crate::base::id::{CompartmentId, CoreId, IdVec};
-use crate::compile::fanout::{self, Formats};
-use crate::compile::packing::Widths;
-use crate::compile::usage::longest_delays;
+use crate::base::id::{CompartmentId, CoreId, Id};
+use crate::compile::formats::Formats;
+use crate::compile::gather::{self, Key};
+use crate::compile::packing::{self, Compression, Widths};
+use crate::compile::usage::{Tallies, group_of, longest_delays};
 use crate::desc::target::Limits;
 use crate::ir::partition::Partition;
-use crate::ir::placement::{Placement, Site};
+use crate::ir::placement::Placement;
 use crate::ir::program::{AxonTarget, Compartment, CoreFormat, CoreImage, Lists, Parts, Program, Synapse};
-use crate::ir::quantised::{Quantised, SpikeSource, Units};
+use crate::ir::quantised::{Quantised, Units};
 
-/// A core's image while lists are appended to it.
-struct Growing {
-    image: CoreImage,
-    widths: Widths,
-}
+/// Sources whose messages are sorted by one task.
+const PIECE: u32 = 1 << 14;
 
 /// The program of a network on its places.
 ///
@@ -37,50 +40,39 @@ pub fn route(
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
-    let mut cores = images(network, partition, placement, limits);
     let formats = Formats::of(network);
-    let mut channels = Lists::default();
-    let mut messages: Lists<AxonTarget> = Lists::default();
-    let (mut reaches, mut targets) = (Vec::new(), Vec::new());
-    for (source, place) in fanout::sources(network) {
-        fanout::collect(network, &formats, partition.seats(), place, &mut reaches);
-        targets.clear();
-        for axon in reaches.chunk_by(|a, b| a.core == b.core) {
-            let core = axon[0].core;
-            let Growing { image, widths } = &mut cores[core];
-            let number = u16::try_from(image.synapses.len()).map_err(|_| format!("{core} has too many input axons"))?;
-            targets.push(AxonTarget { core, axon: number });
-            // A list is pushed group by group into a small buffer first, because each group has its own format.
-            let mut list = Vec::with_capacity(axon.len());
-            for group in fanout::groups(axon) {
-                let format = number_of(&mut image.formats, format_of(group, &formats, *widths))
-                    .ok_or_else(|| format!("{core} has too many synapse formats"))?;
-                for reach in group {
-                    let delay = Delay::new(reach.delay.into()).map_err(|e| e.to_string())?;
-                    list.push(Synapse { slot: reach.slot, weight: reach.weight, format, delay });
-                }
-            }
-            image.synapses.push(list);
-        }
-        match source {
-            SpikeSource::Channel(_) => channels.push(targets.iter().copied()),
-            SpikeSource::Compartment(_) => messages.push(targets.iter().copied()),
-        }
+    let longest = longest_delays(network, partition.seats(), partition.cores());
+    let written = gather::by_core(network, &formats, partition.seats(), partition.cores(), |core, keys| {
+        let held = &partition.members()[core];
+        let widths = Widths::of(held.len() as u32, longest[core], limits.packing);
+        let runs = Tallies::of(keys, &formats, widths, limits).runs(limits);
+        let (formats, synapses, sources) = write_lists(core, keys, &formats, widths, runs.then_some(limits))?;
+        let image = CoreImage {
+            site: placement.site(core),
+            compartments: compartments(network, held),
+            ids: held.clone(),
+            formats,
+            synapses,
+            axons_out: Lists::default(),
+        };
+        Ok::<_, String>((image, sources))
+    });
+    let (mut cores, mut sources) = (Vec::with_capacity(written.len()), Vec::with_capacity(written.len()));
+    for core in written {
+        let (image, of_core) = core?;
+        cores.push(image);
+        sources.push(of_core);
     }
-    let cores = cores
-        .as_mut_slice()
-        .iter_mut()
-        .map(|growing| {
-            // Compartments sit in slots in any order; their messages move to their slots.
-            let image = &mut growing.image;
-            for id in &image.ids {
-                image.axons_out.push(messages.get(id.0 as usize).iter().copied());
-            }
-            image.synapses.shrink_to_fit();
-            image.axons_out.shrink_to_fit();
-            std::mem::replace(image, empty(image.site))
-        })
-        .collect();
+    let (channels, compartments) = (network.channels(), network.compartments());
+    let messages = messages(&sources, channels, compartments);
+    drop(sources);
+    cores.par_iter_mut().for_each(|image| {
+        let of = |id: &CompartmentId| messages.compartments[(id.0 / PIECE) as usize].get((id.0 % PIECE) as usize);
+        for id in &image.ids {
+            image.axons_out.push(of(id).iter().copied());
+        }
+        image.axons_out.shrink_to_fit();
+    });
     let populations = network
         .populations()
         .iter()
@@ -89,8 +81,8 @@ pub fn route(
     let parts = network.parts();
     Program::new(Parts {
         mesh: *placement.mesh(),
-        cores,
-        channels,
+        cores: cores.into(),
+        channels: messages.channels,
         seats: partition.seats().clone(),
         populations,
         output: parts.output,
@@ -101,55 +93,108 @@ pub fn route(
     .map_err(|error| error.to_string())
 }
 
-fn empty(site: Site) -> CoreImage {
-    CoreImage {
-        site,
-        compartments: Vec::new(),
-        ids: Vec::new(),
-        formats: Vec::new(),
-        synapses: Lists::default(),
-        axons_out: Lists::default(),
-    }
-}
-
-/// Images with their compartments, and the widths of their synapses.
-fn images(
-    network: &Quantised,
-    partition: &Partition,
-    placement: &Placement,
-    limits: &Limits,
-) -> IdVec<CoreId, Growing> {
-    let mut parameters: IdVec<CompartmentId, Option<Compartment>> = vec![None; network.compartments() as usize].into();
-    for population in network.populations() {
-        let Units::Loihi { first, neurons, start_step } = &population.units else { continue };
-        for index in 0..population.shape.len() {
-            let compartment = Compartment { neuron: neurons.get(index), start_step: *start_step };
-            parameters[CompartmentId(first.0 + index)] = Some(compartment);
-        }
-    }
-    let longest = longest_delays(network, partition.seats(), partition.cores());
-    partition
-        .members()
-        .enumerate()
-        .map(|(core, held)| Growing {
-            widths: Widths::of(held.len() as u32, longest[core], limits.packing),
-            image: CoreImage {
-                ids: held.clone(),
-                compartments: held.iter().filter_map(|&id| parameters[id]).collect(),
-                ..empty(placement.site(core))
-            },
+/// Parameters of compartments in slot order.
+fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
+    let mut known = None;
+    held.iter()
+        .filter_map(|&id| {
+            // Neighbours mostly are of one population.
+            let inside = |population: &crate::base::id::PopulationId| {
+                let population = &network.populations()[*population];
+                population
+                    .first_compartment()
+                    .is_some_and(|first| id.0.checked_sub(first.0).is_some_and(|index| index < population.shape.len()))
+            };
+            let population = known.filter(inside).unwrap_or_else(|| network.population_of(id).0);
+            known = Some(population);
+            let Units::Loihi { first, neurons, start_step } = &network.populations()[population].units else {
+                return None;
+            };
+            Some(Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step })
         })
         .collect()
 }
 
-/// The format that a group is stored in.
-fn format_of(group: &[fanout::Reach], formats: &Formats, widths: Widths) -> CoreFormat {
-    let delayed = group.iter().any(|reach| reach.delay > 0);
-    CoreFormat {
-        synapse: formats.get(group[0].format),
-        delay_bits: if delayed { widths.delay } else { 0 },
-        index_bits: (!fanout::is_dense(group)).then_some(widths.index),
+/// The formats of a core, its lists by input axon, and the source of each input axon; with run-length lists where that
+/// takes fewer words, if limits are given.
+fn write_lists(
+    core: CoreId,
+    keys: &[Key],
+    formats: &Formats,
+    widths: Widths,
+    runs: Option<&Limits>,
+) -> Result<(Vec<CoreFormat>, Lists<Synapse>, Vec<u32>), String> {
+    let (mut known, mut sources): (Vec<CoreFormat>, Vec<u32>) = (Vec::new(), Vec::new());
+    let mut synapses = Lists::with_capacity(0, keys.len());
+    for list in gather::lists(keys) {
+        if sources.len() > usize::from(u16::MAX) {
+            return Err(format!("{core} has too many input axons"));
+        }
+        sources.push(list[0].source());
+        for group in gather::groups(list) {
+            let (format, made) = group_of(group, formats);
+            let format = CoreFormat {
+                synapse: formats.get(format),
+                delay_bits: if made.delayed { widths.delay } else { 0 },
+                index_bits: (!made.dense).then_some(widths.index),
+                skip_bits: match runs.map(|limits| packing::best(made, widths, limits).0) {
+                    Some(Compression::RunLength(bits)) => Some(bits),
+                    _ => None,
+                },
+            };
+            let number = number_of(&mut known, format).ok_or_else(|| format!("{core} has too many synapse formats"))?;
+            for key in group {
+                let delay = Delay::new(key.delay().into()).map_err(|e| e.to_string())?;
+                let synapse = Synapse { slot: key.slot(), weight: key.weight(), format: number, delay };
+                synapses.extend_last([synapse]);
+            }
+        }
+        synapses.end();
     }
+    synapses.shrink_to_fit();
+    Ok((known, synapses, sources))
+}
+
+/// Messages by source.
+struct Messages {
+    channels: Lists<AxonTarget>,
+    /// In pieces of [`PIECE`] compartments.
+    compartments: Vec<Lists<AxonTarget>>,
+}
+
+/// Sorts what cores know, the sources of their input axons, by source.
+fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages {
+    let of_range = |from: u32, to: u32| {
+        let mut counts = vec![0u32; (to - from) as usize];
+        let part = |of_core: &Vec<u32>| {
+            (of_core.partition_point(|&source| source < from), of_core.partition_point(|&source| source < to))
+        };
+        let parts: Vec<(usize, usize)> = sources.iter().map(part).collect();
+        for (of_core, &(low, high)) in sources.iter().zip(&parts) {
+            of_core[low..high].iter().for_each(|source| counts[(source - from) as usize] += 1);
+        }
+        let mut lists = Lists::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
+        for (core, (of_core, &(low, high))) in sources.iter().zip(&parts).enumerate() {
+            for axon in low..high {
+                // Counts now say how many are still to come; cores ascend, so lists do.
+                let source = (of_core[axon] - from) as usize;
+                let place = lists.get(source).len() - counts[source] as usize;
+                lists.get_mut(source)[place] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };
+                counts[source] -= 1;
+            }
+        }
+        lists
+    };
+    let pieces = |from: u32, count: u32| {
+        let of = move |piece: u32| (from + piece * PIECE, from + ((piece + 1) * PIECE).min(count));
+        (0..count.div_ceil(PIECE)).into_par_iter().map(of)
+    };
+    let of_channels: Vec<Lists<AxonTarget>> = pieces(0, channels).map(|(from, to)| of_range(from, to)).collect();
+    let mut all = Lists::default();
+    of_channels.iter().flat_map(Lists::iter).for_each(|list| all.push(list.iter().copied()));
+    all.shrink_to_fit();
+    let of_compartments = pieces(channels, compartments).map(|(from, to)| of_range(from, to)).collect();
+    Messages { channels: all, compartments: of_compartments }
 }
 
 /// The number of a format on its core, which is new when the core has not had it yet.

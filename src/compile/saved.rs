@@ -54,6 +54,17 @@ pub fn save(network: &Quantised, partition: &Partition, placement: &Placement, o
     MappingFile { model: network.parts().name.clone(), target, copies, strategy, seed, pruned, cores }
 }
 
+/// The first copy alone, on the cores that hold a part of it.
+#[must_use]
+pub fn one_copy(file: &MappingFile) -> MappingFile {
+    // Populations of further copies are called name@k, and no population of a model has such a name.
+    let of_first = |core: &MappedCore| {
+        let holds: Vec<Run> = core.holds.iter().filter(|run| !run.population.contains('@')).cloned().collect();
+        (!holds.is_empty()).then(|| MappedCore { holds, ..core.clone() })
+    };
+    MappingFile { copies: 1, cores: file.cores.iter().filter_map(of_first).collect(), ..file.clone() }
+}
+
 /// Finds the name of a compartment's population, and the index that the model file gives it, by bisection.
 fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a str, u32) {
     let firsts: Vec<(u32, PopulationId, &str)> = network
@@ -234,6 +245,21 @@ mod tests {
         let first = compile_quantised(network.clone(), &target, &options).unwrap();
         let again = compile_with_mapping(network, &target, &options, &read).unwrap();
         assert_eq!(first.program, again.program);
+    }
+
+    #[test]
+    fn one_copy_of_several_is_a_mapping_of_its_own() {
+        let target = target(1, 1, limits());
+        // Twelve copies share a core, so the first core holds more than the first copy.
+        let network = slip(100);
+        let options = Options { copies: 20, ..Options::default() };
+        let file = compile_quantised(network.clone(), &target, &options).unwrap().mapping_file();
+        assert!(file.cores[0].holds.iter().any(|run| run.population.ends_with("@1")));
+        let one = one_copy(&file);
+        assert_eq!((one.copies, one.cores.len()), (1, 1));
+        let compiled = compile_with_mapping(network, &target, &Options::default(), &one).unwrap();
+        assert_eq!(compiled.partition.members().as_slice()[0].len(), 62);
+        assert_eq!(one_copy(&one), one);
     }
 
     #[test]

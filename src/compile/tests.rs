@@ -116,7 +116,7 @@ fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
     let board = target(2, 2, limits());
     let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
     assert_eq!(compiled.partition.cores(), 32);
-    let traffic = crate::compile::traffic::traffic(&compiled.program, 1.0);
+    let traffic = crate::compile::traffic::traffic(&compiled.program, &crate::compile::rates::Rates::assumed(1.0));
     assert_eq!(traffic.cut_spikes_per_step, 32.0 * 3_306.0, "only inputs cross between cores");
     let small = compile_quantised(slip(100), &board, &options).unwrap();
     // 316 input axons and 62 compartments a copy: twelve copies share a core.

@@ -1,14 +1,17 @@
-//! How far messages go, at an assumed rate of spikes.
+//! How far messages go, at given rates of spikes.
 //!
 //! In come a program and a rate for every source; out goes a [`Traffic`]. Each source sends one message to each of its
 //! cores. A message goes along its row of tiles first, then along its column (see [`crate::ir::placement`]); an input's
 //! message enters at the corner of its target's chip. Links are counted in both directions separately, over the whole
-//! board. Ways are added as differences at their ends, so that a message costs the same however long it is. Everything is
-//! counted in whole messages before it is multiplied by the rate.
+//! board. Ways are added as differences at their ends, so that a message costs the same however long it is. A spike that
+//! is copied where ways part crosses each link once, however many of its messages do: those are multicast hops. Everything
+//! is counted in whole numbers ([`Rates`]) before it is brought to a step.
 
 use serde::Serialize;
 
 use crate::base::id::CoreId;
+use crate::compile::place::nets::Columns;
+use crate::compile::rates::{Rates, UNIT};
 use crate::ir::placement::Mesh;
 use crate::ir::program::Program;
 
@@ -20,8 +23,10 @@ pub const DEFAULT_RATE: f64 = 0.01;
 pub struct Traffic {
     /// Messages to another core than the source's own; an input's are all of this kind.
     pub cut_spikes_per_step: f64,
-    /// Links crossed.
+    /// Links crossed, each message by itself.
     pub hops_per_step: f64,
+    /// Links crossed when a spike is copied where the ways of its messages part.
+    pub hops_multicast_per_step: f64,
     /// Messages over a link, on average over all links of the board.
     pub mean_link_load: f64,
     /// Messages over the busiest link.
@@ -41,10 +46,23 @@ impl Lines {
     }
 
     /// Adds a way from tile `low` to tile `high` of a line, `low <= high`.
-    fn add(&mut self, line: u32, low: u32, high: u32) {
+    fn add(&mut self, line: u32, low: u32, high: u32, weight: i64) {
         let start = line as usize * self.length;
-        self.differences[start + low as usize] += 1;
-        self.differences[start + high as usize] -= 1;
+        self.differences[start + low as usize] += weight;
+        self.differences[start + high as usize] -= weight;
+    }
+
+    /// The load of the link after each tile.
+    fn each(&self) -> Vec<u64> {
+        let mut loads = Vec::with_capacity(self.differences.len());
+        for line in self.differences.chunks(self.length.max(1)) {
+            let mut load = 0i64;
+            for difference in line {
+                load += difference;
+                loads.push(load as u64);
+            }
+        }
+        loads
     }
 
     /// The greatest load and the sum of loads.
@@ -62,46 +80,118 @@ impl Lines {
     }
 }
 
-/// The expected traffic of a program in which every source spikes at `rate` spikes a step.
+/// Messages over each link, both directions of it together, in a step.
+#[derive(Debug, Clone)]
+pub struct Links {
+    columns: usize,
+    rows: usize,
+    /// From each tile eastwards, row by row.
+    east_west: Vec<f64>,
+    /// From each tile southwards, column by column.
+    north_south: Vec<f64>,
+}
+
+impl Links {
+    /// Over the link from a tile of the board to its eastern neighbour and back.
+    #[must_use]
+    pub fn east_west(&self, x: u32, y: u32) -> f64 {
+        self.east_west.get(y as usize * self.columns + x as usize).copied().unwrap_or(0.0)
+    }
+
+    /// Over the link from a tile of the board to its southern neighbour and back.
+    #[must_use]
+    pub fn north_south(&self, x: u32, y: u32) -> f64 {
+        self.north_south.get(x as usize * self.rows + y as usize).copied().unwrap_or(0.0)
+    }
+
+    /// The most over any link.
+    #[must_use]
+    pub fn busiest(&self) -> f64 {
+        self.east_west.iter().chain(&self.north_south).copied().fold(0.0, f64::max)
+    }
+}
+
+/// The expected messages over each link.
 #[must_use]
-pub fn traffic(program: &Program, rate: f64) -> Traffic {
+pub fn links(program: &Program, rates: &Rates) -> Links {
+    let ([east, west, south, north], _, _) = counted(program, rates);
+    let together = |a: &Lines, b: &Lines| -> Vec<f64> {
+        let sums = a.each().into_iter().zip(b.each());
+        sums.map(|(a, b)| (a + b) as f64 / UNIT).collect()
+    };
+    let mesh = program.mesh();
+    Links {
+        columns: (mesh.chips_x * mesh.width) as usize,
+        rows: (mesh.chips_y * mesh.height) as usize,
+        east_west: together(&east, &west),
+        north_south: together(&south, &north),
+    }
+}
+
+/// The expected traffic of a program whose sources spike at these rates.
+#[must_use]
+pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
     let mesh = program.mesh();
     let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
-    let (mut east, mut west) = (Lines::new(rows, columns), Lines::new(rows, columns));
-    let (mut south, mut north) = (Lines::new(columns, rows), Lines::new(columns, rows));
-    let mut add = |(fx, fy): (u32, u32), (tx, ty): (u32, u32)| {
-        match fx <= tx {
-            true => east.add(fy, fx, tx),
-            false => west.add(fy, tx, fx),
-        }
-        match fy <= ty {
-            true => south.add(tx, fy, ty),
-            false => north.add(tx, ty, fy),
-        }
-    };
-    let tile = |core: CoreId| mesh.tile(program.cores()[core].site);
-    let mut cut = 0u64;
-    for (core, image) in program.cores().enumerate() {
-        for message in image.axons_out.items() {
-            cut += u64::from(message.core != core);
-            add(tile(core), tile(message.core));
-        }
-    }
-    for message in program.parts().channels.items() {
-        cut += 1;
-        add(corner(mesh, tile(message.core)), tile(message.core));
-    }
+    let ([east, west, south, north], cut, multicast) = counted(program, rates);
     let loads = [east.loads(), west.loads(), south.loads(), north.loads()];
     let (most, hops) = loads.iter().fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
     let (columns, rows) = (u64::from(columns), u64::from(rows));
     let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
-    let mean = if links == 0 { 0.0 } else { hops as f64 / links as f64 };
+    let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
     Traffic {
-        cut_spikes_per_step: cut as f64 * rate,
-        hops_per_step: hops as f64 * rate,
-        mean_link_load: mean * rate,
-        max_link_load: most as f64 * rate,
+        cut_spikes_per_step: cut as f64 / UNIT,
+        hops_per_step: hops as f64 / UNIT,
+        hops_multicast_per_step: multicast as f64 / UNIT,
+        mean_link_load: mean,
+        max_link_load: most as f64 / UNIT,
     }
+}
+
+/// Loads eastwards, westwards, southwards and northwards; messages between cores; links of multicast trees.
+fn counted(program: &Program, rates: &Rates) -> ([Lines; 4], u64, u64) {
+    let mesh = program.mesh();
+    let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
+    let (mut east, mut west) = (Lines::new(rows, columns), Lines::new(rows, columns));
+    let (mut south, mut north) = (Lines::new(columns, rows), Lines::new(columns, rows));
+    let mut add = |(fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64| {
+        match fx <= tx {
+            true => east.add(fy, fx, tx, weight),
+            false => west.add(fy, tx, fx, weight),
+        }
+        match fy <= ty {
+            true => south.add(tx, fy, ty, weight),
+            false => north.add(tx, ty, fy, weight),
+        }
+    };
+    let tile = |core: CoreId| mesh.tile(program.cores()[core].site);
+    let mut tree = Columns::new(mesh);
+    let (mut cut, mut multicast) = (0u64, 0u64);
+    for (core, image) in program.cores().enumerate() {
+        for (slot, messages) in image.axons_out.iter().enumerate() {
+            let weight = rates.of(program.channels() + image.ids[slot].0);
+            for message in messages {
+                cut += u64::from(message.core != core) * weight;
+                add(tile(core), tile(message.core), weight as i64);
+            }
+            multicast += weight * tree.links(tile(core), messages.iter().map(|m| tile(m.core))).0;
+        }
+    }
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        let weight = rates.of(channel as u32);
+        cut += weight * messages.len() as u64;
+        for message in messages {
+            add(corner(mesh, tile(message.core)), tile(message.core), weight as i64);
+        }
+        // Inputs enter each chip at its corner; chips of a list are not in order when chips were exchanged.
+        let mut of_chip: Vec<(u32, (u32, u32))> =
+            messages.iter().map(|m| (program.cores()[m.core].site.chip, tile(m.core))).collect();
+        of_chip.sort_unstable();
+        for same in of_chip.chunk_by(|a, b| a.0 == b.0) {
+            multicast += weight * tree.links(corner(mesh, same[0].1), same.iter().map(|&(_, tile)| tile)).0;
+        }
+    }
+    ([east, west, south, north], cut, multicast)
 }
 
 /// The tile at the north-west corner of a tile's chip, where inputs enter.
@@ -157,7 +247,7 @@ mod tests {
             let limits = Limits { compartments: 1, axons_out_per_compartment: 4096, ..limits() };
             let target = target(2, 2, limits);
             let compiled = compile_quantised(random_network(seed), &target, &Options::default()).unwrap();
-            let traffic = traffic(&compiled.program, 1.0);
+            let traffic = traffic(&compiled.program, &Rates::assumed(1.0));
             let (cut, hops, most) = walked(&compiled.program);
             assert_eq!((traffic.cut_spikes_per_step, traffic.hops_per_step), (cut as f64, hops as f64));
             assert_eq!(traffic.max_link_load, most as f64);

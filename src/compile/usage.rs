@@ -6,8 +6,8 @@
 //! - input axons: distinct sources with a synapse on the core;
 //! - output axons: one for each compartment and destination core; it takes `axon_out_slots` slots when the destination is
 //!   on the same chip (the own core included), `axon_out_slots_off_chip` otherwise;
-//! - words: as [`crate::compile::packing`] counts them; formats: distinct (synapse format, delayed or not, dense or
-//!   sparse), because widths are the same for all groups of a core;
+//! - words: as [`crate::compile::packing`] counts them, without runs or with them ([`Tallies`]); formats: distinct (synapse
+//!   format, delayed or not, compression), because widths are the same for all groups of a core;
 //! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct mantissas;
 //! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse into the core.
 //!
@@ -16,12 +16,14 @@
 use std::collections::BTreeSet;
 
 use crate::base::fixed::Delay;
-use crate::base::id::{CompartmentId, CoreId, IdVec};
-use crate::compile::fanout::{self, Formats};
-use crate::compile::packing::{self, Group, Widths};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
+use crate::compile::formats::Formats;
+use crate::compile::gather::{self, Key};
+use crate::compile::packing::{self, Compression, Group, Widths};
+use crate::compile::sent;
 use crate::desc::target::Limits;
 use crate::ir::partition::{CoreUsage, Seat};
-use crate::ir::quantised::{Neuron, Quantised, SpikeSource, Units};
+use crate::ir::quantised::{Neuron, Quantised, Units};
 
 /// A compartment's share of the profile tables: (du, dv, refractory period), threshold mantissa.
 #[must_use]
@@ -58,61 +60,129 @@ pub fn usage(
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
     let longest = longest_delays(network, seats, members.len());
-    let mut usage: IdVec<CoreId, CoreUsage> = members
-        .enumerate()
-        .map(|(core, held)| {
-            let compartments = held.len() as u32;
-            let accumulators = compartments.saturating_mul(packing::delay_slots(longest[core]));
-            CoreUsage { compartments, accumulators, ..CoreUsage::default() }
-        })
-        .collect();
-    count_profiles(network, seats, &mut usage);
-    let widths: IdVec<CoreId, Widths> =
-        members.enumerate().map(|(core, held)| Widths::of(held.len() as u32, longest[core], limits.packing)).collect();
     let formats = Formats::of(network);
-    let mut used_formats: IdVec<CoreId, BTreeSet<(u16, bool, bool)>> = vec![BTreeSet::new(); members.len()].into();
-    let mut reaches = Vec::new();
-    for (source, place) in fanout::sources(network) {
-        fanout::collect(network, &formats, seats, place, &mut reaches);
-        let own = match source {
-            SpikeSource::Channel(_) => None,
-            SpikeSource::Compartment(id) => Some(seats[id].core),
-        };
-        let (mut axons, mut slots) = (0, 0);
-        for axon in reaches.chunk_by(|a, b| a.core == b.core) {
-            let core = axon[0].core;
-            let mut words = 0;
-            for list in fanout::groups(axon) {
-                let group = Group {
-                    weight_bits: formats.get(list[0].format).bits,
-                    synapses: list.len() as u32,
-                    delayed: list.iter().any(|reach| reach.delay > 0),
-                    dense: fanout::is_dense(list),
-                };
-                words += packing::words(group, widths[core], limits);
-                used_formats[core].insert((list[0].format, group.delayed, group.dense));
-            }
-            let used = &mut usage[core];
-            used.axons_in += 1;
-            used.synapses += axon.len() as u64;
-            used.synapse_words += u64::from(words);
-            used.synapse_words_per_axon = used.synapse_words_per_axon.max(words);
-            axons += 1;
-            if let Some(own) = own {
-                let near = chips[core] == chips[own];
-                slots += if near { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
-            }
-        }
-        if let Some(own) = own {
-            let used = &mut usage[own];
-            used.axons_out = used.axons_out.saturating_add(slots);
-            used.axons_out_per_compartment = used.axons_out_per_compartment.max(axons);
-        }
-    }
-    for (used, formats) in usage.iter_mut().zip(&used_formats) {
-        used.synapse_formats = formats.len() as u32;
+    let counted = gather::by_core(network, &formats, seats, members.len(), |core, keys| {
+        of_core(keys, members[core].len() as u32, longest[core], &formats, limits)
+    });
+    let mut usage: IdVec<CoreId, CoreUsage> = counted.into();
+    count_profiles(network, seats, &mut usage);
+    let core_of = seats.iter().map(|seat| seat.core).collect();
+    let sent = sent::sent(network, &core_of, chips, limits);
+    for (used, held) in usage.iter_mut().zip(members) {
+        used.axons_out = u32::try_from(sent::slots_of(held, &sent)).unwrap_or(u32::MAX);
+        used.axons_out_per_compartment = held.iter().map(|id| sent.axons[id.index()]).max().unwrap_or(0);
     }
     usage
+}
+
+/// What a core's synapses use.
+fn of_core(keys: &[Key], compartments: u32, longest: Delay, formats: &Formats, limits: &Limits) -> CoreUsage {
+    let widths = Widths::of(compartments, longest, limits.packing);
+    let tallies = Tallies::of(keys, formats, widths, limits);
+    let stored = tallies.stored(limits);
+    CoreUsage {
+        compartments,
+        axons_in: tallies.axons,
+        synapses: keys.len() as u64,
+        synapse_words: stored.words,
+        synapse_words_per_axon: stored.widest,
+        synapse_formats: stored.formats.len() as u32,
+        accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
+        ..CoreUsage::default()
+    }
+}
+
+/// What lists take in one way of storing them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Words of all lists.
+    pub words: u64,
+    /// The most words of a list.
+    pub widest: u32,
+    /// Formats in use.
+    pub formats: BTreeSet<(u16, bool, Compression)>,
+}
+
+impl Tally {
+    fn group(&mut self, kind: (u16, bool, Compression), last: &mut Option<(u16, bool, Compression)>) {
+        // Neighbours mostly agree.
+        if last.replace(kind) != Some(kind) {
+            self.formats.insert(kind);
+        }
+    }
+
+    fn list(&mut self, words: u32) {
+        self.words += u64::from(words);
+        self.widest = self.widest.max(words);
+    }
+}
+
+/// A core's lists without and with runs.
+#[derive(Debug, Clone, Default)]
+pub struct Tallies {
+    /// Input axons.
+    pub axons: u32,
+    plain: Tally,
+    with_runs: Tally,
+}
+
+impl Tallies {
+    /// Of the synapses of a core.
+    #[must_use]
+    pub fn of(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits) -> Self {
+        let mut tallies = Tallies::default();
+        let (mut last, mut last_of_runs) = (None, None);
+        for list in gather::lists(keys) {
+            let (mut plain, mut with_runs) = (0, 0);
+            for group in gather::groups(list) {
+                let (format, group) = group_of(group, formats);
+                let words = packing::words(group, widths, limits);
+                let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
+                tallies.plain.group((format, group.delayed, compression), &mut last);
+                let (compression, fewest) = packing::best(group, widths, limits);
+                tallies.with_runs.group((format, group.delayed, compression), &mut last_of_runs);
+                (plain, with_runs) = (plain + words, with_runs + fewest);
+            }
+            tallies.axons += 1;
+            tallies.plain.list(plain);
+            tallies.with_runs.list(with_runs);
+        }
+        tallies
+    }
+
+    /// Whether the core stores runs: where that takes fewer words and its formats suffice.
+    #[must_use]
+    pub fn runs(&self, limits: &Limits) -> bool {
+        let Tallies { plain, with_runs, .. } = self;
+        with_runs.words < plain.words && with_runs.formats.len() as u64 <= u64::from(limits.synapse_formats)
+    }
+
+    /// The way of storing that is taken.
+    #[must_use]
+    pub fn stored(&self, limits: &Limits) -> &Tally {
+        if self.runs(limits) { &self.with_runs } else { &self.plain }
+    }
+}
+
+/// The fewest bits of runs over these distances between slots.
+#[must_use]
+pub fn skip_of(mut distances: impl Iterator<Item = u16>) -> Option<u8> {
+    let widest = distances.try_fold(0, |widest: u16, distance| Some(widest.max(distance.checked_sub(1)?)))?;
+    packing::skip_bits(widest)
+}
+
+/// The make-up of a group, and its format.
+#[must_use]
+pub fn group_of(group: &[Key], formats: &Formats) -> (u16, Group) {
+    let format = group[0].format();
+    let made = Group {
+        weight_bits: formats.get(format).bits,
+        synapses: group.len() as u32,
+        delayed: group.iter().any(|key| key.delay() > 0),
+        dense: group.windows(2).all(|pair| pair[1].slot() == pair[0].slot() + 1),
+        skip: skip_of(group.windows(2).map(|pair| pair[1].slot() - pair[0].slot())),
+    };
+    (format, made)
 }
 
 fn count_profiles(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, usage: &mut IdVec<CoreId, CoreUsage>) {

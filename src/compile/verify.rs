@@ -11,7 +11,8 @@
 //!   widths or none (`Format`);
 //! - in a list the synapses of one format stand together, and two groups do not differ in density or delay alone
 //!   (`Scattered`);
-//! - the slots of a dense group follow each other; those of a sparse group ascend and fit its index (`Slots`);
+//! - the slots of a dense group follow each other; those of a sparse group ascend and fit its index, and a
+//!   group with runs leaves out no more slots than they hold (`Slots`);
 //! - a group with delay bits has a delay, and each delay fits (`Delay`);
 //! - weights are multiples of their format's least step, in its range (`Weight`);
 //! - every resource of [`CoreUsage`] is within its limit (`Excess`).
@@ -24,7 +25,7 @@ use rayon::prelude::*;
 
 use crate::base::fixed::Delay;
 use crate::base::id::{CoreId, Id};
-use crate::compile::packing::{self, Group, Widths};
+use crate::compile::packing::{self, Compression, Group, SKIP_BITS, Widths};
 use crate::compile::usage::profiles;
 use crate::desc::target::{Limits, Target};
 use crate::ir::partition::{CoreUsage, Resource};
@@ -163,8 +164,14 @@ fn verify_core(program: &Program, core: CoreId, image: &CoreImage, limits: &Limi
                 synapses: group.len() as u32,
                 delayed: format.delay_bits > 0,
                 dense: format.index_bits.is_none(),
+                skip: format.skip_bits,
             };
-            axon_words += packing::words(group, widths, limits);
+            let compression = match (format.index_bits, format.skip_bits) {
+                (None, _) => Compression::Dense,
+                (Some(_), Some(bits)) => Compression::RunLength(bits),
+                (Some(_), None) => Compression::Sparse,
+            };
+            axon_words += packing::words_as(group, compression, widths, limits);
         }
         words += u64::from(axon_words);
         widest = widest.max(axon_words);
@@ -195,6 +202,9 @@ fn verify_formats(core: CoreId, image: &CoreImage, widths: Widths) -> Result<(),
         if format.index_bits.is_some_and(|bits| bits != widths.index) {
             return wrong("has indices of another width than its core");
         }
+        if format.skip_bits.is_some_and(|bits| format.index_bits.is_none() || !SKIP_BITS.contains(&bits)) {
+            return wrong("has runs of a width that cannot be stored");
+        }
     }
     Ok(())
 }
@@ -207,7 +217,13 @@ fn verify_group(core: CoreId, axon: usize, group: &[Synapse], format: CoreFormat
                 && group.iter().all(|s| u32::from(s.slot) < 1 << bits)
         }
     };
-    if !in_order {
+    // A run holds the slots left out, so no slot stands twice and no gap is wider than it can say.
+    let holds = |bits: u8| {
+        group.windows(2).all(|pair| {
+            u32::from(pair[1].slot).checked_sub(u32::from(pair[0].slot) + 1).is_some_and(|gap| gap < 1 << bits)
+        })
+    };
+    if !in_order || !format.skip_bits.is_none_or(holds) {
         return Err(Violation::Slots { core, axon });
     }
     let longest = group.iter().map(|s| s.delay.get()).max().unwrap_or(0);

@@ -63,6 +63,95 @@ impl std::fmt::Display for NetworkShape {
     }
 }
 
+/// What dense hardware has to do for a window of a network, one copy.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Work {
+    /// Sizes and synapses of each projection: (source, target, synapses).
+    pub projections: Vec<(u32, u32, u64)>,
+    /// Sizes of the populations of compartments: each is a layer.
+    pub layers: Vec<u32>,
+}
+
+impl Work {
+    /// The work of a network, as it was before any pruning.
+    #[must_use]
+    pub fn of(network: &Quantised) -> Self {
+        let network = network.original();
+        let size = |id| network.populations()[id].shape.len();
+        let synapses = |projection: &crate::ir::quantised::Projection| -> u64 {
+            (0..size(projection.source)).map(|source| projection.connectivity.count_from(source)).sum()
+        };
+        let projections = network.projections().iter().map(|p| (size(p.source), size(p.target), synapses(p)));
+        let layers = network.populations().iter().filter(|population| matches!(population.units, Units::Loihi { .. }));
+        Work { projections: projections.collect(), layers: layers.map(|population| population.shape.len()).collect() }
+    }
+
+    /// Seconds of a window of so many steps at a peak rate and bandwidth, without overheads: equation (18).
+    fn roofline_s(&self, steps: f64, gflops: f64, gb_s: f64) -> f64 {
+        let bound = |operations: f64, bytes: f64| (operations / (gflops * 1e9)).max(bytes / (gb_s * 1e9));
+        let products: f64 = self
+            .projections
+            .iter()
+            .map(|&(from, to, synapses)| {
+                let (from, to, synapses) = (f64::from(from), f64::from(to), synapses as f64);
+                bound(2.0 * synapses * steps, 4.0 * (synapses + (from + to) * steps))
+            })
+            .sum();
+        // Six operations a neuron and step: two decays, two sums, a comparison, a reset; read once, written once.
+        let neurons: f64 =
+            self.layers.iter().map(|&size| f64::from(size) * steps).map(|n| bound(6.0 * n, 8.0 * n)).sum();
+        products + neurons
+    }
+}
+
+/// Power and time of other hardware for one timestep.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figures {
+    /// Power at idle.
+    pub static_mw: f64,
+    /// Power on top.
+    pub dynamic_mw: f64,
+    /// Time of a timestep.
+    pub latency_us: f64,
+    /// Where the time comes from.
+    pub source: RowSource,
+    /// Where the power comes from.
+    pub power_source: RowSource,
+}
+
+impl Figures {
+    /// The same held to real time, as (19): hardware that takes a whole window waits for it and then computes; else each
+    /// step is taken as it comes. Dynamic power is drawn while it computes, or all the time when it does not fall idle.
+    #[must_use]
+    pub fn in_real_time(self, timestep_us: f64, window: bool, falls_idle: bool) -> Figures {
+        let latency_us = if window { timestep_us + self.latency_us } else { timestep_us.max(self.latency_us) };
+        let share = if falls_idle { self.latency_us / latency_us } else { 1.0 };
+        Figures { latency_us, dynamic_mw: self.dynamic_mw * share, ..self }
+    }
+
+    /// A row of the table.
+    #[must_use]
+    pub fn row(&self, hardware: &str, convention: Convention, steps: Option<u32>) -> Row {
+        let total = self.static_mw + self.dynamic_mw;
+        let energy = convention.energy_uj(total, self.latency_us, steps);
+        Row {
+            hardware: hardware.to_string(),
+            unit: "total",
+            convention,
+            static_mw: Some(self.static_mw),
+            dynamic_mw: Some(self.dynamic_mw),
+            total_mw: Some(total),
+            latency_us: Some(self.latency_us),
+            energy_uj: energy,
+            edp_pjs: energy.map(|energy| energy * self.latency_us),
+            low: None,
+            high: None,
+            source: self.source,
+            power_source: self.power_source,
+        }
+    }
+}
+
 /// A checked baseline.
 #[derive(Debug, Clone)]
 pub struct Baseline {
@@ -113,6 +202,12 @@ impl Baseline {
                     format!("static and dynamic power add up to {sum} mW, not {}", row.total_mw.value),
                 )
                 .at(source, row.total_mw.span));
+            }
+        }
+        for (name, figure) in file.roofline.iter().flat_map(|roofline| roofline.list()) {
+            if !(figure.value.value > 0.0 && figure.value.value <= 1e15) || figure.source.trim().is_empty() {
+                let message = format!("{name} {} is not within 0..=10^15, or names no source", figure.value.value);
+                return Err(Diagnostic::new("baseline.figure", message).at(source, figure.value.span));
             }
         }
         let on = &file.measured_on;
@@ -186,12 +281,50 @@ impl Baseline {
             edp_pjs: Some(edp),
             low: None,
             high: None,
-            source: match self.file.status {
-                Status::Published => RowSource::Published,
-                Status::Calibrated => RowSource::Modelled,
-                Status::Assumed => RowSource::Assumed,
-            },
+            source: self.status(),
+            power_source: self.status(),
         })
+    }
+
+    fn status(&self) -> RowSource {
+        match self.file.status {
+            Status::Published => RowSource::Published,
+            Status::Calibrated => RowSource::Modelled,
+            Status::Assumed => RowSource::Assumed,
+        }
+    }
+
+    /// Its row for a workload that it was not measured on, from what bounds it; `None` when the file does not say, or
+    /// samples differ in length.
+    #[must_use]
+    pub fn modelled(
+        &self,
+        work: &Work,
+        steps: Option<u32>,
+        timestep: Picoseconds,
+        mode: Mode,
+        convention: Convention,
+    ) -> Option<Row> {
+        let roofline = self.file.roofline.as_ref()?;
+        let window = f64::from(steps.filter(|&steps| steps > 0)?);
+        let value = |figure: &crate::desc::baseline::RooflineFigure| figure.value.value;
+        let busy_us = 1e6 * work.roofline_s(window, value(&roofline.peak_gflops), value(&roofline.bandwidth_gb_s));
+        let window_us = busy_us + value(&roofline.layer_overhead_us) * work.layers.len() as f64;
+        let (idle, active) = (value(&roofline.idle_mw), value(&roofline.active_mw));
+        let filled = (value(&roofline.peak_mw) - active).max(0.0) * busy_us / window_us.max(f64::MIN_POSITIVE);
+        let offline = Figures {
+            static_mw: idle,
+            dynamic_mw: (active - idle).max(0.0) + filled,
+            latency_us: window_us / window,
+            source: RowSource::Modelled,
+            power_source: RowSource::Modelled,
+        };
+        // The paper's card drew as much while it waited for a window as without waiting.
+        let figures = match mode {
+            Mode::Offline => offline,
+            Mode::Realtime => offline.in_real_time(timestep.microseconds(), true, false),
+        };
+        Some(figures.row(&self.file.hardware, convention, steps))
     }
 }
 
@@ -238,6 +371,57 @@ pub(crate) mod tests {
         assert!(reason(&vtsnn(), Some(325), MS).contains("samples of 325 steps of 1 ms"));
         assert!(reason(&vtsnn(), None, MS).contains("different lengths"));
         assert!(reason(&vtsnn(), Some(150), Picoseconds(20_000_000_000)).contains("of 20 ms"));
+    }
+
+    /// The workload that the card was measured on.
+    fn measured() -> Work {
+        Work {
+            projections: vec![(156, 50, 7_800), (3_150, 10, 31_500), (50, 2, 100), (10, 2, 20)],
+            layers: vec![50, 10, 2],
+        }
+    }
+
+    #[test]
+    fn the_roofline_gives_back_what_it_was_fitted_to_and_predicts_real_time() {
+        let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
+        let row = |mode| gpu.modelled(&measured(), Some(150), MS, mode, Convention::Physical).unwrap();
+        let (offline, realtime) = (row(Mode::Offline), row(Mode::Realtime));
+        assert!(matches!(offline.source, RowSource::Modelled));
+        assert!((offline.latency_us.unwrap() - 21.0).abs() < 0.05, "{offline:?}");
+        assert!((offline.total_mw.unwrap() / 59_890.0 - 1.0).abs() < 0.01, "{offline:?}");
+        // Published in real time: 1045.6 us and 61930 mW.
+        assert!((realtime.latency_us.unwrap() / 1045.6 - 1.0).abs() < 0.03, "{realtime:?}");
+        assert!((realtime.total_mw.unwrap() / 61_930.0 - 1.0).abs() < 0.06, "{realtime:?}");
+    }
+
+    #[test]
+    fn a_network_that_fills_the_card_is_bound_by_its_peak() {
+        let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
+        let size = 100_000u32;
+        let work = Work { projections: vec![(size, size, 10_000_000_000)], layers: vec![size] };
+        let row = gpu.modelled(&work, Some(1000), MS, Mode::Offline, Convention::Physical).unwrap();
+        // 2 * 10^10 operations a step at 13.45 * 10^12 a second.
+        assert!((row.latency_us.unwrap() / (2e10 / 13.45e6) - 1.0).abs() < 0.01, "{row:?}");
+        assert!(row.total_mw.unwrap() > 245_000.0 && row.total_mw.unwrap() <= 250_000.0, "{row:?}");
+        assert!(gpu.modelled(&work, None, MS, Mode::Offline, Convention::Physical).is_none());
+    }
+
+    #[test]
+    fn real_time_waits_for_the_window_or_takes_each_step_as_it_comes() {
+        let figures = Figures {
+            static_mw: 10.0,
+            dynamic_mw: 100.0,
+            latency_us: 25.0,
+            source: RowSource::Measured,
+            power_source: RowSource::Assumed,
+        };
+        let window = figures.in_real_time(1000.0, true, true);
+        assert_eq!((window.latency_us, window.dynamic_mw), (1025.0, 100.0 * 25.0 / 1025.0));
+        let steps = figures.in_real_time(1000.0, false, true);
+        assert_eq!((steps.latency_us, steps.dynamic_mw), (1000.0, 2.5));
+        assert_eq!(Figures { latency_us: 3000.0, ..figures }.in_real_time(1000.0, false, false).latency_us, 3000.0);
+        let row = window.row("cpu", Convention::Published, Some(150));
+        assert_eq!(row.energy_uj, row.total_mw.map(|mw| mw / 150.0));
     }
 
     #[test]

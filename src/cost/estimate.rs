@@ -6,7 +6,7 @@
 
 use serde::Serialize;
 
-use crate::base::units::Picoseconds;
+use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{Lane, Spread, StepMeter, paced};
@@ -115,6 +115,8 @@ pub struct Row {
     pub high: Option<Bound>,
     /// Where it comes from.
     pub source: RowSource,
+    /// Where its power comes from, which may be another place than its time.
+    pub power_source: RowSource,
 }
 
 impl Row {
@@ -212,6 +214,17 @@ impl Case<'_> {
         events.total().0 as f64 / f64::from(self.copies_counted.max(1)) + self.core_step_fj(table) * steps
     }
 
+    /// Energy of one copy in each step: of its events and cores, and with all power that flows meanwhile.
+    fn steps_uj(&self, table: &CostTable, lane: &Lane, powers: &Powers) -> (Vec<f64>, Vec<f64>) {
+        let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
+        let of_events = |energy: &Femtojoules| energy.0 as f64 / f64::from(self.copies_counted.max(1));
+        let dynamic: Vec<f64> =
+            lane.energy.iter().map(|energy| (of_events(energy) + self.core_step_fj(table)) / 1e9).collect();
+        let powered = |time: Picoseconds| always_mw * paced(time, self.bin()).microseconds() / 1e3;
+        let whole = dynamic.iter().zip(&lane.time).map(|(dynamic, time)| dynamic + powered(time.total())).collect();
+        (dynamic, whole)
+    }
+
     fn powers(&self, table: &CostTable, lane: &Lane) -> Powers {
         let share = |cores: u64, power: f64| cores as f64 * power / self.copies();
         let events = energy(self.activity, table, 0);
@@ -247,6 +260,7 @@ impl Case<'_> {
                 low: None,
                 high: None,
                 source,
+                power_source: source,
             }
         };
         let Powers { x86_static, x86_dynamic, neuron_static, neuron_dynamic, .. } = powers;
@@ -284,6 +298,16 @@ pub fn spent(case: &Case<'_>) -> Spent {
     let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
     let dynamic_uj = case.dynamic_fj(&energy(case.activity, table, 0), table) / 1e9;
     Spent { time_us, energy_uj: always_mw * time_us / 1e3 + dynamic_uj }
+}
+
+/// What one copy spends in each step of a run, physical, in the order of the meter.
+///
+/// # Panics
+/// When the meter has no such preset: a mistake of the caller.
+#[must_use]
+pub fn spent_by_step_uj(case: &Case<'_>) -> Vec<f64> {
+    let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
+    case.steps_uj(table, lane, &case.powers(table, lane)).1
 }
 
 /// Power, latency and energy of one copy.
@@ -330,24 +354,14 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
     let breakdown_pj = some_steps.then(|| {
         let events = energy(case.activity, table, 0);
         let per_step = 1e3 * steps * f64::from(case.copies_counted.max(1));
-        let part = |(name, energy): (&'static str, crate::base::units::Femtojoules)| match name {
+        let part = |(name, energy): (&'static str, Femtojoules)| match name {
             "core_step" => (name, case.core_step_fj(table) / 1e3),
             _ => (name, energy.0 as f64 / per_step),
         };
         events.parts().into_iter().map(part).collect()
     });
     let powers = case.powers(table, lane);
-    let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
-    let dynamic_uj: Vec<f64> = lane
-        .energy
-        .iter()
-        .map(|energy| (energy.0 as f64 / f64::from(case.copies_counted.max(1)) + case.core_step_fj(table)) / 1e9)
-        .collect();
-    let whole_uj = dynamic_uj
-        .iter()
-        .zip(&lane.time)
-        .map(|(dynamic, time)| dynamic + always_mw * paced(time.total(), case.bin()).microseconds() / 1e3)
-        .collect();
+    let (dynamic_uj, whole_uj) = case.steps_uj(table, lane, &powers);
     let mean_us = |part: fn(&crate::cost::model::StepTime) -> Picoseconds| {
         lane.time.iter().map(|time| u128::from(part(time).0)).sum::<u128>() as f64 / 1e6 / steps
     };

@@ -71,6 +71,51 @@ pub struct BaselineRow {
     pub printed_edp: Spanned<f64>,
 }
 
+/// A figure of a roofline, with its origin.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RooflineFigure {
+    /// The number; the field's name says its unit.
+    pub value: Spanned<f64>,
+    /// Where it is printed, what it was fitted to, or why it is assumed.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+}
+
+/// What bounds dense hardware: for workloads that it was not measured on.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Roofline {
+    /// Greatest rate of f32 operations, in 10^9 a second.
+    pub peak_gflops: RooflineFigure,
+    /// Greatest rate of memory, in 10^9 bytes a second.
+    pub bandwidth_gb_s: RooflineFigure,
+    /// Time that a layer takes however small it is, for each window, in us: launches, and the framework around them.
+    pub layer_overhead_us: RooflineFigure,
+    /// Power at idle, in mW.
+    pub idle_mw: RooflineFigure,
+    /// Power while launches follow each other without filling the hardware, in mW.
+    pub active_mw: RooflineFigure,
+    /// Power at the peak, in mW.
+    pub peak_mw: RooflineFigure,
+}
+
+impl Roofline {
+    /// Name and figure of each.
+    #[must_use]
+    pub fn list(&self) -> [(&'static str, &RooflineFigure); 6] {
+        [
+            ("peak_gflops", &self.peak_gflops),
+            ("bandwidth_gb_s", &self.bandwidth_gb_s),
+            ("layer_overhead_us", &self.layer_overhead_us),
+            ("idle_mw", &self.idle_mw),
+            ("active_mw", &self.active_mw),
+            ("peak_mw", &self.peak_mw),
+        ]
+    }
+}
+
 /// A baseline file.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Baseline")]
@@ -89,4 +134,7 @@ pub struct BaselineFile {
     pub measured_on: MeasuredOn,
     /// Its rows.
     pub rows: Vec<BaselineRow>,
+    /// What bounds it elsewhere.
+    #[serde(default)]
+    pub roofline: Option<Roofline>,
 }

@@ -18,6 +18,9 @@ pub struct SampleEntry {
     /// The class that the sample shows, when known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<u32>,
+    /// When what decides the class begins, in ms from the start of the sample, when known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub onset_ms: Option<f64>,
 }
 
 /// A data-set manifest as it is written.

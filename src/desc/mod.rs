@@ -13,3 +13,4 @@ pub mod spanned;
 pub mod stimulus;
 pub mod target;
 pub mod tensor;
+pub mod training;

@@ -424,7 +424,7 @@ pub enum WeightRounding {
 }
 
 /// u and v of each population return to zero before the updates of steps `start_step + offset + k * interval`.
-#[derive(Debug, Clone, Copy, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ResetDesc {
     /// Timesteps between two resets.

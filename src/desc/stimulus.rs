@@ -20,6 +20,8 @@ pub struct InputArg {
 pub enum InputSource {
     /// A file or folder; its kind is found out by reading it. `-` is stdin.
     Path(PathBuf),
+    /// A recording of events with options, `FILE?key=value&..`.
+    Events(PathBuf, Vec<(String, String)>),
     /// `scene:NAME?key=value&..`
     Scene(SceneArg),
 }
@@ -78,7 +80,12 @@ impl InputArg {
         };
         let source = match source.strip_prefix("scene:") {
             Some(scene) => InputSource::Scene(SceneArg::parse(scene)?),
-            None => InputSource::Path(source.into()),
+            None => match source.rsplit_once('?') {
+                Some((file, query)) if !file.is_empty() && query.split('&').all(|pair| pair.contains('=')) => {
+                    InputSource::Events(file.into(), SceneArg::parse(&format!("?{query}"))?.parameters)
+                }
+                _ => InputSource::Path(source.into()),
+            },
         };
         Ok(InputArg { population, source })
     }
@@ -99,5 +106,11 @@ mod tests {
         };
         assert_eq!(scene.spelled(), "scene:slip?samples=3&seed=9");
         assert!(InputArg::parse("scene:slip?samples").is_err());
+        let arg = InputArg::parse("eye=rec/a.raw?pool=4&crop=0,0,8,8").unwrap();
+        let pairs = vec![("pool".to_string(), "4".to_string()), ("crop".to_string(), "0,0,8,8".to_string())];
+        assert_eq!(
+            (arg.population.as_deref(), arg.source),
+            (Some("eye"), InputSource::Events("rec/a.raw".into(), pairs))
+        );
     }
 }

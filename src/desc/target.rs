@@ -530,6 +530,13 @@ impl Target {
         self
     }
 
+    /// The same board with another chip, for tests and for asking what if.
+    #[must_use]
+    pub fn with_chip(mut self, chip: Chip) -> Self {
+        self.chip = chip;
+        self
+    }
+
     /// The same board with one more preset of constants, in front.
     #[must_use]
     pub fn with_preset(mut self, constants: Constants) -> Self {

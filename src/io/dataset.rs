@@ -5,6 +5,8 @@
 
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use super::model::beside;
 use super::stimulus::{PopulationSpikes, one_sample};
 use super::text::read_text;
@@ -22,7 +24,7 @@ pub struct Manifest {
 /// Reads a manifest; the recordings stay where they are.
 ///
 /// # Errors
-/// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.fold`; `io.*`.
+/// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`, `dataset.fold`; `io.*`.
 pub fn read_manifest(path: &Path) -> Result<Manifest, Diagnostic> {
     manifest(read_text(path)?)
 }
@@ -54,6 +56,12 @@ pub fn manifest(source: SourceText) -> Result<Manifest, Diagnostic> {
         {
             let message = format!("label {label} of sample {index} is outside the {} classes", set.classes.len());
             return Err(at("dataset.label", message));
+        }
+    }
+    for (index, sample) in set.samples.iter().enumerate() {
+        if let Some(onset) = sample.onset_ms.filter(|onset| !onset.is_finite() || *onset < 0.0) {
+            let message = format!("onset {onset} ms of sample {index} is no time from the start of the sample");
+            return Err(Diagnostic::new("dataset.onset", message).at(&source, sample.span));
         }
     }
     for (index, fold) in set.folds.iter().enumerate() {
@@ -139,7 +147,12 @@ impl Manifest {
     /// # Errors
     /// As [`Manifest::read_sample`].
     pub fn read(&self, population: &str, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-        (0..self.set.samples.len()).map(|sample| self.read_sample(population, units, sample)).collect()
+        let read: Vec<_> = (0..self.set.samples.len())
+            .into_par_iter()
+            .map(|sample| self.read_sample(population, units, sample))
+            .collect();
+        // The first problem in order of the samples, whichever thread met one first.
+        read.into_iter().collect()
     }
 
     /// The spikes of every sample, when the data set has one population only.
@@ -219,6 +232,7 @@ mod tests {
             ("\"touch\": \"t1.npy\"", "\"touch\": \"t1.npy\", \"sound\": \"x\"", "dataset.files", 8),
             ("[1]]", "[2]]", "dataset.fold", 10),
             ("[1]]", "[1, 1]]", "dataset.fold", 10),
+            ("label: 1", "label: 1, onset_ms: -1", "dataset.onset", 7),
             ("label: 1", "label: -1", "dataset.syntax", 7),
             ("seed", "sead", "dataset.syntax", 11),
         ];

@@ -5,7 +5,10 @@
 //! there before anything is allocated for it. Whether a network or a stimulus makes sense is for later stages to say.
 
 pub mod dataset;
+pub mod draft;
 pub mod event_csv;
+pub mod events;
+pub mod foreign;
 pub mod half;
 pub mod mapping;
 pub mod measurement;

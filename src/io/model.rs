@@ -8,16 +8,21 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::shipped::{self, Origin};
-use super::{npy, safetensors};
+use super::{foreign, npy, safetensors};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::desc::network::{ArrayRef, Network, NetworkFile, array_refs};
 use crate::desc::tensor::Tensor;
 
-/// Loads a model: a path, `-`, or a shipped name.
+/// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported as `nsim import` without options
+/// would.
 ///
 /// # Errors
 /// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names them.
 pub fn load_model(argument: &str) -> Result<Network, Diagnostic> {
+    let path = Path::new(argument);
+    if shipped::is_path(argument) && foreign::is_foreign(path) {
+        return foreign::network(path, &foreign::Options::default());
+    }
     let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown")?;
     network(source, origin)
 }

@@ -21,6 +21,9 @@ const MOST_HEADER: usize = 64 << 10;
 /// The deepest brackets of a header: a structured type within a structured type.
 const DEEPEST_HEADER: usize = 8;
 
+/// What is wrong with an integer that is too large.
+const WIDE: &str = "outside the 32-bit integers";
+
 /// An array file whose header fits its bytes.
 pub struct Array {
     path: PathBuf,
@@ -331,7 +334,6 @@ impl Array {
 
     /// Calls `f` with every number as an integer of the hardware's width.
     fn each_integer(&self, mut f: impl FnMut(usize, i32) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
-        const WIDE: &str = "outside the 32-bit integers";
         match self.element {
             Element::Bool => self.each::<bool>(|index, x| f(index, i32::from(x))),
             Element::I1 => self.each::<i8>(|index, x| f(index, i32::from(x))),
@@ -376,15 +378,49 @@ impl Array {
         Tensor::new(self.shape.clone(), numbers).ok_or_else(|| self.failed("they do not fill the shape"))
     }
 
-    /// Calls `f` with the C-order index of each number that is not zero, without holding the others.
+    /// Calls `f` with the C-order index of each number that is not zero, in the order of the file, without holding the
+    /// others. Recordings are nearly all zeros: eight bytes of them are passed over at a time.
     ///
     /// # Errors
     /// As [`Array::tensor`], and whatever `f` says.
     pub fn each_non_zero(&self, mut f: impl FnMut(usize) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
-        if self.element.is_real() {
-            self.each_real(|index, x| if x == 0.0 { Ok(()) } else { f(index) })
-        } else {
-            self.each_integer(|index, x| if x == 0 { Ok(()) } else { f(index) })
+        let place = self.c_order();
+        let size = self.element.bytes();
+        let big = matches!(self.header.dtype(), DType::Plain(plain) if plain.endianness() == Endianness::Big);
+        let data = &self.bytes[self.data..];
+        for (word, bytes) in data.chunks(8).enumerate() {
+            if bytes.try_into().is_ok_and(|bytes| u64::from_ne_bytes(bytes) == 0) {
+                continue;
+            }
+            for (k, number) in bytes.chunks_exact(size).enumerate() {
+                if number.iter().any(|&byte| byte != 0) {
+                    let index = place(word * (8 / size) + k);
+                    if self.is_spike(index, number, big)? {
+                        f(index)?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a number with a byte that is not zero is itself not zero, and one that is read.
+    fn is_spike(&self, index: usize, number: &[u8], big: bool) -> Result<bool, Diagnostic> {
+        let mut little = [0; 8];
+        little[..number.len()].copy_from_slice(number);
+        if big {
+            little[..number.len()].reverse();
+        }
+        let bits = u64::from_le_bytes(little);
+        let real = |x: f64| if x.is_finite() { Ok(x != 0.0) } else { Err(self.wrong(index, x, "not a finite number")) };
+        let wide = |fits: bool, value: String| if fits { Ok(true) } else { Err(self.wrong(index, value, WIDE)) };
+        match self.element {
+            Element::F2 => real(binary16(bits as u16)),
+            Element::F4 => real(f64::from(f32::from_bits(bits as u32))),
+            Element::F8 => real(f64::from_bits(bits)),
+            Element::U4 | Element::U8 => wide(i32::try_from(bits).is_ok(), bits.to_string()),
+            Element::I8 => wide(i32::try_from(bits as i64).is_ok(), (bits as i64).to_string()),
+            Element::Bool | Element::I1 | Element::I2 | Element::I4 | Element::U1 | Element::U2 => Ok(true),
         }
     }
 }
@@ -405,6 +441,31 @@ fn write<T: npyz::AutoSerialize>(
 /// When the output cannot be written, or the numbers do not fill the shape.
 pub fn write_u8(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = u8>) -> std::io::Result<()> {
     write(out, shape, numbers)
+}
+
+/// Writes an array of bytes in C order that is there as a whole; its length must be the product of the shape.
+///
+/// The header is that of version 1.0 (NumPy, `numpy/lib/format.py`): padded so that the numbers begin at a multiple of 64.
+///
+/// # Errors
+/// When the output cannot be written, or the numbers do not fill the shape.
+pub fn write_bytes(out: &mut dyn Write, shape: &[u64], bytes: &[u8]) -> std::io::Result<()> {
+    if shape.iter().product::<u64>() != bytes.len() as u64 {
+        return Err(std::io::Error::other(format!("{} bytes do not fill the shape {shape:?}", bytes.len())));
+    }
+    let axes: String = shape.iter().map(|axis| format!("{axis},")).collect();
+    let mut header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({axes}), }}");
+    let before = MAGIC.len() + 4;
+    while !(before + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let length = u16::try_from(header.len()).map_err(std::io::Error::other)?;
+    out.write_all(MAGIC)?;
+    out.write_all(&[1, 0])?;
+    out.write_all(&length.to_le_bytes())?;
+    out.write_all(header.as_bytes())?;
+    out.write_all(bytes)
 }
 
 /// Writes an array of 32-bit integers in C order as its numbers come; their number must be the product of the shape.
@@ -567,5 +628,70 @@ mod tests {
         write_u8(&mut bytes, &[3], [0, 1, 255]).unwrap();
         assert_eq!(parse(bytes).unwrap().numbers(), &Numbers::Integers(vec![0, 1, 255]));
         assert!(write_u8(Vec::new(), &[3], [0, 1]).is_err());
+        for shape in [&[6][..], &[2, 3], &[3, 1, 2], &[]] {
+            let numbers: Vec<u8> = (0..shape.iter().product::<u64>() as u8).collect();
+            let mut bytes = Vec::new();
+            write_bytes(&mut bytes, shape, &numbers).unwrap();
+            assert_eq!((bytes.len() - numbers.len()) % 64, 0);
+            let tensor = parse(bytes).unwrap();
+            let axes: Vec<usize> = shape.iter().map(|&axis| axis as usize).collect();
+            assert_eq!(tensor.shape(), axes);
+            assert_eq!(tensor.numbers(), &Numbers::Integers(numbers.iter().map(|&n| i32::from(n)).collect()));
+        }
+        assert!(write_bytes(&mut Vec::new(), &[3], &[0, 1]).is_err());
+    }
+
+    #[test]
+    fn non_zero_numbers_are_those_of_the_tensor() {
+        // Every type, lengths around whole words, sparse and dense, both orders of bytes and of axes.
+        let types = [
+            "|b1", "|i1", "|u1", "<i2", ">i2", "<u2", "<i4", ">i4", "<u4", "<i8", ">i8", "<u8", "<f2", ">f2", "<f4",
+            ">f4", "<f8", ">f8",
+        ];
+        for (case, dtype) in types.iter().enumerate() {
+            let size: usize = dtype[2..].parse().unwrap();
+            for (rows, columns) in [(1, 1), (3, 5), (8, 4), (7, 11)] {
+                for order in ["False", "True"] {
+                    let mut data = vec![0u8; rows * columns * size];
+                    for k in 0..rows * columns {
+                        if unit(case as u64, 1, k as u64) < 0.3 {
+                            // A small number of either kind: one that floats read as neither zero nor infinite.
+                            let at = if dtype.starts_with('>') { k * size + size - 1 } else { k * size };
+                            data[at] = 1;
+                        }
+                    }
+                    let shape = format!("({rows}, {columns})");
+                    let array =
+                        Array::from_bytes(Path::new("a.npy"), file(&format!("'{dtype}'"), order, &shape, &data))
+                            .unwrap();
+                    let mut found = Vec::new();
+                    array
+                        .each_non_zero(|index| {
+                            found.push(index);
+                            Ok(())
+                        })
+                        .unwrap();
+                    found.sort_unstable();
+                    let expected: Vec<usize> = match array.tensor().unwrap().numbers() {
+                        Numbers::Integers(numbers) => (0..numbers.len()).filter(|&k| numbers[k] != 0).collect(),
+                        Numbers::Reals(numbers) => (0..numbers.len()).filter(|&k| numbers[k] != 0.0).collect(),
+                    };
+                    assert_eq!(found, expected, "{dtype} {shape} {order}");
+                }
+            }
+        }
+        let zero = file("'<f4'", "False", "(3,)", &[0, 0, 0, 0x80, 0, 0, 0x80, 0x3f, 0, 0, 0xc0, 0x7f]);
+        let array = Array::from_bytes(Path::new("a.npy"), zero).unwrap();
+        let mut found = Vec::new();
+        let error = array
+            .each_non_zero(|index| {
+                found.push(index);
+                Ok(())
+            })
+            .unwrap_err();
+        assert_eq!((found, error.code), (vec![1], "npy.value"), "minus zero is zero, NaN is refused");
+        let wide = file("'<i8'", "False", "(1,)", &(1i64 << 31).to_le_bytes());
+        let wide = Array::from_bytes(Path::new("a.npy"), wide).unwrap();
+        assert_eq!(wide.each_non_zero(|_| Ok(())).unwrap_err().code, "npy.value");
     }
 }

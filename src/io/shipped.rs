@@ -28,8 +28,18 @@ macro_rules! shipped {
     };
 }
 
+/// The weights of models that `nsim train` wrote, one file each.
+macro_rules! weights {
+    ($($name:literal),* $(,)?) => {
+        &[$((
+            concat!($name, ".safetensors"),
+            include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/", $name, ".safetensors")).as_slice(),
+        )),*]
+    };
+}
+
 /// Shipped models.
-pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "vtsnn-slip");
+pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "container-tactile-srm", "slip-tactile", "slip-vision", "vtsnn-slip", "vtsnn-slip-srm");
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
     shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");
@@ -41,7 +51,14 @@ pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "s
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 
 /// The arrays that shipped models refer to: path within `models/`, content.
-pub const ARRAYS: &[(&str, &[u8])] = &[];
+pub const ARRAYS: &[(&str, &[u8])] = weights!(
+    "container-tactile",
+    "container-tactile-srm",
+    "slip-tactile",
+    "slip-vision",
+    "vtsnn-slip",
+    "vtsnn-slip-srm"
+);
 
 /// Where a text came from: decides where the files that it names are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,6 +8,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use rayon::prelude::*;
+
+use super::events::{self, EventFormat, EventOptions, Expected, nir_data};
+use super::foreign::hdf5;
 use super::text::{MOST_ARRAY, is_standard_stream, read_bytes};
 use super::{dataset, event_csv, npy};
 use crate::base::diagnostic::Diagnostic;
@@ -53,6 +57,10 @@ pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Dia
                 false => event_csv::of_bytes(path, bytes, units),
             }
         }
+        _ if EventFormat::of(path).is_some() || is_nir(path) => {
+            let expected = Expected { units, volume: None, dt_ms: 1.0 };
+            read_events(path, "", &expected, &EventOptions::default())
+        }
         _ if !path.exists() => Err(Diagnostic::new("io.missing", "there is no such file").in_file(path)),
         other => Err(Diagnostic::new(
             "input.kind",
@@ -62,11 +70,54 @@ pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Dia
             },
         )
         .help(
-            "read are: .npy ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), a .ron data-set \
-             manifest, and a folder of sample_<i>_label_<c>.npy",
+            "read are: .npy ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), recordings (.bin, .bs1, \
+             .bs2, .dat, .raw, .aedat4, .tact, NIR data), a .ron data-set manifest, and a folder of \
+             sample_<i>_label_<c>.npy",
         )
         .in_file(path)),
     }
+}
+
+fn is_nir(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|extension| ["nir", "h5", "hdf5"].iter().any(|known| extension.eq_ignore_ascii_case(known)))
+}
+
+/// Whether a file holds events, which options can turn into spikes in more than one way.
+#[must_use]
+pub fn holds_events(path: &Path) -> bool {
+    EventFormat::of(path).is_some() || is_nir(path)
+}
+
+/// Reads a recording of events for a population, and says on stderr what was left out.
+///
+/// # Errors
+/// `input.kind` for a file of another kind, `input.*`, `hdf5.*`, `io.*`.
+pub fn read_events(
+    path: &Path,
+    population: &str,
+    expected: &Expected,
+    options: &EventOptions,
+) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    if let Some(format) = EventFormat::of(path) {
+        let (spikes, counts) = events::read(path, format, expected, options)?;
+        events::report(path, &counts);
+        return Ok(vec![spikes]);
+    }
+    if !is_nir(path) {
+        return Err(Diagnostic::new("input.kind", "options after '?' are for recordings of events and for scenes")
+            .help("recordings are .bin, .bs1, .bs2, .dat, .raw, .aedat4, .tact and NIR data (.nir)")
+            .in_file(path));
+    }
+    let bytes = read_bytes(path, MOST_ARRAY)?;
+    let tree = hdf5::tree(path, bytes)?;
+    if !nir_data::is_data(&tree) {
+        return Err(Diagnostic::new("input.kind", "this is no file of NIR data")
+            .in_file(path)
+            .help("nir.write_data makes one; a NIR graph is a model, not a recording"));
+    }
+    let in_file = |problem: Diagnostic| if problem.place.is_some() { problem } else { problem.in_file(path) };
+    nir_data::read(&tree, path, population, expected, options).map_err(in_file)
 }
 
 fn product(axes: &[usize]) -> Option<u64> {
@@ -189,14 +240,16 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, u32, std::path::PathBuf)>,
 /// # Errors
 /// As [`list_folder`] and [`read_npy`]; `input.shape` for a file with several samples.
 pub fn read_folder(folder: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-    list_folder(folder)?
-        .into_iter()
+    let read: Vec<_> = list_folder(folder)?
+        .into_par_iter()
         .map(|(_, label, path)| {
             let mut recording = one_sample(&path, units)?;
             recording.label = Some(label);
             Ok(recording)
         })
-        .collect()
+        .collect();
+    // The first problem in order of the samples, whichever thread met one first.
+    read.into_iter().collect()
 }
 
 /// Reads a source that holds exactly one sample.
@@ -205,8 +258,13 @@ pub(super) fn one_sample(path: &Path, units: u64) -> Result<PopulationSpikes, Di
     let mut recordings = match extension.as_deref() {
         Some("npy") => read_npy(path, units)?,
         Some("csv") => event_csv::read(path, units)?,
+        _ if holds_events(path) => read_source(path, units)?,
         _ => {
-            return Err(Diagnostic::new("input.kind", "a sample of a data set is a .npy or a .csv file").in_file(path));
+            return Err(Diagnostic::new(
+                "input.kind",
+                "a sample of a data set is a .npy or a .csv file, or a recording of events",
+            )
+            .in_file(path));
         }
     };
     match (recordings.pop(), recordings.len()) {
@@ -272,7 +330,7 @@ mod tests {
     #[test]
     fn other_kinds_of_files_are_answered_with_the_known_ones() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.aedat4");
+        let path = folder.path().join("a.avi");
         assert_eq!(read_source(&path, 1).unwrap_err().code, "io.missing");
         std::fs::write(&path, "x").unwrap();
         let error = read_source(&path, 1).unwrap_err();

@@ -31,7 +31,47 @@ impl<T> Lists<T> {
     /// # Panics
     /// When all lists together reach 2^32 items; the limits of a core and of a network exclude it.
     pub fn push(&mut self, list: impl IntoIterator<Item = T>) {
-        self.items.extend(list);
+        self.extend_last(list);
+        self.end();
+    }
+
+    /// No list yet, with room for so many lists and items.
+    #[must_use]
+    pub fn with_capacity(lists: usize, items: usize) -> Self {
+        let mut first = Vec::with_capacity(lists + 1);
+        first.push(0);
+        Lists { first, items: Vec::with_capacity(items) }
+    }
+
+    /// Lists of these lengths, of the same item.
+    ///
+    /// # Panics
+    /// As [`Lists::push`].
+    #[must_use]
+    pub fn from_counts(counts: &[u32], item: T) -> Self
+    where
+        T: Clone,
+    {
+        let mut first = Vec::with_capacity(counts.len() + 1);
+        let mut sum = 0u32;
+        first.push(0);
+        for &count in counts {
+            sum = sum.checked_add(count).expect("fewer than 2^32 items");
+            first.push(sum);
+        }
+        Lists { first, items: vec![item; sum as usize] }
+    }
+
+    /// Appends items to a list that is not ended yet.
+    pub fn extend_last(&mut self, items: impl IntoIterator<Item = T>) {
+        self.items.extend(items);
+    }
+
+    /// Ends the list that [`Lists::extend_last`] appended to.
+    ///
+    /// # Panics
+    /// As [`Lists::push`].
+    pub fn end(&mut self) {
         self.first.push(u32::try_from(self.items.len()).expect("fewer than 2^32 items"));
     }
 
@@ -52,6 +92,13 @@ impl<T> Lists<T> {
     #[must_use]
     pub fn get(&self, index: usize) -> &[T] {
         &self.items[self.first[index] as usize..self.first[index + 1] as usize]
+    }
+
+    /// One list, to be changed in place.
+    #[inline]
+    #[must_use]
+    pub fn get_mut(&mut self, index: usize) -> &mut [T] {
+        &mut self.items[self.first[index] as usize..self.first[index + 1] as usize]
     }
 
     /// All items of all lists.
@@ -108,6 +155,8 @@ pub struct CoreFormat {
     pub delay_bits: u8,
     /// Bits of its target indices; `None` for a dense list, whose targets follow each other.
     pub index_bits: Option<u8>,
+    /// Bits of the slots left out before each synapse, in a list that has an index for its first one only.
+    pub skip_bits: Option<u8>,
 }
 
 /// A compartment's parameters on its core.

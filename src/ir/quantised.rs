@@ -262,6 +262,21 @@ impl Connectivity {
         }
     }
 
+    /// Calls `f(target)` for every synapse of a source, in the order of [`Connectivity::for_each_from`].
+    #[inline]
+    pub fn for_each_target(&self, source: u32, mut f: impl FnMut(u32)) {
+        match self {
+            Connectivity::Random { targets, fan_out, seed, first_source, .. } => {
+                // The weights, half of the work, are not drawn.
+                let entity = u64::from(*first_source) + u64::from(source);
+                for k in 0..u64::from(*fan_out) {
+                    f(rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32);
+                }
+            }
+            connectivity => connectivity.for_each_from(source, |target, _| f(target)),
+        }
+    }
+
     /// Number of synapses of a source.
     #[must_use]
     pub fn count_from(&self, source: u32) -> u64 {
@@ -279,6 +294,21 @@ impl Connectivity {
 }
 
 impl Window {
+    /// Pairs of a source position and an output position whose window covers it: the synapses of one pair of channels.
+    #[must_use]
+    pub fn positions(&self) -> u64 {
+        let of_axis = |axis: fn((u32, u32)) -> u32, source: u32, target: u32| -> u64 {
+            let (stride, padding, dilation) = (axis(self.stride), axis(self.padding), axis(self.dilation));
+            let covered = |at: u32, k: u32| {
+                let s = (u64::from(at) * u64::from(stride) + u64::from(k) * u64::from(dilation))
+                    .checked_sub(u64::from(padding));
+                s.is_some_and(|s| s < u64::from(source))
+            };
+            (0..target).map(|at| (0..axis(self.kernel)).filter(|&k| covered(at, k)).count() as u64).sum()
+        };
+        of_axis(|p| p.0, self.source.1, self.target.1) * of_axis(|p| p.1, self.source.2, self.target.2)
+    }
+
     /// Calls `f(y, x, ky, kx)` for every output position whose window covers this source, and its place in the window.
     pub fn for_each_position(&self, source: u32, mut f: impl FnMut(u32, u32, u32, u32)) {
         let within = source % (self.source.1 * self.source.2);
@@ -546,14 +576,25 @@ impl Quantised {
     /// The number of synapses.
     #[must_use]
     pub fn synapses(&self) -> u64 {
-        self.parts
-            .projections
-            .iter()
-            .map(|p| {
-                let sources = self.parts.populations[p.source].shape.len();
-                (0..sources).map(|s| p.connectivity.count_from(s)).sum::<u64>()
-            })
-            .sum()
+        self.parts.projections.ids().map(|id| self.synapses_of(id)).sum()
+    }
+
+    /// The number of synapses of a projection.
+    #[must_use]
+    pub fn synapses_of(&self, projection: ProjectionId) -> u64 {
+        let projection = &self.parts.projections[projection];
+        let sources = u64::from(self.parts.populations[projection.source].shape.len());
+        match &projection.connectivity {
+            // What is the same for every source, or listed, need not be counted one by one.
+            Connectivity::Dense { targets: each, .. } | Connectivity::Random { fan_out: each, .. } => {
+                u64::from(*each) * sources
+            }
+            Connectivity::Sparse { targets, .. } => targets.len() as u64,
+            Connectivity::Conv2d { window, .. } => {
+                window.positions() * u64::from(window.target.0) * u64::from(window.source.0 / window.groups)
+            }
+            Connectivity::SumPool2d { window, .. } => window.positions() * u64::from(window.source.0),
+        }
     }
 }
 

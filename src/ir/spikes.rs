@@ -33,23 +33,48 @@ impl Sample {
     ///
     /// # Errors
     /// [`SampleError`] for an event outside the sample.
-    pub fn new(steps: u32, mut events: Vec<(u32, ChannelId)>, label: Option<u32>) -> Result<Self, SampleError> {
-        events.sort_unstable();
-        events.dedup();
+    pub fn new(steps: u32, events: Vec<(u32, ChannelId)>, label: Option<u32>) -> Result<Self, SampleError> {
         if u32::try_from(events.len()).is_err() {
             return Err(SampleError::TooMany);
         }
-        if let Some(&(step, _)) = events.last().filter(|event| event.0 >= steps) {
-            return Err(SampleError::Step { step, steps });
-        }
-        let mut first = vec![0u32; steps as usize + 1];
+        // Recordings come channel by channel or step by step; either way a stable count over steps leaves each step's
+        // channels ascending, and little is left to sort.
+        let mut next = vec![0u32; steps as usize + 1];
         for &(step, _) in &events {
-            first[step as usize + 1] += 1;
+            *next.get_mut(step as usize + 1).ok_or(SampleError::Step { step, steps })? += 1;
         }
         for t in 0..steps as usize {
-            first[t + 1] += first[t];
+            next[t + 1] += next[t];
         }
-        Ok(Sample { label, first, channels: events.into_iter().map(|(_, channel)| channel).collect() })
+        let mut channels = vec![ChannelId(0); events.len()];
+        for &(step, channel) in &events {
+            let place = &mut next[step as usize];
+            channels[*place as usize] = channel;
+            *place += 1;
+        }
+        // Each step's entry has moved to its end, which is where the next one begins.
+        let mut first = Vec::with_capacity(steps as usize + 1);
+        first.push(0);
+        let (mut begin, mut kept) = (0, 0);
+        for &end in &next[..steps as usize] {
+            let end = end as usize;
+            let spiking = &mut channels[begin..end];
+            if spiking.windows(2).any(|pair| pair[0] > pair[1]) {
+                spiking.sort_unstable();
+            }
+            let start = kept;
+            for at in begin..end {
+                let channel = channels[at];
+                if kept == start || channels[kept - 1] != channel {
+                    channels[kept] = channel;
+                    kept += 1;
+                }
+            }
+            begin = end;
+            first.push(kept as u32);
+        }
+        channels.truncate(kept);
+        Ok(Sample { label, first, channels })
     }
 
     /// The same spikes on the channels of so many copies of a network, one after the other.
@@ -148,6 +173,18 @@ mod tests {
         assert_eq!((sample.at(3).len(), sample.steps(), sample.spikes()), (0, 4, 3));
         let next: Vec<u32> = (0..4).map(|step| sample.next_spike(step)).collect();
         assert_eq!(next, [0, 2, 2, 4]);
+        // Against sorting everything, in random order with repeats.
+        for seed in 0..50 {
+            let draw = |k, entity, n| crate::base::rng::below(n, seed, entity, k) as u32;
+            let events: Vec<(u32, ChannelId)> =
+                (0..seed * 4).map(|k| (draw(k, 0, 7), ChannelId(draw(k, 1, 5)))).collect();
+            let sample = Sample::new(7, events.clone(), None).unwrap();
+            let mut sorted = events;
+            sorted.sort_unstable();
+            sorted.dedup();
+            let listed: Vec<_> = (0..7).flat_map(|t| sample.at(t).iter().map(move |&c| (t, c))).collect();
+            assert_eq!(listed, sorted);
+        }
         let late = Sample::new(4, vec![(4, ChannelId(0))], None);
         assert_eq!(late, Err(SampleError::Step { step: 4, steps: 4 }));
     }

@@ -188,6 +188,17 @@ pub(super) struct Block {
     pub starts: u32,
 }
 
+/// Blocks of a granule that follow each other and are updated together.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Stretch {
+    /// The first block.
+    pub first: u32,
+    /// The first block after it.
+    pub end: u32,
+    /// The fields that all share where they can be updated as vectors; one block alone otherwise.
+    pub vector: Option<u32>,
+}
+
 /// One share of the lanes; lanes count from its own first.
 #[derive(Debug)]
 pub(super) struct Share {
@@ -195,7 +206,9 @@ pub(super) struct Share {
     pub lanes: usize,
     /// Blocks in order.
     pub blocks: Vec<Block>,
-    /// First block of each granule, and one more.
+    /// Stretches in order.
+    pub stretches: Vec<Stretch>,
+    /// First stretch of each granule, and one more.
     pub granules: Vec<u32>,
     /// Granules that never rest, a bit each.
     pub driven: Vec<u64>,
@@ -317,6 +330,7 @@ impl<'p> Image<'p> {
             let panel = |panel: &Panel| size_of::<Panel>() + size_of::<Row>() * panel.rows.len();
             let panels = share.panels.iter().map(panel).sum::<usize>() + size_of_val(share.weights.as_slice());
             size_of::<Block>() * share.blocks.len()
+                + size_of_val(share.stretches.as_slice())
                 + 4 * share.granules.len()
                 + 8 * share.driven.len()
                 + panels
@@ -418,15 +432,28 @@ impl<'p> Image<'p> {
             }
             let Some((_, share)) = current.as_mut() else { continue };
             block.start -= self.bases[self.bases.len() - 1];
+            let vector = match block.fields {
+                // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
+                BlockFields::Same(f) if self.semantics == Semantics::Hardware => {
+                    Some(f).filter(|&f| self.fields[f as usize].fires_from > 0)
+                }
+                _ => None,
+            };
+            let begins = share.granules.len() <= block.start as usize / GRANULE;
             while share.granules.len() <= block.start as usize / GRANULE {
-                share.granules.push(share.blocks.len() as u32);
+                share.granules.push(share.stretches.len() as u32);
+            }
+            let index = share.blocks.len() as u32;
+            match share.stretches.last_mut() {
+                Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => stretch.end += 1,
+                _ => share.stretches.push(Stretch { first: index, end: index + 1, vector }),
             }
             share.blocks.push(block);
         }
         self.shares.extend(current.map(|(_, share)| share));
         self.granules = granules;
         for share in &mut self.shares {
-            share.granules.push(share.blocks.len() as u32);
+            share.granules.push(share.stretches.len() as u32);
             let granules = share.granules.len() - 1;
             // A row that begins in the last lanes reads and writes zeros up to a chunk beyond them.
             share.lanes = granules * GRANULE + LANES;
@@ -541,6 +568,7 @@ impl Share {
         Share {
             lanes: 0,
             blocks: Vec::new(),
+            stretches: Vec::new(),
             granules: Vec::new(),
             driven: Vec::new(),
             panels: Vec::new(),

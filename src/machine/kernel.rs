@@ -46,8 +46,8 @@ impl From<&Fields> for Shared {
 pub struct Effects {
     /// A bit for each lane that spiked.
     pub spiked: u64,
-    /// Lanes that were not at rest.
-    pub active: u32,
+    /// Lanes of each chunk of sixteen that were not at rest.
+    pub active: [u32; 4],
     /// Whether any lane is not at rest afterwards.
     pub busy: bool,
     /// A bit for each chunk of sixteen lanes in which a value left its field.
@@ -143,7 +143,7 @@ pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared) -> Effects {
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
-    for (chunk, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate() {
+    for (chunk, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
         let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
         let (mut fired, mut moved, mut overflowed) = ([false; LANES], [false; LANES], [false; LANES]);
         for lane in 0..LANES {
@@ -173,7 +173,7 @@ pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared) -> Effects {
         }
         (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
         effects.spiked |= u64::from(bits(fired)) << (chunk * LANES);
-        effects.active += bytes(moved).count_ones();
+        effects.active[chunk] = bytes(moved).count_ones();
         effects.busy |= bytes(std::array::from_fn(|lane| (new_u[lane] | new_v[lane]) != 0)) != 0;
     }
     effects
@@ -283,7 +283,7 @@ mod tests {
                 let r = registers[lane];
                 let at_rest = r.u == 0 && r.v == 0 && !f.holds(&r) && arrived[lane].value() == 0 && f.bias == 0;
                 expected.spiked |= u64::from(effect.spiked) << lane;
-                expected.active += u32::from(!at_rest);
+                expected.active[chunk] += u32::from(!at_rest);
                 expected.busy |= new != Registers::default();
             }
             assert_eq!(sums[lanes], [S::default(); LANES], "seed {seed} chunk {chunk}");

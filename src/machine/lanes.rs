@@ -9,7 +9,7 @@ use std::ops::Range;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
-use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Synapses};
+use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Stretch, Synapses};
 use crate::machine::kernel::{self, LANES, Sum};
 use crate::machine::neuron::{Registers, update};
 use crate::machine::prefetch::{prefetch, prefetch_range};
@@ -332,6 +332,7 @@ impl<S: Sum> Ring<S> {
         let mut events = 0;
         match &table.synapses {
             Synapses::Packed(packing, words) => {
+                let packing = *packing;
                 for index in 0..sources.ids.len() {
                     if let Some(s) = sources.get(index + FAR) {
                         prefetch(&table.first, s);
@@ -361,7 +362,7 @@ impl<S: Sum> Ring<S> {
 }
 
 /// Sources ahead whose list is fetched, and whose place in the table is.
-const NEAR: usize = 6;
+const NEAR: usize = 3;
 const FAR: usize = 16;
 
 /// Spikes of one kind, ascending.
@@ -473,8 +474,9 @@ impl State {
                 let bit = set.trailing_zeros();
                 set &= set - 1;
                 let granule = word * 64 + bit as usize;
-                for index in share.granules[granule] as usize..share.granules[granule + 1] as usize {
-                    if self.update_block(sums, image, share, share.blocks[index], index, order) {
+                for stretch in &share.stretches[share.granules[granule] as usize..share.granules[granule + 1] as usize]
+                {
+                    if self.update_stretch(sums, image, share, *stretch, order) {
                         busy |= 1 << bit;
                     }
                 }
@@ -483,79 +485,80 @@ impl State {
         }
     }
 
-    /// Updates one block; says whether it holds anything that is not at rest.
+    /// Updates a stretch; says whether it holds anything that is not at rest.
     #[inline(always)]
-    fn update_block<S: Sum>(
+    fn update_stretch<S: Sum>(
         &mut self,
         sums: &mut [S],
         image: &Image,
         share: &Share,
-        block: Block,
-        index: usize,
+        stretch: Stretch,
         order: Order,
     ) -> bool {
-        let length = block.length as usize;
-        self.visited += u64::from(block.length);
-        let (active, busy) = match block.fields {
-            _ if order.step < block.starts => {
-                let lanes = block.start as usize..block.start as usize + length;
-                sums[lanes].fill(S::default());
-                (0, false)
+        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
+        let Some(first) = blocks.first() else { return false };
+        // All blocks of a stretch have the same fields, the first step among them.
+        if order.step < first.starts {
+            for block in blocks {
+                self.visited += u64::from(block.length);
+                sums[block.start as usize..(block.start + block.length) as usize].fill(S::default());
             }
-            // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
-            BlockFields::Same(fields)
-                if image.semantics == Semantics::Hardware && image.fields[fields as usize].fires_from > 0 =>
-            {
-                self.vector(sums, image, share, block, fields as usize, order)
-            }
-            BlockFields::Same(_) | BlockFields::Each(_) => self.scalar(sums, image, share, block, 0..length, order),
-        };
-        self.active_now += u64::from(active);
-        self.active_by_block[index] += u64::from(active);
-        if order.list_active && active > 0 {
-            self.active.push((block.core, active));
+            return false;
         }
-        busy
-    }
-
-    #[inline(always)]
-    fn vector<S: Sum>(
-        &mut self,
-        sums: &mut [S],
-        image: &Image,
-        share: &Share,
-        block: Block,
-        fields: usize,
-        order: Order,
-    ) -> (u32, bool) {
-        let start = block.start as usize;
-        let lanes = start..start + (block.length as usize).next_multiple_of(LANES);
+        let Some(fields) = stretch.vector else {
+            let (active, busy) = self.scalar(sums, image, share, *first, 0..first.length as usize, order);
+            self.count_active(stretch.first as usize, first, active, order);
+            return busy;
+        };
+        let start = first.start as usize;
+        let end = blocks.last().map_or(start, |last| (last.start + last.length) as usize).next_multiple_of(LANES);
+        let lanes = start..end;
         if let Some(reset) = image.reset
-            && reset.falls_on(order.step, image.fields[fields].resets_from)
+            && reset.falls_on(order.step, image.fields[fields as usize].resets_from)
         {
             self.u[lanes.clone()].fill(0);
             self.v[lanes.clone()].fill(0);
         }
         let mut registers =
             kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
-        let effects = kernel::hardware(&mut registers, &image.shared[fields]);
-        let (mut active, mut busy) = (effects.active, effects.busy);
-        if effects.overflowed == 0 {
-            self.spike(share, image, block, effects.spiked & ones(block.length as usize));
-        } else {
-            for chunk in 0..(block.length as usize).div_ceil(LANES) {
-                let lanes = chunk * LANES..((chunk + 1) * LANES).min(block.length as usize);
-                if effects.overflowed >> chunk & 1 == 1 {
-                    let (moved, moves) = self.scalar(sums, image, share, block, lanes, order);
-                    active += moved;
-                    busy |= moves;
-                } else {
-                    self.spike(share, image, block, effects.spiked & ones(lanes.end) & !ones(lanes.start));
+        let effects = kernel::hardware(&mut registers, &image.shared[fields as usize]);
+        let mut busy = effects.busy;
+        for (index, block) in (stretch.first as usize..).zip(blocks) {
+            let (chunk, length) = ((block.start - first.start) as usize / LANES, block.length as usize);
+            let chunks = chunk..chunk + length.div_ceil(LANES);
+            let mut active = effects.active[chunks.clone()].iter().sum();
+            let spiked = effects.spiked >> (chunk * LANES) & ones(length);
+            if effects.overflowed == 0 {
+                self.spike(share, image, *block, spiked);
+            } else {
+                for chunk in chunks {
+                    let from = chunk * LANES - (block.start - first.start) as usize;
+                    let lanes = from..(from + LANES).min(length);
+                    if effects.overflowed >> chunk & 1 == 1 {
+                        let (moved, moves) = self.scalar(sums, image, share, *block, lanes, order);
+                        active += moved;
+                        busy |= moves;
+                    } else {
+                        self.spike(share, image, *block, spiked & ones(lanes.end) & !ones(lanes.start));
+                    }
                 }
             }
+            // Padding is never at rest under a bias, and always without.
+            let active = if image.fields[fields as usize].bias != 0 { block.length } else { active };
+            self.count_active(index, block, active, order);
         }
-        // Padding is never at rest under a bias, and always without.
-        (if image.fields[fields].bias != 0 { block.length } else { active }, busy)
+        busy
+    }
+
+    /// Counts a block that was visited.
+    #[inline(always)]
+    fn count_active(&mut self, index: usize, block: &Block, active: u32, order: Order) {
+        self.visited += u64::from(block.length);
+        self.active_now += u64::from(active);
+        self.active_by_block[index] += u64::from(active);
+        if order.list_active && active > 0 {
+            self.active.push((block.core, active));
+        }
     }
 
     /// Notes the spikes of a block's lanes.

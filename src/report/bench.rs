@@ -43,7 +43,7 @@ pub struct StepReport<'a> {
 }
 
 /// Digits that a timing is good for.
-fn rounded(x: f64) -> f64 {
+pub(super) fn rounded(x: f64) -> f64 {
     format!("{x:.4e}").parse().unwrap_or(x)
 }
 
@@ -148,7 +148,7 @@ impl StepReport<'_> {
 }
 
 /// Three significant digits, or a whole number.
-fn significant(x: f64) -> String {
+pub(super) fn significant(x: f64) -> String {
     let decimals = if x > 0.0 { (2 - x.log10().floor() as i32).clamp(0, 6) } else { 0 };
     format!("{x:.*}", decimals as usize)
 }

@@ -9,7 +9,9 @@ use comfy_table::{CellAlignment, ContentArrangement, Table};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::compared::{Packing, PerDecision, PerSample, Ratio};
 use super::{count, wrapped};
+use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Convention, Estimate, Row};
 use crate::desc::baseline::Mode;
@@ -106,6 +108,16 @@ pub struct EnergyReport {
     pub estimate: Estimate,
     /// Rows of other hardware, with their sources.
     pub baselines: Vec<(Row, String)>,
+    /// The model of the mesh.
+    pub transport: Transport,
+    /// Other hardware over the chip.
+    pub ratios: Vec<Ratio>,
+    /// The price of a sample.
+    pub per_sample: Vec<PerSample>,
+    /// The price of a decision.
+    pub per_decision: Option<PerDecision>,
+    /// The same with other numbers of cores.
+    pub packing: Option<Packing>,
     /// What ending samples when they are decided would save.
     pub early_exit: Option<Saved>,
     /// The constants of the preset.
@@ -128,6 +140,9 @@ impl EnergyReport {
     pub fn json(&self) -> Value {
         let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
             parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj))).collect::<serde_json::Map<_, _>>()
+        });
+        let times = self.estimate.time_us.map(|times| {
+            times.iter().map(|&(name, us)| (name.replace(' ', "_"), json!(us))).collect::<serde_json::Map<_, _>>()
         });
         json!({
             "schema": "nsim.energy/1",
@@ -152,6 +167,12 @@ impl EnergyReport {
             "breakdown_pj_per_timestep": breakdown,
             "per_timestep_uj": self.estimate.per_timestep_uj,
             "per_timestep_dynamic_uj": self.estimate.per_timestep_dynamic_uj,
+            "time_us_per_timestep": times,
+            "transport": self.transport,
+            "ratios": self.ratios,
+            "per_sample": self.per_sample,
+            "per_decision": self.per_decision,
+            "packing": self.packing,
             "early_exit": self.early_exit,
             "constants": self.constants,
             "notes": self.notes,
@@ -181,6 +202,7 @@ impl EnergyReport {
             "latency_us_high",
             "energy_uj_high",
             "source",
+            "power_source",
         ])?;
         for row in self.rows() {
             let (low, high) = (row.low, row.high);
@@ -201,6 +223,7 @@ impl EnergyReport {
             let mut record = vec![row.hardware.clone(), row.unit.to_string(), row.convention.name().to_string()];
             record.extend(figures.map(|figure| figure.map_or_else(String::new, |x| x.to_string())));
             record.push(row.source.name().to_string());
+            record.push(row.power_source.name().to_string());
             writer.write_record(record)?;
         }
         let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
@@ -214,11 +237,12 @@ impl EnergyReport {
             &self.deployment;
         let convention = self.convention();
         let mut out = format!(
-            "{} on {}: one of {copies} copies, deployment {name}, {}, constants {}\n",
+            "{} on {}: one of {copies} copies, deployment {name}, {}, constants {}, transport {}\n",
             self.model,
             self.target,
             self.mode.name(),
-            self.preset
+            self.preset,
+            self.transport.name()
         );
         let _ = writeln!(
             out,
@@ -250,6 +274,7 @@ impl EnergyReport {
         let _ = writeln!(out, "{}\n", table.trim_fmt());
         out.push_str(&self.ranges());
         out.push_str(&self.breakdown());
+        out.push_str(&self.compared());
         if let Some(saved) = self.early_exit {
             let _ = writeln!(
                 out,
@@ -318,7 +343,10 @@ impl EnergyReport {
         for (row, _) in &self.baselines {
             let mut cells = vec![row.hardware.clone(), row.unit.to_string()];
             cells.extend(columns.iter().map(|(figure, ..)| figure(row).map_or_else(unknown, short)));
-            cells.push(row.source.name().to_string());
+            cells.push(match row.power_source == row.source {
+                true => row.source.name().to_string(),
+                false => format!("{}, power {}", row.source.name(), row.power_source.name()),
+            });
             rows.push(cells);
         }
         rows

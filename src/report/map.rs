@@ -9,9 +9,15 @@ use std::fmt::Write;
 use comfy_table::{CellAlignment, Table};
 use serde_json::{Value, json};
 
+use super::plot::{Axis, Series, chart};
 use super::{count, wrapped};
+use crate::compile::expect::Score;
+use crate::compile::rates::Rates;
+use crate::compile::remedy::Remedy;
+use crate::compile::search::{Found, front};
 use crate::compile::traffic::{DEFAULT_RATE, Traffic};
 use crate::compile::{Compiled, Options, Reason, place};
+use crate::cost::deployment::Deployment;
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
 use crate::ir::pruned::Row as PrunedRow;
@@ -31,13 +37,15 @@ pub struct Question<'a> {
     pub options: &'a Options,
     /// What was left out of the model first; empty when nothing was looked for.
     pub pruned: &'a [PrunedRow],
+    /// What was tried and makes it fit, when it does not.
+    pub remedies: &'a [Remedy],
 }
 
 /// What came out.
 #[derive(Debug, Clone, Copy)]
 pub enum Outcome<'a> {
     /// It fits.
-    Fits(&'a Compiled, Traffic),
+    Fits(&'a Compiled, Traffic, Score),
     /// It does not, for all of these reasons.
     DoesNotFit(&'a [Reason]),
 }
@@ -45,7 +53,7 @@ pub enum Outcome<'a> {
 /// The object `nsim.map/1`.
 #[must_use]
 pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
-    let Question { model, target, options, pruned } = question;
+    let Question { model, target, options, pruned, remedies } = question;
     let mut object = json!({
         "schema": "nsim.map/1",
         "model": model,
@@ -53,7 +61,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "copies": options.copies,
         "objective": options.objective.name(),
         "strategy": options.strategy.name(),
-        "placed": place::NAME,
+        "placed": if options.place { place::ANNEALED } else { place::SEQUENTIAL },
         "seed": options.seed,
         "pruned": pruned_json(pruned),
         "fits": false,
@@ -64,11 +72,14 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "cores": [],
         "limits": target.limits(),
         "traffic": null,
+        "expected": null,
         "seconds": {},
         "reasons": [],
+        "remedies": remedies.iter().map(remedy_json).collect::<Vec<_>>(),
+        "pareto": [],
     });
     match outcome {
-        Outcome::Fits(compiled, traffic) => {
+        Outcome::Fits(compiled, traffic, score) => {
             object["placed"] = compiled.placed.into();
             object["fits"] = true.into();
             object["cores_used"] = compiled.partition.cores().into();
@@ -77,12 +88,102 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
             object["checked"] = true.into();
             object["cores"] = rows(compiled).map(|row| row.json()).collect();
             object["traffic"] = json!(traffic);
+            object["expected"] = json!(score);
+            object["expected"]["static_mw_of_paper"] = json!(static_of_paper(options, target, &score));
             let seconds = compiled.seconds.iter().map(|&(stage, seconds)| (stage.to_string(), seconds.into()));
             object["seconds"] = Value::Object(seconds.collect());
         }
         Outcome::DoesNotFit(reasons) => object["reasons"] = reasons.iter().map(reason_json).collect(),
     }
     object
+}
+
+/// Static power of the cores that VT-SNN's paper had powered for as many copies of its network, in milliwatts.
+fn static_of_paper(options: &Options, target: &Target, score: &Score) -> Option<f64> {
+    let paper = Deployment::paper();
+    let each = score.static_mw / score.cores_powered.max(1) as f64;
+    (options.copies == paper.copies && target.name() == "nahuku-32").then(|| each * paper.cores_powered as f64)
+}
+
+/// What a mean step is expected to cost, for people.
+fn expected_text(options: &Options, target: &Target, score: &Score) -> String {
+    let Score { cores_powered, energy_uj, step_us, static_mw, .. } = score;
+    let mut text = format!(
+        "expected of a step: {energy_uj:.4} uJ, {step_us:.3} us; static power {static_mw:.2} mW of {cores_powered} \
+         powered cores\n"
+    );
+    if let Some(paper) = static_of_paper(options, target, score) {
+        let Deployment { cores_used, cores_powered, copies, .. } = Deployment::paper();
+        let _ = writeln!(
+            text,
+            "VT-SNN's paper used {cores_used} cores for {copies} copies ({cores_powered} powered), {paper:.2} mW: {:.2} mW \
+             of static power saved",
+            paper - static_mw
+        );
+    }
+    text
+}
+
+fn remedy_json(remedy: &Remedy) -> Value {
+    let Remedy { kind, change, cores, copies } = remedy;
+    json!({ "kind": kind, "change": change, "cores": cores, "copies": copies })
+}
+
+/// Candidates of mappings; those of the front are those that no other is better than in everything.
+#[must_use]
+pub fn pareto_json(found: &[Found]) -> Value {
+    let front = front(found);
+    let row = |one: &Found| {
+        let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
+        json!({
+            "strategy": one.candidate.strategy.name(), "divisor": one.candidate.divisor, "cores": one.score.cores,
+            "cores_powered": one.score.cores_powered, "energy_uj": one.score.energy_uj, "step_us": one.score.step_us,
+            "static_mw": one.score.static_mw, "on_front": on_front,
+        })
+    };
+    found.iter().map(row).collect()
+}
+
+/// Candidates of mappings, for people; nothing when there are none.
+#[must_use]
+pub fn pareto_text(found: &[Found]) -> String {
+    if found.is_empty() {
+        return String::new();
+    }
+    let front = front(found);
+    let mut table = Table::new();
+    table.load_style(comfy_table::presets::NOTHING);
+    table.set_header(["strategy", "cores filled to", "cores", "powered", "uJ a step", "us a step", "front"]);
+    for one in found {
+        let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
+        table.add_row([
+            one.candidate.strategy.name().to_string(),
+            format!("1/{}", one.candidate.divisor),
+            one.score.cores.to_string(),
+            one.score.cores_powered.to_string(),
+            format!("{:.4}", one.score.energy_uj),
+            format!("{:.3}", one.score.step_us),
+            if on_front { "*" } else { "" }.to_string(),
+        ]);
+    }
+    table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+    format!("\n{}\n", table.trim_fmt())
+}
+
+/// Energy over step time of all candidates; the front is joined.
+#[must_use]
+pub fn pareto_svg(model: &str, found: &[Found]) -> String {
+    let front = front(found);
+    let point = |one: &Found| (one.score.step_us, one.score.energy_uj, format!("{} cores", one.score.cores));
+    let others: Vec<_> = found.iter().filter(|one| !front.iter().any(|f| std::ptr::eq(*f, *one))).map(point).collect();
+    let mut on_front: Vec<_> = front.into_iter().map(point).collect();
+    on_front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut series = vec![Series::Points { name: "front".to_string(), points: on_front, joined: true }];
+    if !others.is_empty() {
+        series.push(Series::Points { name: "other mappings".to_string(), points: others, joined: false });
+    }
+    let (x, y) = (Axis::linear("time of a mean step (us)"), Axis::linear("energy of a mean step (uJ)"));
+    chart(&format!("Mappings of {model}"), &x, &y, &series)
 }
 
 /// What was pruned, an object a kind.
@@ -181,7 +282,7 @@ fn rows(compiled: &Compiled) -> impl Iterator<Item = Row> + '_ {
 pub fn csv(outcome: Outcome<'_>) -> String {
     let mut text = String::new();
     match outcome {
-        Outcome::Fits(compiled, _) => {
+        Outcome::Fits(compiled, _, _) => {
             text += "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words\n";
             for Row { core, chip, x, y, compartments, axons_in, axons_out, synapses, synapse_words } in rows(compiled) {
                 let _ = writeln!(
@@ -211,7 +312,7 @@ fn quoted(field: &str) -> String {
 /// The result for people.
 #[must_use]
 pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
-    let Question { model, target, options, pruned } = question;
+    let Question { model, target, options, pruned, remedies } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
     let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
     let mut text = format!("{model}, {copies}, onto {} ({cores} on {chips}): ", target.name());
@@ -219,12 +320,19 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
         Outcome::DoesNotFit(reasons) => {
             text += "does not fit\n";
             text += &listed(reasons);
+            if !remedies.is_empty() {
+                text += "tried, and it fits then:\n";
+            }
+            for Remedy { change, cores, copies, .. } in remedies {
+                let copies = if *copies == 1 { String::new() } else { format!(", {copies} copies") };
+                text += &wrapped(&format!("- {change} ({}{copies})", count(u64::from(*cores), "core")));
+            }
             if !pruned.is_empty() {
                 text.push('\n');
                 text += &pruned_table(pruned);
             }
         }
-        Outcome::Fits(compiled, traffic) => {
+        Outcome::Fits(compiled, traffic, score) => {
             let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
             let _ = writeln!(
                 text,
@@ -246,12 +354,21 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 text.push('\n');
             }
             text += &table(compiled, target);
+            let rates = match compiled.rates {
+                Rates::Assumed(_) => format!("an assumed {DEFAULT_RATE} spikes a source"),
+                Rates::Profile { .. } => "the rates of the profile".to_string(),
+            };
             let _ = writeln!(
                 text,
-                "\na step at an assumed {DEFAULT_RATE} spikes a source: {:.2} spikes to other cores (inputs' included), {:.2} hops;\n\
-                 links carry {:.5} messages on average, {:.2} at most",
-                traffic.cut_spikes_per_step, traffic.hops_per_step, traffic.mean_link_load, traffic.max_link_load
+                "\na step at {rates}: {:.2} spikes to other cores (inputs' included), {:.2} hops, {:.2} as \
+                 multicast;\nlinks carry {:.5} messages on average, {:.2} at most",
+                traffic.cut_spikes_per_step,
+                traffic.hops_per_step,
+                traffic.hops_multicast_per_step,
+                traffic.mean_link_load,
+                traffic.max_link_load
             );
+            text += &expected_text(options, target, &score);
             let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
             let _ = writeln!(text, "ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", "));
         }
@@ -328,12 +445,13 @@ fn table(compiled: &Compiled, target: &Target) -> String {
 mod tests {
     use super::*;
     use crate::base::diagnostic::SourceText;
+    use crate::compile::expect::score;
     use crate::compile::testing::{limits, slip, target};
     use crate::compile::traffic::traffic;
     use crate::compile::{CompileError, compile, compile_quantised};
     use crate::desc::target::Limits;
 
-    const KEYS: [&str; 19] = [
+    const KEYS: [&str; 22] = [
         "schema",
         "model",
         "target",
@@ -351,9 +469,16 @@ mod tests {
         "cores",
         "limits",
         "traffic",
+        "expected",
         "seconds",
         "reasons",
+        "remedies",
+        "pareto",
     ];
+
+    fn fits_with<'a>(compiled: &'a Compiled, board: &Target) -> Outcome<'a> {
+        Outcome::Fits(compiled, traffic(&compiled.program, &compiled.rates), score(compiled, board).unwrap())
+    }
 
     fn keys(value: &Value) -> Vec<&str> {
         value.as_object().unwrap().keys().map(String::as_str).collect()
@@ -363,9 +488,9 @@ mod tests {
     fn both_answers_have_the_same_keys() {
         let options = Options { copies: 3, ..Options::default() };
         let board = target(2, 1, limits());
-        let question = Question { model: "slip", target: &board, options: &options, pruned: &[] };
+        let question = Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[] };
         let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
-        let outcome = Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE));
+        let outcome = fits_with(&compiled, &board);
         let fits = json(question, outcome);
         assert_eq!(keys(&fits), KEYS);
         assert_eq!(
@@ -377,7 +502,9 @@ mod tests {
             "synapses": 39_420, "synapse_words": 7_452,
         });
         assert_eq!(fits["cores"][2], core);
-        assert_eq!(keys(&fits["traffic"]), ["cut_spikes_per_step", "hops_per_step", "mean_link_load", "max_link_load"]);
+        let of_traffic =
+            ["cut_spikes_per_step", "hops_per_step", "hops_multicast_per_step", "mean_link_load", "max_link_load"];
+        assert_eq!(keys(&fits["traffic"]), of_traffic);
         assert_eq!(fits["limits"]["axons_in"], 4096);
         assert!(fits["seconds"]["partition"].is_f64());
         assert_eq!(csv(outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
@@ -407,8 +534,8 @@ mod tests {
         let options = Options::default();
         let compiled = compile_quantised(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);
-        let question = Question { model: "slip", target: &board, options: &options, pruned: &[] };
-        let spoken = text(question, Outcome::Fits(&compiled, traffic(&compiled.program, DEFAULT_RATE)));
+        let question = Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[] };
+        let spoken = text(question, fits_with(&compiled, &board));
         assert!(spoken.contains("and 42 more") && spoken.lines().count() < 32, "{spoken}");
     }
 

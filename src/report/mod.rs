@@ -5,14 +5,21 @@
 
 pub mod agree;
 pub mod bench;
+pub mod bench_map;
 pub mod calibration;
+pub mod compared;
+pub mod early;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod map_svg;
 pub mod pareto;
 pub mod plot;
 pub mod run;
+pub mod sanafe;
+pub mod scene;
 pub mod stress;
+pub mod train;
 
 /// The width of text for people.
 const WIDTH: usize = 100;

@@ -133,7 +133,28 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
 /// A chart of bars: one group a category, one bar a series in it.
 #[must_use]
 pub fn bars(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
-    let numbers = series.iter().flat_map(|(_, values)| values.iter().copied());
+    barred(title, y, categories, series, false)
+}
+
+/// A chart of bars: one a category, its series on top of each other. Their numbers are not negative.
+#[must_use]
+pub fn stacked(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
+    barred(title, y, categories, series, true)
+}
+
+/// A series' colour; those beyond the colours there are take them again, half through.
+fn colour(index: usize) -> String {
+    let half = if index < COLOURS.len() { "" } else { "80" };
+    format!("{}{half}", COLOURS[index % COLOURS.len()])
+}
+
+fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)], stacked: bool) -> String {
+    let value = |series: &(String, Vec<f64>), place: usize| series.1.get(place).copied().unwrap_or(0.0);
+    let tops: Vec<f64> = match stacked {
+        true => (0..categories.len()).map(|place| series.iter().map(|one| value(one, place)).sum()).collect(),
+        false => series.iter().flat_map(|(_, values)| values.iter().copied()).collect(),
+    };
+    let numbers = tops.into_iter();
     let zero = if y.log { None } else { Some(0.0) };
     let up = Scale::new(y, numbers.chain(zero), HEIGHT - BOTTOM, TOP);
     let mut out = frame(title, "", &y.label);
@@ -143,19 +164,27 @@ pub fn bars(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec
     }
     let ground = up.place(0.0).unwrap_or(HEIGHT - BOTTOM);
     let group = (WIDTH - RIGHT - LEFT) / categories.len().max(1) as f64;
-    let bar = group * 0.8 / series.len().max(1) as f64;
+    let beside = if stacked { 1 } else { series.len().max(1) };
+    let bar = group * 0.8 / beside as f64;
     for (place, category) in categories.iter().enumerate() {
         let from = LEFT + group * (place as f64 + 0.1);
-        for (index, (_, values)) in series.iter().enumerate() {
-            let Some(top) = values.get(place).and_then(|&value| up.place(value)) else { continue };
+        let mut below = 0.0;
+        for (index, one) in series.iter().enumerate() {
+            if place >= one.1.len() {
+                continue;
+            }
+            let (foot, upto) = if stacked { (below, below + value(one, place)) } else { (0.0, value(one, place)) };
+            below = upto;
+            let Some(top) = up.place(upto) else { continue };
+            let ground = up.place(foot).unwrap_or(ground);
             _ = writeln!(
                 out,
                 r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" fill="{}"/>"#,
-                from + bar * index as f64,
+                from + if stacked { 0.0 } else { bar * index as f64 },
                 top.min(ground),
                 (bar - 1.0).max(0.5),
                 (top - ground).abs(),
-                COLOURS[index % COLOURS.len()]
+                colour(index)
             );
         }
         let middle = from + group * 0.4;
@@ -173,7 +202,7 @@ pub fn bars(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec
         WIDTH - RIGHT
     );
     for (index, (name, _)) in series.iter().enumerate() {
-        legend(&mut out, index, COLOURS[index % COLOURS.len()], name);
+        legend(&mut out, index, &colour(index), name);
     }
     out + "</svg>\n"
 }
@@ -337,6 +366,16 @@ mod tests {
         assert_eq!(svg.matches("<circle").count(), 2);
         assert_eq!((svg.matches("<polyline").count(), svg.matches("<polygon").count()), (2, 1));
         assert!(svg.contains("a&lt;b") && svg.contains("t &amp; u") && svg.ends_with("</svg>\n"));
+        let tower = |values: [f64; 2]| ("s".to_string(), values.to_vec());
+        let svg = stacked("b", &Axis::linear("y"), &["c".into()], &[tower([30.0, 0.0]), tower([70.0, 0.0])]);
+        let tops: Vec<f64> = svg
+            .split("<rect x=\"")
+            .skip(1)
+            .take(2)
+            .map(|rect| rect.split("height=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap())
+            .collect();
+        // The second stands on the first: their heights are as 30 to 70.
+        assert!((tops[1] / tops[0] - 70.0 / 30.0).abs() < 0.01, "{tops:?} {svg}");
         let svg = bars("b", &Axis::linear("y"), &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
         assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);
     }

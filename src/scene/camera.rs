@@ -1,10 +1,10 @@
 //! An event camera: brightness of pixels -> events on changes of its logarithm, pooled 4 x 4.
 //!
 //! Comes in: a view that says how bright a pixel is (natural logarithm) and which pixels may have changed. Goes out: the
-//! pooled channels that spike in a millisecond. A pixel sends an event when its brightness differs from that at its last
+//! pooled channels that spike in a tick. A pixel sends an event when its brightness differs from that at its last
 //! event by the contrast threshold (Lichtsteiner, Posch and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal
 //! contrast vision sensor", IEEE JSSC 2008), then rests for its refractory time; noise events come on top. A pooled unit
-//! sums the events of its 16 pixels, both polarities, within a millisecond and spikes from the first on.
+//! sums the events of its 16 pixels, both polarities, within a tick and spikes from the first on.
 //!
 //! Window, pooling and the order of the channels are VT-SNN's: 200 columns x 250 rows, 4 x 4 to 50 columns x 63 rows (the
 //! last row of units sees two rows of pixels), channel = row of units x 50 + column.
@@ -42,11 +42,13 @@ pub struct Pixels {
     pub refractory_ms: u16,
     /// Noise events of a pixel, in each second.
     pub noise_hz: f64,
+    /// Time between two looks at the brightness, ms.
+    pub tick_ms: u16,
 }
 
 impl Default for Pixels {
     fn default() -> Self {
-        Pixels { contrast: 0.2, mismatch: 0.1, refractory_ms: 2, noise_hz: 0.3 }
+        Pixels { contrast: 0.2, mismatch: 0.1, refractory_ms: 2, noise_hz: 0.3, tick_ms: 1 }
     }
 }
 
@@ -89,7 +91,7 @@ impl Camera {
         }
     }
 
-    /// A millisecond: looks at the pixels that `changed` names (any number of times each), where the view was `at_rest` and
+    /// One tick: looks at the pixels that `changed` names (any number of times each), where the view was `at_rest` and
     /// is `now`; calls `spike` for each pooled unit that spikes, ascending.
     pub fn step(
         &mut self,
@@ -98,6 +100,7 @@ impl Camera {
         now: impl Fn(usize, usize) -> f32,
         mut spike: impl FnMut(u32),
     ) {
+        let rest = self.pixels.refractory_ms.div_ceil(self.pixels.tick_ms);
         let behind = std::mem::take(&mut self.behind);
         for &pixel in changed.iter().chain(&behind) {
             let (x, y) = (pixel as usize % WIDTH, pixel as usize / WIDTH);
@@ -118,7 +121,7 @@ impl Camera {
             }
             if self.step >= state.free_at {
                 state.reference += if change > 0.0 { state.threshold } else { -state.threshold };
-                state.free_at = self.step + self.pixels.refractory_ms;
+                state.free_at = self.step + rest;
                 let unit = pooled(x, y);
                 self.spiking[unit / 64] |= 1 << (unit % 64);
             }
@@ -129,12 +132,12 @@ impl Camera {
         }
         self.behind.sort_unstable();
         self.behind.dedup();
-        let mean = self.pixels.noise_hz * 1e-3 * (WIDTH * HEIGHT) as f64;
+        let mean = self.pixels.noise_hz * 1e-3 * f64::from(self.pixels.tick_ms) * (WIDTH * HEIGHT) as f64;
         for k in 0..self.draws.poisson(Purpose::PixelNoiseCount, 0, u32::from(self.step), mean) {
             let pixel = self.draws.unit(Purpose::PixelNoise, k, u32::from(self.step)) * (WIDTH * HEIGHT) as f64;
             let state = &mut self.state[pixel as usize];
             if self.step >= state.free_at {
-                state.free_at = self.step + self.pixels.refractory_ms;
+                state.free_at = self.step + rest;
                 let unit = pooled(pixel as usize % WIDTH, pixel as usize / WIDTH);
                 self.spiking[unit / 64] |= 1 << (unit % 64);
             }
@@ -146,5 +149,67 @@ impl Camera {
             }
         }
         self.step += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(pixels: Pixels) -> Camera {
+        Camera::new(&pixels, Draws::new(1, 0), Draws::new(0, 0))
+    }
+
+    const STILL: Pixels = Pixels { contrast: 0.2, mismatch: 0.0, refractory_ms: 2, noise_hz: 0.0, tick_ms: 1 };
+
+    #[test]
+    fn pooling_covers_each_pixel_once_in_rows_of_fifty() {
+        assert_eq!((POOLED_WIDTH, POOLED_HEIGHT, POOLED), (50, 63, 3150));
+        let mut pixels = vec![0; POOLED];
+        for y in 0..HEIGHT {
+            for x in 0..WIDTH {
+                pixels[pooled(x, y)] += 1;
+                // Against the definition: unit (r, c) sees rows 4 r to 4 r + 3 and columns 4 c to 4 c + 3.
+                let (row, column) = (pooled(x, y) / 50, pooled(x, y) % 50);
+                assert!((4 * row..4 * row + 4).contains(&y) && (4 * column..4 * column + 4).contains(&x));
+            }
+        }
+        assert!(pixels[..62 * 50].iter().all(|&n| n == 16) && pixels[62 * 50..].iter().all(|&n| n == 8));
+    }
+
+    #[test]
+    fn events_follow_the_contrast_threshold_and_the_refractory_time() {
+        // A step of 0.7 is three events of 0.2; with 2 ms between them they come in steps 3, 5 and 7.
+        let mut camera = camera(STILL);
+        let pixel = (13 * WIDTH + 21) as u32;
+        let mut spikes = Vec::new();
+        for step in 0..20 {
+            let level = if step < 3 { 1.0 } else { 1.7 };
+            // Named twice: looked at twice, which changes nothing.
+            let changed = if step == 3 { vec![pixel, pixel] } else { Vec::new() };
+            camera.step(&changed, |_, _| 1.0, |_, _| level, |unit| spikes.push((step, unit)));
+        }
+        let unit = pooled(21, 13) as u32;
+        assert_eq!(spikes, [(3, unit), (5, unit), (7, unit)]);
+    }
+
+    #[test]
+    fn pixels_of_a_unit_make_one_spike_of_either_polarity() {
+        let mut camera = camera(STILL);
+        let block: Vec<u32> = (0..4).flat_map(|y| (0..4).map(move |x| (y * WIDTH + x) as u32)).collect();
+        let mut spikes = Vec::new();
+        camera.step(&block, |_, _| 0.0, |x, _| if x % 2 == 0 { 0.3 } else { -0.3 }, |unit| spikes.push(unit));
+        assert_eq!(spikes, [0]);
+    }
+
+    #[test]
+    fn noise_comes_at_its_rate() {
+        let mut camera = camera(Pixels { noise_hz: 0.5, ..STILL });
+        let mut spikes = 0;
+        for _ in 0..400 {
+            camera.step(&[], |_, _| 0.0, |_, _| 0.0, |_| spikes += 1);
+        }
+        // 50,000 pixels x 0.5 Hz x 0.4 s = 10,000 events; at 25 a step some share a unit.
+        assert!((9_600..10_050).contains(&spikes), "{spikes}");
     }
 }

@@ -54,26 +54,95 @@ pub const VISION: (&str, u32) = ("vision", camera::POOLED as u32);
 pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus, Diagnostic> {
     match scene.name.as_str() {
         "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?),
-        "slip" => {
-            let slip = slip::Slip::parse(scene)?;
-            recorded(network, "slip", slip.seed, slip.samples, |sample| slip.recording(sample))
+        _ => recorded(network, &Recorded::parse(scene)?),
+    }
+}
+
+/// A scene that fingers and a camera record, with its parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Recorded {
+    /// A box that rotates or does not.
+    Slip(slip::Slip),
+}
+
+impl Recorded {
+    /// From `scene:NAME?..`.
+    ///
+    /// # Errors
+    /// `scene.unknown`, `scene.parameter`.
+    pub fn parse(scene: &SceneArg) -> Result<Self, Diagnostic> {
+        match scene.name.as_str() {
+            "slip" => Ok(Recorded::Slip(slip::Slip::parse(scene)?)),
+            "noise" => Err(Diagnostic::new("scene.unknown", "scene noise is made for a model, not recorded")
+                .help("give it to a run: nsim run MODEL --input scene:noise")),
+            other => {
+                let known: Vec<&str> = SCENES.iter().map(|(name, _)| *name).collect();
+                Err(Diagnostic::new("scene.unknown", format!("there is no scene '{other}'"))
+                    .help(format!("scenes are: {}", known.join(", "))))
+            }
         }
-        other => {
-            let known: Vec<&str> = SCENES.iter().map(|(name, _)| *name).collect();
-            Err(Diagnostic::new("scene.unknown", format!("there is no scene '{other}'"))
-                .help(format!("scenes are: {}", known.join(", "))))
+    }
+
+    /// The scene's name.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Recorded::Slip(_) => "slip",
+        }
+    }
+
+    /// How many samples are asked for.
+    #[must_use]
+    pub fn samples(&self) -> u32 {
+        match self {
+            Recorded::Slip(slip) => slip.samples,
+        }
+    }
+
+    /// The seed.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        match self {
+            Recorded::Slip(slip) => slip.seed,
+        }
+    }
+
+    /// Timesteps of a sample.
+    #[must_use]
+    pub fn steps(&self) -> u32 {
+        match self {
+            Recorded::Slip(_) => slip::STEPS,
+        }
+    }
+
+    /// Milliseconds of a timestep.
+    #[must_use]
+    pub fn timestep_ms(&self) -> f64 {
+        match self {
+            Recorded::Slip(_) => 1.0,
+        }
+    }
+
+    /// Names of the classes, by label.
+    #[must_use]
+    pub fn classes(&self) -> Vec<String> {
+        match self {
+            Recorded::Slip(_) => slip::CLASSES.map(String::from).to_vec(),
+        }
+    }
+
+    /// What is recorded of a sample: a function of the parameters, the seed and the sample's number alone.
+    #[must_use]
+    pub fn recording(&self, sample: u32) -> Recording {
+        match self {
+            Recorded::Slip(slip) => slip.recording(sample),
         }
     }
 }
 
 /// The recordings of a scene on the channels of a network's input populations.
-fn recorded(
-    network: &Quantised,
-    name: &str,
-    seed: u64,
-    samples: u32,
-    make: impl Fn(u32) -> Recording + Sync,
-) -> Result<Stimulus, Diagnostic> {
+fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus, Diagnostic> {
+    let name = scene.name();
     // First channel of touch and of vision, where the network has them.
     let mut first = [None, None];
     for (_, population) in network.inputs() {
@@ -88,10 +157,10 @@ fn recorded(
         };
         first[sense] = population.first_channel().map(|channel| channel.0);
     }
-    let samples = (0..samples)
+    let samples = (0..scene.samples())
         .into_par_iter()
         .map(|sample| {
-            let recording = make(sample);
+            let recording = scene.recording(sample);
             let mut events = Vec::with_capacity(recording.touch.len() + recording.vision.len());
             for (first, sense) in first.iter().zip([&recording.touch, &recording.vision]) {
                 if let &Some(first) = first {
@@ -102,7 +171,7 @@ fn recorded(
         })
         .collect::<Result<_, _>>()
         .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;
-    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(seed) })
+    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed()) })
 }
 
 /// A parameter's value within a range.

@@ -13,13 +13,15 @@ use super::Recording;
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::{Grasp, Motion, State, follow};
-use super::touch::{Skin, TAXELS, Taxels, layout};
+use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
 use super::{MOST_SAMPLES, parameter, spread};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::stimulus::SceneArg;
 
 /// Milliseconds, which are timesteps, of a sample.
 pub const STEPS: u32 = 150;
+/// Names of the classes, by label.
+pub const CLASSES: [&str; 2] = ["stable", "slip"];
 /// Milliseconds that are followed before the recording: the fingers close in them.
 const BEFORE_MS: u32 = 250;
 /// A pixel's size at the box, mm.
@@ -275,9 +277,7 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
             }
         }
         let grip = state.grip_n * (1.0 + vibration.at(t - 1e3 * grasp.lift_s));
-        // Hertz: the contact's radius grows with the cube root of the force, and the pressure is an ellipsoid.
-        let radius = 1e3 * grasp.contact_m * libm::cbrt(grip / nominal);
-        let peak = if grip > 0.0 { 1.5 * grip / (std::f64::consts::PI * radius * radius) * 1e3 } else { 0.0 };
+        let (radius, peak) = hertz(grip, grasp.contact_m, nominal);
         // A load on skin of 1.5 mm moves the centre of pressure.
         let shift = if grip > 0.0 { 1.5 * 0.5 * state.load_n / grip } else { 0.0 };
         for (k, pressure) in pressure.iter_mut().enumerate() {

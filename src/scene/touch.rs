@@ -38,7 +38,7 @@ pub struct Skin {
     pub threshold_kpa: f64,
     /// Relative standard deviation of the threshold from taxel to taxel.
     pub mismatch: f64,
-    /// Standard deviation of the noise on each millisecond's pressure.
+    /// Standard deviation of the noise on the pressure of each tick.
     pub noise_kpa: f64,
     /// Part of the pressure that creeps.
     pub creep: f64,
@@ -48,6 +48,8 @@ pub struct Skin {
     pub adaptation_ms: f64,
     /// Shortest time between two events of a taxel.
     pub refractory_ms: u32,
+    /// Time between two looks at the pressure.
+    pub tick_ms: u32,
 }
 
 impl Default for Skin {
@@ -60,8 +62,18 @@ impl Default for Skin {
             creep_ms: 100.0,
             adaptation_ms: 40.0,
             refractory_ms: 4,
+            tick_ms: 1,
         }
     }
+}
+
+/// Radius in mm and peak pressure in kPa of a contact under a normal force. By Hertz the radius grows with the cube root of
+/// the force and the pressure over the contact is an ellipsoid; `radius_m` is the radius under `nominal_n`.
+#[must_use]
+pub fn hertz(grip_n: f64, radius_m: f64, nominal_n: f64) -> (f64, f64) {
+    let radius = 1e3 * radius_m * libm::cbrt(grip_n / nominal_n);
+    // N / mm^2 is MPa.
+    (radius, if grip_n > 0.0 { 1.5 * grip_n / (std::f64::consts::PI * radius * radius) * 1e3 } else { 0.0 })
 }
 
 /// Whether the pressure rose or fell.
@@ -115,10 +127,11 @@ impl Taxels {
         Taxels { skin: skin.clone(), draws, taxels: (0..count).map(taxel).collect(), step: 0 }
     }
 
-    /// A millisecond with this pressure on each taxel; calls `event` for each that responds.
+    /// One tick with this pressure on each taxel; calls `event` for each that responds.
     pub fn step(&mut self, pressure_kpa: &[f64], mut event: impl FnMut(u32, Change)) {
         let skin = &self.skin;
-        let (creep, follow) = (1.0 / skin.creep_ms, 1.0 / skin.adaptation_ms);
+        let tick = f64::from(skin.tick_ms);
+        let (creep, follow) = ((tick / skin.creep_ms).min(1.0), (tick / skin.adaptation_ms).min(1.0));
         for (k, (taxel, &pressure)) in self.taxels.iter_mut().zip(pressure_kpa).enumerate() {
             taxel.crept += (pressure - taxel.crept) * creep;
             let noise = skin.noise_kpa * self.draws.normal(Purpose::Taxel, k as u32, self.step);
@@ -130,10 +143,76 @@ impl Taxels {
             let change = sensed - taxel.reference;
             if change.abs() >= taxel.threshold {
                 taxel.reference = sensed;
-                taxel.silent_until = self.step + skin.refractory_ms;
+                taxel.silent_until = self.step + skin.refractory_ms.div_ceil(skin.tick_ms);
                 event(k as u32, if change > 0.0 { Change::Rise } else { Change::Fall });
             }
         }
         self.step += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn taxels_are_denser_at_the_centre() {
+        let places = layout();
+        assert_eq!(places.len(), TAXELS);
+        let within = |radius: f64| places.iter().filter(|(x, y)| (x * x + y * y).sqrt() < radius).count() as f64;
+        let density = |inner: f64, outer: f64| (within(outer) - within(inner)) / (outer * outer - inner * inner);
+        assert!(density(0.0, 2.5) > density(2.5, 6.0) && density(2.5, 6.0) > density(6.0, 9.0));
+        // No two in the same place, all on a fingertip of 21 x 37 mm.
+        for (k, a) in places.iter().enumerate() {
+            assert!(a.0.abs() < 10.5 && a.1.abs() < 18.5);
+            assert!(places[..k].iter().all(|b| (a.0 - b.0).abs() + (a.1 - b.1).abs() > 0.5));
+        }
+    }
+
+    #[test]
+    fn the_pressure_of_a_contact_adds_up_to_its_force() {
+        // The ellipsoid's mean over the disc is two thirds of its peak.
+        for grip in [0.1, 1.0, 8.0] {
+            let (radius, peak) = hertz(grip, 7e-3, 1.5);
+            let force = 2.0 / 3.0 * peak * std::f64::consts::PI * radius * radius * 1e-3;
+            assert!((force / grip - 1.0).abs() < 1e-12);
+        }
+        assert_eq!(hertz(0.0, 7e-3, 1.5), (0.0, 0.0));
+    }
+
+    fn events(skin: &Skin, pressure: impl Fn(u32) -> f64, steps: u32) -> Vec<(u32, Change)> {
+        let mut taxels = Taxels::new(skin, Draws::new(1, 0), Draws::new(0, 0), 1);
+        let mut events = Vec::new();
+        for step in 0..steps {
+            taxels.step(&[pressure(step)], |_, change| events.push((step, change)));
+        }
+        events
+    }
+
+    #[test]
+    fn a_taxel_answers_change_and_rests_between_events() {
+        let skin = Skin { noise_kpa: 0.0, mismatch: 0.0, ..Skin::default() };
+        assert!(events(&skin, |_| 0.0, 500).is_empty());
+        let pressed = events(
+            &skin,
+            |t| {
+                if t < 100 {
+                    0.0
+                } else if t < 600 {
+                    20.0
+                } else {
+                    0.0
+                }
+            },
+            1500,
+        );
+        assert_eq!(pressed[0], (100, Change::Rise));
+        assert!(pressed.windows(2).all(|pair| pair[1].0 - pair[0].0 >= skin.refractory_ms), "{pressed:?}");
+        assert!(pressed.iter().all(|&(t, change)| (change == Change::Rise) == (t < 600)), "{pressed:?}");
+        // The skin has recovered 95 % within 300 ms; what is left is below the threshold.
+        assert!(pressed.iter().all(|&(t, _)| (100..400).contains(&t) || (600..900).contains(&t)), "{pressed:?}");
+        assert!(pressed.iter().any(|&(t, _)| t >= 600));
+        // A slow ramp is followed: a change of 40 ms stays below the threshold.
+        assert!(events(&skin, |t| f64::from(t) * 0.01, 1000).is_empty());
     }
 }

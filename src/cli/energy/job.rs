@@ -1,14 +1,14 @@
 //! From a finished run to its report.
 
 use crate::base::units::Picoseconds;
-use crate::cost::baseline::{Baseline, NetworkShape};
-use crate::cost::estimate::{Case, Convention, estimate, spent};
+use crate::cost::estimate::{Case, Convention, Row, estimate, spent};
 use crate::cost::{Deployment, StepMeter};
 use crate::desc::baseline::Mode;
 use crate::desc::target::Target;
 use crate::drive::Outcome;
 use crate::drive::decision::Rule;
 use crate::ir::activity::Activity;
+use crate::report::compared::{Packing, PerDecision, per_sample, ratios};
 use crate::report::energy::{EnergyReport, Saved, constant_entries};
 
 /// A finished run and what is asked about it.
@@ -18,8 +18,6 @@ pub struct EnergyJob<'a> {
     pub model: &'a str,
     /// Where it ran.
     pub target: &'a Target,
-    /// Sizes of one copy, to find out which baselines hold.
-    pub shape: &'a NetworkShape,
     /// The preset of the figures, an index into the target's (from [`tables`]).
     pub preset: usize,
     /// Counts of the run.
@@ -42,8 +40,12 @@ pub struct EnergyJob<'a> {
     pub samples: u64,
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
-    /// Hardware to show beside.
-    pub baselines: &'a [Baseline],
+    /// Rows of other hardware with their sources.
+    pub baselines: &'a [(Row, String)],
+    /// The price of a decision.
+    pub per_decision: Option<&'a PerDecision>,
+    /// Other numbers of cores to compare with.
+    pub other: Option<&'a Deployment>,
     /// What ending samples when they are decided would save.
     pub early_exit: Option<Saved>,
 }
@@ -78,18 +80,40 @@ pub(super) fn saved(rule: Rule, whole: &EnergyJob<'_>, outcomes: &[Outcome], ear
     }
 }
 
+/// The mean price of a decision, from a run in which samples end when they are decided.
+pub(super) fn per_decision(rule: Rule, outcomes: &[Outcome], early: &EnergyJob<'_>) -> PerDecision {
+    let (spent, samples) = (spent(&early.case()), outcomes.len().max(1) as f64);
+    let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
+    PerDecision {
+        rule: rule.to_string(),
+        time_us: spent.time_us / samples,
+        energy_uj: spent.energy_uj / samples,
+        early: decided / samples,
+    }
+}
+
+/// The same run under other numbers of cores; the barrier's time stays that of this deployment.
+fn packing(job: &EnergyJob<'_>, other: &Deployment) -> Option<Packing> {
+    let physical = |deployment| {
+        let rows = estimate(&Case { deployment, convention: Convention::Physical, ..job.case() }).rows;
+        let total = rows.into_iter().find(|row| row.unit == "total")?;
+        Some([total.static_mw?, total.total_mw?, total.energy_uj?])
+    };
+    let (this, that) = (physical(job.deployment)?, physical(other)?);
+    Some(Packing {
+        compared_with: other.name.clone(),
+        cores_powered: [job.deployment.cores_powered, other.cores_powered],
+        static_mw: [this[0], that[0]],
+        total_mw: [this[1], that[1]],
+        energy_uj: [this[2], that[2]],
+    })
+}
+
 /// From a finished run to its report. Its notes belong on stderr when the output is for programs.
 #[must_use]
 pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
     let estimate = estimate(&job.case());
     let mut notes = estimate.notes.clone();
-    let mut rows = Vec::new();
-    for baseline in job.baselines {
-        match baseline.row(job.shape, job.steps_per_sample, job.timestep, job.mode, job.convention) {
-            Ok(row) => rows.push((row, baseline.source())),
-            Err(reason) => notes.push(reason),
-        }
-    }
     let tables = job.meter.tables();
     if tables[job.preset].injection.0 == 0 && job.mode == Mode::Offline {
         notes.push(
@@ -108,6 +132,13 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
     if job.deployment.name == "paper" {
         notes.push("numbers of cores are the VT-SNN paper's; activity is this mapping's".to_string());
     }
+    let baselines = job.baselines.to_vec();
+    let total = estimate.rows.iter().find(|row| row.unit == "total");
+    let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
+    let steps = job.activity.steps() as f64 / job.samples.max(1) as f64;
+    let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
+    let per_sample = per_sample(rows, steps);
+    let packing = job.other.and_then(|other| packing(job, other));
     EnergyReport {
         model: job.model.to_string(),
         target: job.target.name().to_string(),
@@ -119,7 +150,12 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
         samples: job.samples,
         timesteps: job.activity.steps(),
         estimate,
-        baselines: rows,
+        transport: job.meter.transport(),
+        ratios,
+        per_sample,
+        per_decision: job.per_decision.cloned(),
+        packing,
+        baselines,
         early_exit: job.early_exit,
         constants: constant_entries(&job.target.constants()[job.preset]),
         notes,

@@ -2,6 +2,7 @@
 //!
 //! [`options`] says what the options stand for, [`workload`] runs, [`job`] makes the report, [`calibrate`] fits.
 
+pub mod beside;
 pub mod calibrate;
 pub mod job;
 pub mod options;
@@ -11,19 +12,24 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use self::job::{EnergyJob, saved};
-use self::options::{ConventionArg, DeploymentArg, ModeArg, TransportArg, baselines, deployment, tables, with_preset};
+use self::beside::OneCopy;
+use self::job::{EnergyJob, per_decision, saved};
+use self::options::{
+    ConventionArg, DeploymentArg, ModeArg, TransportArg, Watts, baselines, deployment, tables, with_preset,
+};
 use self::workload::Workload;
 use crate::base::units::Picoseconds;
 use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::run::{InputArgs, Switch};
 use crate::cli::{Answer, Context, Format, common};
-use crate::cost::baseline::NetworkShape;
+use crate::cost::Deployment;
 use crate::cost::estimate::Convention;
 use crate::desc::baseline::Mode;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::error::Error;
+use crate::io;
 use crate::report as reports;
+use crate::report::sanafe::Export;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -33,6 +39,8 @@ EXAMPLES:
   nsim energy --early-exit certain                what ending decided samples would save
   nsim energy --constants davies2018 --baseline   the other preset, and no baseline
   nsim energy --transport queued                  every message through finite buffers
+  nsim energy --svg energy.svg                    a chart of where the energy goes
+  nsim energy --copies 1 --export-sanafe DIR      the same program for SANA-FE
   nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
   nsim energy --calibrate vtsnn-realtime          a table that names nothing to fit is only compared
   nsim energy slip-tactile --input tactile=recording.npy --format json";
@@ -61,9 +69,23 @@ pub struct EnergyArgs {
     /// Energy as power x latency, or as the VT-SNN paper computes it
     #[arg(long, default_value = "physical")]
     pub convention: ConventionArg,
-    /// Other hardware to show beside; all that come with nsim when left out, none when given without a name
+    /// Other hardware to show beside: cpu (measured here), or a name of mapping/baselines; all when left out, none when
+    /// given without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
+    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
+    #[arg(long, value_name = "IDLE,BUSY")]
+    pub cpu_watts: Option<Watts>,
+    /// A command that passes the same samples through a GPU, to be timed with the board's power
+    #[cfg(feature = "nvml")]
+    #[arg(long, value_name = "COMMAND")]
+    pub gpu_command: Option<String>,
+    /// A chart of where the energy goes
+    #[arg(long, value_name = "FILE.svg")]
+    pub svg: Option<PathBuf>,
+    /// The mapped program, its chip and the first sample as files for SANA-FE
+    #[arg(long, value_name = "DIR")]
+    pub export_sanafe: Option<PathBuf>,
     /// Preset of constants: of those that the target names (its first when left out), or a file
     #[arg(long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
@@ -92,7 +114,10 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     if let Some(table) = &args.calibrate {
         return calibrate::run(args, table, context);
     }
-    let baselines = baselines(args.baseline.as_deref())?;
+    let asked = baselines(args.baseline.as_deref())?;
+    for file in args.svg.iter().chain(&args.export_sanafe.iter().flat_map(|d| sanafe_files(d)).collect::<Vec<_>>()) {
+        io::write::check_free(file, context.force)?;
+    }
     let (mode, convention) = (Mode::from(args.mode), Convention::from(args.convention));
     let job = match jobs::prepare(&args.job, Wanted::Mapped, args.copies)? {
         Prepared::Ready(job) => job,
@@ -104,14 +129,37 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let (compiled, target) = (workload.compiled, workload.target);
     let (target, preset) = with_preset(target.clone(), args.constants.as_deref())?;
     let (tables, preset) = tables(&target, preset.as_deref())?;
-    let deployment = deployment(&args.deployment, args.copies, &compiled.placement, &target)?;
+    let placement = &compiled.placement;
+    let deployment = deployment(&args.deployment, args.copies, placement, &target)?;
+    let other = match &args.deployment {
+        DeploymentArg::Packed => Some(Deployment::paper()).filter(|paper| paper.copies == args.copies),
+        _ => Some(Deployment::of("packed", placement, target.chip(), args.copies)),
+    };
     let metered = workload.metered(tables, &deployment, args.transport.into());
     let skip = args.skip == Switch::On;
     let (run, meter) = workload.simulate(&metered, None, skip, context)?;
+    let timestep = Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64);
+    let steps_per_sample = workload.steps_per_sample();
+    let alone = match asked.cpu && args.copies > 1 {
+        true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, 1)?),
+        false => None,
+    };
+    let program = match &alone {
+        None => Some(&compiled.program),
+        Some(Prepared::Ready(job)) => job.program(),
+        Some(Prepared::DoesNotFit(_)) => None,
+    };
+    let one =
+        OneCopy { network: &compiled.one, program, samples: &workload.samples, steps: steps_per_sample, timestep };
+    #[cfg_attr(not(feature = "nvml"), allow(unused_mut))]
+    let mut beside = beside::rows(&asked, one, mode, convention, args.cpu_watts);
+    #[cfg(feature = "nvml")]
+    if let Some(command) = &args.gpu_command {
+        beside::gpu(command, run.activity.steps(), one, mode, convention, &mut beside);
+    }
     let whole = EnergyJob {
         model: &compiled.one.parts().name,
         target: &target,
-        shape: &NetworkShape::of(&compiled.one),
         preset,
         activity: &run.activity,
         meter: &meter,
@@ -119,29 +167,44 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         deployment: &deployment,
         mode,
         convention,
-        timestep: Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64),
-        steps_per_sample: workload.steps_per_sample(),
+        timestep,
+        steps_per_sample,
         samples: workload.samples.len() as u64,
         seed: workload.seed,
-        baselines: &baselines,
+        baselines: &beside.rows,
+        per_decision: None,
+        other: other.as_ref(),
         early_exit: None,
     };
-    let early_exit = match args.early_exit {
-        None => None,
-        Some(rule) => {
-            // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
-            let exit = EarlyExit::new(rule, &compiled.one);
-            let (run, meter) = workload.simulate(&metered, Some(exit), skip, context)?;
-            let early = EnergyJob { activity: &run.activity, meter: &meter, ..whole };
-            Some(saved(rule, &whole, &run.outcomes, &early))
+    // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
+    let rule = args.early_exit.unwrap_or(Rule::Certain);
+    let exit = EarlyExit::new(rule, &compiled.one);
+    let (ended, ended_meter) = workload.simulate(&metered, Some(exit), skip, context)?;
+    let early = EnergyJob { activity: &ended.activity, meter: &ended_meter, ..whole };
+    let early_exit = args.early_exit.map(|rule| saved(rule, &whole, &ended.outcomes, &early));
+    let decision = per_decision(rule, &ended.outcomes, &early);
+    let mut energy = job::report(&EnergyJob { early_exit, per_decision: Some(&decision), ..whole });
+    energy.notes.extend(beside.notes);
+    if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
+        io::write::text(path, context.force, &svg)?;
+    }
+    if let Some(folder) = &args.export_sanafe {
+        let table = &meter.tables()[preset];
+        let export = Export { compiled, table, sample: &workload.copied[0], tiles_used: deployment.tiles_used };
+        for (path, text) in sanafe_files(folder).iter().zip(export.files()?) {
+            io::write::text(path, context.force, &text)?;
         }
-    };
-    let energy = job::report(&EnergyJob { early_exit, ..whole });
+    }
     common::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
     if context.format != Format::Text {
         energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
     }
     Ok(Answer::Yes)
+}
+
+/// The files of an export.
+fn sanafe_files(folder: &std::path::Path) -> [PathBuf; 2] {
+    ["arch.yaml", "snn.yaml"].map(|name| folder.join(name))
 }
 
 #[cfg(test)]
@@ -151,8 +214,7 @@ mod tests {
     use super::*;
     use crate::base::diagnostic::SourceText;
     use crate::cli::common::SampleRange;
-    use crate::cost::Deployment;
-    use crate::cost::baseline::tests::vtsnn;
+    use crate::cost::baseline::{Baseline, tests::vtsnn};
     use crate::cost::estimate::tests::{MS, run};
     use crate::desc::spanned::parse;
     use crate::desc::target::Target;
@@ -211,10 +273,11 @@ mod tests {
         let target = nahuku();
         let (tables, preset) = tables(&target, None).unwrap();
         let (activity, meter) = run(&steps(), tables, deployment.tiles_used);
+        let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
+        let row = gpu.row(&vtsnn(), Some(150), MS, mode, convention).unwrap();
         f(job::report(&EnergyJob {
             model: "vtsnn-slip",
             target: &target,
-            shape: &vtsnn(),
             preset,
             activity: &activity,
             meter: &meter,
@@ -226,7 +289,9 @@ mod tests {
             steps_per_sample: Some(150),
             samples: 1,
             seed: Some(7),
-            baselines: &baselines(None).unwrap(),
+            baselines: &[(row, gpu.source())],
+            per_decision: None,
+            other: None,
             early_exit: None,
         }))
     }
@@ -390,7 +455,7 @@ mod tests {
     fn csv_has_a_header_and_a_record_for_each_row() {
         let csv = with_report(&Deployment::paper(), Mode::Offline, Convention::Physical, |r| r.csv().unwrap());
         let mut reader = csv::Reader::from_reader(csv.as_bytes());
-        assert_eq!(reader.headers().unwrap().len(), 16);
+        assert_eq!(reader.headers().unwrap().len(), 17);
         let records: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
         assert_eq!(records.len(), 4);
         assert_eq!((&records[3][8], &records[3][9], &records[3][15]), ("26411.49", "", "published"));

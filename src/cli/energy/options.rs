@@ -152,14 +152,47 @@ pub fn deployment(
     }
 }
 
-/// The baselines asked for: all that are shipped when none is named.
+/// What is shown beside the chip.
+#[derive(Debug)]
+pub struct Beside {
+    /// From files.
+    pub files: Vec<Baseline>,
+    /// Whether this machine's processor is measured.
+    pub cpu: bool,
+}
+
+/// The baselines asked for: all when none is named.
 ///
 /// # Errors
 /// A diagnostic for a name that does not exist.
-pub fn baselines(names: Option<&[String]>) -> Result<Vec<Baseline>, Diagnostic> {
-    match names {
-        Some(names) => names.iter().map(|name| Baseline::shipped(name)).collect(),
-        None => SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect(),
+pub fn baselines(names: Option<&[String]>) -> Result<Beside, Diagnostic> {
+    let Some(names) = names else {
+        let files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
+        return Ok(Beside { files, cpu: true });
+    };
+    let files = names.iter().filter(|name| *name != CPU).map(|name| Baseline::shipped(name));
+    let files = files.collect::<Result<_, _>>().map_err(|problem: Diagnostic| {
+        let known: Vec<&str> = SHIPPED.iter().map(|&(name, _)| name).chain([CPU]).collect();
+        problem.help(format!("baselines are {}", known.join(", ")))
+    })?;
+    Ok(Beside { files, cpu: names.iter().any(|name| name == CPU) })
+}
+
+/// The name of the baseline that is measured on this machine.
+pub const CPU: &str = "cpu";
+
+/// `--cpu-watts`: at idle and busy, in mW.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Watts(pub f64, pub f64);
+
+impl std::str::FromStr for Watts {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("'{text}' is not IDLE,BUSY in watts, such as 10,65");
+        let (idle, busy) = text.split_once(',').ok_or_else(wrong)?;
+        let watts = |text: &str| text.trim().parse::<f64>().ok().filter(|w| (0.0..=1e6).contains(w));
+        let (idle, busy) = (watts(idle).ok_or_else(wrong)?, watts(busy).ok_or_else(wrong)?);
+        if idle <= busy { Ok(Watts(1e3 * idle, 1e3 * busy)) } else { Err(wrong()) }
     }
 }
 

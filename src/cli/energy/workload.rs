@@ -26,7 +26,7 @@ pub struct Workload<'j> {
     /// Samples of one copy, in run order.
     pub samples: Vec<Sample>,
     /// The same for all copies: they share nothing, input channels included, so each sees the whole sample.
-    copied: Vec<Sample>,
+    pub copied: Vec<Sample>,
     /// How the samples were made.
     pub origin: Vec<String>,
     /// Seed of the input, if it was made from one.

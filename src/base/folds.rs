@@ -1,0 +1,60 @@
+//! Folds of a cross-validation.
+
+use super::rng;
+
+/// Keeps the draws of one class apart from those of another.
+const CLASS: u64 = 2 << 32;
+
+/// 0..n in an order that the seed decides (Fisher and Yates).
+fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..n).collect();
+    for i in (1..n).rev() {
+        order.swap(i, rng::below(i as u64 + 1, seed, stream, i as u64) as usize);
+    }
+    order
+}
+
+/// For each of `k` folds the samples that it tests on, ascending: the samples of each class are dealt out in a seeded
+/// order, one class after the other, so that folds differ by at most one in each class and in all.
+#[must_use]
+pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
+    let mut folds = vec![Vec::new(); k];
+    let mut classes: Vec<u32> = labels.to_vec();
+    classes.sort_unstable();
+    classes.dedup();
+    let mut dealt = 0;
+    for class in classes {
+        let members: Vec<usize> = (0..labels.len()).filter(|&i| labels[i] == class).collect();
+        for at in permutation(members.len(), seed, CLASS + u64::from(class)) {
+            if let Some(fold) = folds.get_mut(dealt % k.max(1)) {
+                fold.push(members[at]);
+            }
+            dealt += 1;
+        }
+    }
+    folds.iter_mut().for_each(|fold| fold.sort_unstable());
+    folds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folds_part_the_samples_and_keep_the_classes_even() {
+        let labels: Vec<u32> = (0..103).map(|i| rng::below(4, 5, 0, i) as u32).collect();
+        for k in [1, 2, 5, 7] {
+            let folds = stratified_folds(&labels, k, 9);
+            let mut all: Vec<usize> = folds.iter().flatten().copied().collect();
+            all.sort_unstable();
+            assert!(all.iter().copied().eq(0..103), "{k}");
+            for class in 0..4 {
+                let counts: Vec<usize> =
+                    folds.iter().map(|fold| fold.iter().filter(|&&i| labels[i] == class).count()).collect();
+                assert!(counts.iter().max().unwrap() - counts.iter().min().unwrap() <= 1, "{k} {class}: {counts:?}");
+            }
+        }
+        assert_ne!(stratified_folds(&labels, 5, 9), stratified_folds(&labels, 5, 10));
+        assert!(stratified_folds(&labels, 0, 9).is_empty());
+    }
+}

@@ -1,0 +1,190 @@
+//! Mappings of the suite's networks, measured.
+//!
+//! Comes in: a network and how to map it. Goes out: a [`Mapped`] for each way: what it uses, how far spikes go at an
+//! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
+//! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::base::units::Femtojoules;
+use crate::bench::networks::Bench;
+use crate::bench::suite::{Case, STEPS};
+use crate::compile::rates::Rates;
+use crate::compile::traffic::{DEFAULT_RATE, Traffic, traffic};
+use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, partitioned};
+use crate::cost::constants::CostTable;
+use crate::cost::deployment::Deployment;
+use crate::cost::meter::{Metered, StepMeter};
+use crate::cost::transport::{Transport, Ways};
+use crate::desc::target::Target;
+use crate::golden::Golden;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::{Engine, Sample};
+use crate::machine::{Image, Machine, Settings};
+
+/// A mapping and what it is worth.
+#[derive(Debug, Clone)]
+pub struct Mapped {
+    /// The network.
+    pub network: &'static str,
+    /// How compartments were gathered.
+    pub strategy: Strategy,
+    /// Whether cores were placed by traffic.
+    pub placed: bool,
+    /// What for.
+    pub objective: Objective,
+    /// Cores in use.
+    pub cores: u32,
+    /// Chips in use.
+    pub chips: u32,
+    /// Expected traffic at [`DEFAULT_RATE`].
+    pub traffic: Traffic,
+    /// Mean energy of a simulated step: events and static power of powered cores, in microjoules.
+    pub energy_uj: f64,
+    /// Mean time of a simulated step in microseconds.
+    pub step_us: f64,
+    /// Seconds of all stages, the network itself not included.
+    pub seconds: f64,
+    /// The process's peak memory while it was mapped, where the system tells it.
+    pub peak_mib: Option<f64>,
+}
+
+/// Why there is no row.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The network could not be mapped.
+    #[error("{0} {1}: {2}")]
+    Compile(&'static str, &'static str, CompileError),
+    /// It could not be run or priced.
+    #[error("{0}: {1}")]
+    Run(&'static str, String),
+    /// Its spikes are not the golden interpreter's.
+    #[error("{0} {1}: step {2} has other spikes than golden")]
+    Spikes(&'static str, &'static str, u32),
+}
+
+/// Spikes of each step, by the golden interpreter.
+fn golden(network: &Quantised, sample: &Sample) -> Vec<Vec<u32>> {
+    let mut engine = Golden::new(network);
+    engine.begin(STEPS);
+    let step = |t| {
+        engine.step(sample.at(t));
+        engine.spikes().iter().map(|id| id.0).collect()
+    };
+    (0..STEPS).map(step).collect()
+}
+
+/// The ways in which every network is mapped.
+pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
+    (Strategy::Sequential, Objective::Cores, &[false, true]),
+    (Strategy::Greedy, Objective::Cores, &[false, true]),
+    (Strategy::Multilevel, Objective::Cores, &[false, true]),
+    (Strategy::Multilevel, Objective::Latency, &[true]),
+];
+
+/// Every way of mapping a case; `row` gets each as soon as it is there.
+///
+/// # Errors
+/// [`Failure`], which no network of the suite gives.
+pub fn map_all(
+    case: &Case,
+    bench: &Bench,
+    target: &Target,
+    effort_s: u32,
+    mut row: impl FnMut(Mapped),
+) -> Result<(), Failure> {
+    let meant = golden(&bench.network, &bench.period);
+    let sample = bench.period.copies(case.copies, bench.network.channels());
+    for (strategy, objective, places) in WAYS {
+        let failed = |error| Failure::Compile(case.name, strategy.name(), error);
+        let options = Options { copies: case.copies, strategy, objective, effort_s, ..Options::default() };
+        reset_peak();
+        let begin = Instant::now();
+        let rates = Rates::assumed(DEFAULT_RATE);
+        let partitioned = partitioned(bench.network.clone(), target, &options, &rates).map_err(failed)?;
+        let gathered = begin.elapsed().as_secs_f64();
+        for &place in places {
+            let begin = Instant::now();
+            let compiled = match objective {
+                Objective::Cores => partitioned.placed(target, &Options { place, ..options }),
+                Objective::Energy | Objective::Latency => {
+                    compile_quantised(bench.network.clone(), target, &Options { place, ..options })
+                }
+            };
+            let compiled = compiled.map_err(failed)?;
+            let seconds = gathered + begin.elapsed().as_secs_f64();
+            let peak_mib = peak_mib();
+            let (energy_uj, step_us) = simulated(case, &compiled, target, &sample, &meant)?;
+            row(Mapped {
+                network: case.name,
+                strategy,
+                placed: place,
+                objective,
+                cores: compiled.partition.cores() as u32,
+                chips: compiled.placement.chips_used(),
+                traffic: traffic(&compiled.program, &compiled.rates),
+                energy_uj,
+                step_us,
+                seconds,
+                peak_mib,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Mean energy and time of a step, once its spikes have been compared.
+fn simulated(
+    case: &Case,
+    compiled: &Compiled,
+    target: &Target,
+    sample: &Sample,
+    meant: &[Vec<u32>],
+) -> Result<(f64, f64), Failure> {
+    let failed = |error: &dyn std::fmt::Display| Failure::Run(case.name, error.to_string());
+    let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
+    let table = CostTable::new(constants).map_err(|e| failed(&e))?;
+    let deployment = Deployment::of("packed", &compiled.placement, target.chip(), case.copies);
+    let metered = Metered {
+        tables: vec![table.clone()],
+        tiles_used: deployment.tiles_used,
+        copies: case.copies.into(),
+        ways: Arc::new(Ways::of(&compiled.program)),
+        transport: Transport::Analytic,
+    };
+    let mut meter = StepMeter::new(metered);
+    let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
+    let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
+    machine.begin(STEPS);
+    let of_copy = compiled.one.compartments();
+    for step in 0..STEPS {
+        machine.step(sample.at(step));
+        let copies = (0..case.copies).flat_map(|k| meant[step as usize].iter().map(move |id| id + k * of_copy));
+        if !machine.spikes().iter().map(|id| id.0).eq(copies) {
+            return Err(Failure::Spikes(case.name, compiled.options.strategy.name(), step));
+        }
+        meter.add(machine.last_step(), 1);
+    }
+    let lane = &meter.lanes()[0];
+    let steps = f64::from(STEPS);
+    let time: f64 = lane.time.iter().map(|time| time.total().microseconds()).sum::<f64>() / steps;
+    let dynamic: f64 = lane.energy.iter().copied().sum::<Femtojoules>().microjoules() / steps;
+    let fixed = (table.core_step * deployment.cores_powered).microjoules();
+    // Milliwatts times microseconds are nanojoules.
+    let powered = table.core_static.milliwatts() * deployment.cores_powered as f64 * time * 1e-3;
+    Ok((dynamic + fixed + powered, time))
+}
+
+/// Lets the peak of memory begin anew, where Linux allows it.
+fn reset_peak() {
+    // Where it is not allowed the peak of everything before counts too, and is at worst too large.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+fn peak_mib() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kib / 1024.0)
+}

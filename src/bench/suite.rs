@@ -1,0 +1,342 @@
+//! The networks that mappings are compared on, as code.
+//!
+//! Comes in: a name. Goes out: the network in integers, a short input, and the board. Sizes are those of published
+//! networks where there is one; weights are drawn (`base::rng`), because places do not depend on them.
+//!
+//! - `vtsnn-slip`, `container-tactile`: 156 / 3,150 -> 50 / 10 -> 2 and 78 -> 32 -> 20, dense; `vtsnn-slip-x32`: 32 copies
+//!   of the first, which share nothing.
+//! - `pilotnet`: Bojarski et al. 2016: 3 @ 66 x 200, convolutions to 24 @ 31 x 98, 36 @ 14 x 47, 48 @ 5 x 22 (5 x 5, stride
+//!   2), 64 @ 3 x 20, 64 @ 1 x 18 (3 x 3), then 100, 50, 10, 1.
+//! - `dvs-gesture`: SANA-FE `snn/dvs.yaml`: 32 x 32, 16 @ 15 x 15, 32 @ 13 x 13, 64 @ 11 x 11, 11 @ 9 x 9, 11.
+//! - `lenet`: LeCun et al. 1998: 28 x 28, 6 @ 28 x 28, pooled, 16 @ 10 x 10, pooled, 120, 84, 10.
+//! - `mlp-3x1024`: 784, three layers of 1,024, 10.
+//! - `random-N`: N compartments, each with a driving channel and 64 random synapses ([`crate::bench::networks::random`]).
+//! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
+//!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between
+//!   one in a hundred and one in ten, on a sheet instead of a ring).
+//! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 / sqrt(j), as hubs of preferential
+//!   attachment do (Barabasi & Albert 1999); no compartment takes more than 2,000, so that its input axons fit a core.
+
+use crate::base::fixed::{OutOfRange, SignMode};
+use crate::base::id::{ChannelId, PopulationId};
+use crate::base::rng;
+use crate::bench::networks::{Bench, Builder, Random, Unbuildable, random, vtsnn};
+use crate::ir::graph::Window;
+use crate::ir::quantised::Connectivity;
+use crate::ir::spikes::Sample;
+
+/// Steps of input: enough for spikes to reach every layer.
+pub const STEPS: u32 = 16;
+/// Of each channel, one step in so many has a spike.
+const RARE: u64 = 20;
+
+/// A network to map.
+#[derive(Debug, Clone)]
+pub struct Case {
+    /// Its name in results.
+    pub name: &'static str,
+    /// Copies.
+    pub copies: u32,
+    /// Whether it is left out unless everything is asked for.
+    pub large: bool,
+    make: fn(&'static str) -> Result<Bench, Unbuildable>,
+}
+
+impl Case {
+    /// The network with its input.
+    ///
+    /// # Errors
+    /// [`Unbuildable`] never in practice; the tests build all.
+    pub fn build(&self) -> Result<Bench, Unbuildable> {
+        (self.make)(self.name)
+    }
+}
+
+/// All networks, small ones first.
+#[must_use]
+pub fn cases() -> Vec<Case> {
+    let case = |name, make| Case { name, copies: 1, large: false, make };
+    vec![
+        case("vtsnn-slip", slip),
+        case("container-tactile", container),
+        Case { copies: 32, ..case("vtsnn-slip-x32", slip) },
+        case("lenet", lenet),
+        case("dvs-gesture", gesture),
+        case("mlp-3x1024", perceptron),
+        case("random-1k", |name| recurrent(name, 1_000)),
+        case("small-world-1k", |name| small_world(name, 32)),
+        case("scale-free-1k", |name| scale_free(name, 1_000)),
+        case("random-10k", |name| recurrent(name, 10_000)),
+        case("small-world-10k", |name| small_world(name, 100)),
+        case("scale-free-10k", |name| scale_free(name, 10_000)),
+        case("pilotnet", pilotnet),
+        case("random-100k", |name| recurrent(name, 100_000)),
+        case("small-world-100k", |name| small_world(name, 316)),
+        case("scale-free-100k", |name| scale_free(name, 100_000)),
+        Case { large: true, ..case("random-1m", |name| recurrent(name, 1_000_000)) },
+        Case { large: true, ..case("small-world-1m", |name| small_world(name, 1_000)) },
+        Case { large: true, ..case("scale-free-1m", |name| scale_free(name, 1_000_000)) },
+    ]
+}
+
+fn bench(net: Builder, target: &'static str) -> Result<Bench, Unbuildable> {
+    let network = net.build()?;
+    let mut events = Vec::new();
+    for channel in 0..network.channels() {
+        let spiking = (0..STEPS).filter(|&t| rng::below(RARE, 5, u64::from(channel), u64::from(t)) == 0);
+        events.extend(spiking.map(|t| (t, ChannelId(channel))));
+    }
+    Ok(Bench { network, period: Sample::new(STEPS, events, None)?, target })
+}
+
+fn slip(name: &'static str) -> Result<Bench, Unbuildable> {
+    let Bench { network, target, .. } = vtsnn(name, 5)?;
+    let mut events = Vec::new();
+    for channel in 0..network.channels() {
+        let spiking = (0..STEPS).filter(|&t| rng::below(RARE, 5, u64::from(channel), u64::from(t)) == 0);
+        events.extend(spiking.map(|t| (t, ChannelId(channel))));
+    }
+    Ok(Bench { network, period: Sample::new(STEPS, events, None)?, target })
+}
+
+fn container(name: &'static str) -> Result<Bench, Unbuildable> {
+    let mut net = Builder::new(name);
+    let touch = net.input("touch", 78);
+    let hidden = net.loihi("hidden", 32, 80, 1)?;
+    let out = net.loihi("out", 20, 80, 1)?;
+    net.dense((touch, hidden), (-16, 32), 1)?;
+    net.dense((hidden, out), (-32, 48), 2)?;
+    bench(net, "nahuku-32")
+}
+
+/// Layers that grow one by one.
+struct Layers {
+    net: Builder,
+    last: PopulationId,
+    size: (u32, u32, u32),
+    seed: u64,
+}
+
+impl Layers {
+    fn new(name: &str, size: (u32, u32, u32)) -> Self {
+        let mut net = Builder::new(name);
+        let last = net.input("input", size.0 * size.1 * size.2);
+        net.over_space(size.0, size.1, size.2);
+        Layers { net, last, size, seed: 10 }
+    }
+
+    fn next(&mut self, size: (u32, u32, u32)) -> Result<PopulationId, OutOfRange> {
+        self.seed += 1;
+        let name = format!("layer{}", self.seed - 10);
+        let id = self.net.loihi(&name, size.0 * size.1 * size.2, 60, 1)?;
+        if size.1 * size.2 > 1 {
+            self.net.over_space(size.0, size.1, size.2);
+        }
+        Ok(id)
+    }
+
+    fn window(&self, to: u32, kernel: u32, stride: u32, padding: u32, groups: u32) -> Window {
+        let reach = |source: u32| (source + 2 * padding - kernel) / stride + 1;
+        let (_, h, w) = self.size;
+        Window {
+            source: self.size,
+            target: (to, reach(h), reach(w)),
+            kernel: (kernel, kernel),
+            stride: (stride, stride),
+            padding: (padding, padding),
+            dilation: (1, 1),
+            groups,
+        }
+    }
+
+    fn convolve(&mut self, channels: u32, kernel: u32, stride: u32, padding: u32) -> Result<(), OutOfRange> {
+        let window = self.window(channels, kernel, stride, padding, 1);
+        let to = self.next(window.target)?;
+        let weights = u64::from(channels * self.size.0 * kernel * kernel);
+        // Half as many positive as negative steps more: layers keep firing.
+        let weight = |index| -24 + 2 * rng::below(33, self.seed, index, 0) as i16;
+        let kernel = (0..weights).map(weight).collect();
+        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::Conv2d { window, kernel })?;
+        (self.last, self.size) = (to, window.target);
+        Ok(())
+    }
+
+    fn pool(&mut self) -> Result<(), OutOfRange> {
+        let window = self.window(self.size.0, 2, 2, 0, self.size.0);
+        let to = self.next(window.target)?;
+        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::SumPool2d { window, weight: 80 })?;
+        (self.last, self.size) = (to, window.target);
+        Ok(())
+    }
+
+    fn dense(&mut self, units: u32) -> Result<(), OutOfRange> {
+        let to = self.next((units, 1, 1))?;
+        self.net.dense((self.last, to), (-24, 40), self.seed)?;
+        (self.last, self.size) = (to, (units, 1, 1));
+        Ok(())
+    }
+}
+
+fn lenet(name: &'static str) -> Result<Bench, Unbuildable> {
+    let mut layers = Layers::new(name, (1, 28, 28));
+    layers.convolve(6, 5, 1, 2)?;
+    layers.pool()?;
+    layers.convolve(16, 5, 1, 0)?;
+    layers.pool()?;
+    for units in [120, 84, 10] {
+        layers.dense(units)?;
+    }
+    bench(layers.net, "nahuku-32")
+}
+
+fn gesture(name: &'static str) -> Result<Bench, Unbuildable> {
+    let mut layers = Layers::new(name, (1, 32, 32));
+    layers.convolve(16, 3, 2, 0)?;
+    for channels in [32, 64, 11] {
+        layers.convolve(channels, 3, 1, 0)?;
+    }
+    layers.dense(11)?;
+    bench(layers.net, "nahuku-32")
+}
+
+fn pilotnet(name: &'static str) -> Result<Bench, Unbuildable> {
+    let mut layers = Layers::new(name, (3, 66, 200));
+    for channels in [24, 36, 48] {
+        layers.convolve(channels, 5, 2, 0)?;
+    }
+    for _ in 0..2 {
+        layers.convolve(64, 3, 1, 0)?;
+    }
+    for units in [100, 50, 10, 1] {
+        layers.dense(units)?;
+    }
+    bench(layers.net, "pohoiki-springs")
+}
+
+fn perceptron(name: &'static str) -> Result<Bench, Unbuildable> {
+    let mut layers = Layers::new(name, (784, 1, 1));
+    for units in [1024, 1024, 1024, 10] {
+        layers.dense(units)?;
+    }
+    bench(layers.net, "nahuku-32")
+}
+
+fn recurrent(name: &'static str, compartments: u32) -> Result<Bench, Unbuildable> {
+    let driven = compartments / 50;
+    random(name, Random { compartments, background: 0, driven, period: STEPS })
+}
+
+/// Compartments with a driving channel each and listed synapses.
+fn listed(
+    name: &'static str,
+    compartments: u32,
+    targets_of: impl Fn(u32, &mut Vec<u32>),
+) -> Result<Bench, Unbuildable> {
+    let mut net = Builder::new(name);
+    let drive = net.input("drive", compartments);
+    let neurons = net.loihi("neurons", compartments, 1_400, 8)?;
+    let one_to_one = Connectivity::Sparse {
+        first: (0..=u64::from(compartments)).collect(),
+        targets: (0..compartments).collect(),
+        weights: vec![254; compartments as usize].into(),
+    };
+    net.connect((drive, neurons), 3, SignMode::Mixed, one_to_one)?;
+    let (mut first, mut all, mut own) = (vec![0u64], Vec::new(), Vec::new());
+    for source in 0..compartments {
+        own.clear();
+        targets_of(source, &mut own);
+        own.sort_unstable();
+        own.dedup();
+        all.extend_from_slice(&own);
+        first.push(all.len() as u64);
+    }
+    let weight = |index: u64| -16 + 2 * rng::below(17, 6, index, 0) as i16;
+    let weights = (0..all.len() as u64).map(weight).collect();
+    let synapses = Connectivity::Sparse { first: first.into(), targets: all.into(), weights };
+    net.connect((neurons, neurons), 0, SignMode::Mixed, synapses)?;
+    bench(net, if compartments > 50_000 { "pohoiki-springs" } else { "nahuku-32" })
+}
+
+/// Synapses of a compartment of the networks below.
+const FAN_OUT: u32 = 32;
+
+fn small_world(name: &'static str, side: u32) -> Result<Bench, Unbuildable> {
+    let n = side * side;
+    // The 33 nearest of a square neighbourhood of 7 x 7, without its corners' surroundings, less the compartment itself.
+    let near: Vec<(i64, i64)> = (-3..=3i64)
+        .flat_map(|y| (-3..=3i64).map(move |x| (y, x)))
+        .filter(|&(y, x)| (y, x) != (0, 0) && y * y + x * x <= 10)
+        .take(FAN_OUT as usize + 4)
+        .collect();
+    listed(name, n, |source, targets| {
+        let (y, x) = (i64::from(source / side), i64::from(source % side));
+        for (k, &(dy, dx)) in near.iter().enumerate() {
+            let draw = |n: u32, what| rng::below(u64::from(n), 7, u64::from(source), 2 * k as u64 + what) as u32;
+            if draw(50, 0) == 0 {
+                targets.push(draw(n, 1));
+            } else if (0..i64::from(side)).contains(&(y + dy)) && (0..i64::from(side)).contains(&(x + dx)) {
+                targets.push(((y + dy) * i64::from(side) + x + dx) as u32);
+            }
+        }
+    })
+}
+
+fn scale_free(name: &'static str, n: u32) -> Result<Bench, Unbuildable> {
+    const MOST_IN: u32 = 2_000;
+    let taken = std::cell::RefCell::new(vec![0u32; n as usize]);
+    listed(name, n, |source, targets| {
+        let mut taken = taken.borrow_mut();
+        for k in 0..u64::from(FAN_OUT) {
+            // The square of an even number of [0, 1) falls below x with a probability of sqrt(x).
+            let even = rng::unit(8, u64::from(source), k);
+            let mut target = (even * even * f64::from(n)) as u32;
+            while taken[target as usize] >= MOST_IN {
+                target = (target + 1) % n;
+            }
+            taken[target as usize] += 1;
+            targets.push(target);
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::golden::Golden;
+    use crate::ir::spikes::Engine;
+
+    #[test]
+    fn every_network_can_be_built_and_its_layers_fire() {
+        for case in cases().into_iter().filter(|case| !case.large && !case.name.contains("100k")) {
+            let bench = case.build().unwrap();
+            let network = &bench.network;
+            let mut engine = Golden::new(network);
+            engine.begin(STEPS);
+            (0..STEPS).for_each(|t| engine.step(bench.period.at(t)));
+            let spikes = engine.totals().spikes;
+            println!(
+                "{}: {} compartments, {} synapses, {spikes} spikes",
+                case.name,
+                network.compartments(),
+                network.synapses()
+            );
+            assert!(spikes > 0, "{}", case.name);
+        }
+    }
+
+    #[test]
+    fn sizes_are_the_published_ones() {
+        let size = |name: &str| {
+            let case = cases().into_iter().find(|case| case.name == name).unwrap();
+            let network = case.build().unwrap().network;
+            (network.channels(), network.compartments(), network.synapses())
+        };
+        assert_eq!(size("lenet").1, 6 * 784 + 6 * 196 + 16 * 100 + 16 * 25 + 120 + 84 + 10);
+        let gesture = 15 * 15 * 16 + 13 * 13 * 32 + 11 * 11 * 64 + 9 * 9 * 11 + 11;
+        assert_eq!((size("dvs-gesture").0, size("dvs-gesture").1), (1_024, gesture));
+        assert_eq!(size("mlp-3x1024").2, 784 * 1024 + 2 * 1024 * 1024 + 10 * 1024);
+        let (channels, compartments, synapses) = size("small-world-1k");
+        assert_eq!((channels, compartments), (1_024, 1_024));
+        assert!((25 * 1_024..37 * 1_024).contains(&synapses), "{synapses}");
+    }
+}

@@ -1,0 +1,143 @@
+//! Rows of other hardware: published, modelled, or measured on this machine.
+
+use std::path::Path;
+use std::time::Duration;
+
+use crate::base::units::Picoseconds;
+use crate::bench::Environment;
+use crate::bench::cpu::{self, Timed};
+use crate::bench::power::{POWERCAP, Power, PowerMeter};
+use crate::cli::energy::options::{Beside, Watts};
+use crate::cost::baseline::{Figures, NetworkShape, Work};
+use crate::cost::estimate::{Convention, Row, RowSource};
+use crate::desc::baseline::Mode;
+use crate::ir::program::Program;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
+
+/// A desktop processor at idle and busy, in mW, for when nothing says better: assumed, and printed as such.
+const ASSUMED_MW: (f64, f64) = (10_000.0, 65_000.0);
+/// How long each of the two measurements takes, about.
+const BUDGET: Duration = Duration::from_millis(400);
+/// How long the counters are watched at idle.
+const IDLE: Duration = Duration::from_millis(300);
+/// Timesteps of a repeat, about: more would only take longer.
+const TIMESTEPS: u64 = 1_500;
+
+/// The workload of one copy.
+#[derive(Debug, Clone, Copy)]
+pub struct OneCopy<'a> {
+    /// The network.
+    pub network: &'a Quantised,
+    /// It, mapped alone.
+    pub program: Option<&'a Program>,
+    /// What it is shown.
+    pub samples: &'a [Sample],
+    /// Timesteps of a sample; `None` when samples differ.
+    pub steps: Option<u32>,
+    /// Length of a timestep.
+    pub timestep: Picoseconds,
+}
+
+/// Rows with their sources, and what to note about them.
+#[derive(Debug, Default)]
+pub struct Rows {
+    /// In the order of the table.
+    pub rows: Vec<(Row, String)>,
+    /// Why a row is not what one might expect.
+    pub notes: Vec<String>,
+}
+
+/// The rows of all hardware asked for.
+#[must_use]
+pub fn rows(asked: &Beside, one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>) -> Rows {
+    let mut found = Rows::default();
+    let (shape, work) = (NetworkShape::of(one.network), Work::of(one.network));
+    for baseline in &asked.files {
+        match baseline.row(&shape, one.steps, one.timestep, mode, convention) {
+            Ok(row) => found.rows.push((row, baseline.source())),
+            Err(reason) => {
+                if let Some(row) = baseline.modelled(&work, one.steps, one.timestep, mode, convention) {
+                    let source = "modelled from its peak rate, bandwidth, overhead a layer and power (equation 18)";
+                    found.rows.push((row, format!("{source}: {reason}")));
+                } else {
+                    found.notes.push(reason);
+                }
+            }
+        }
+    }
+    if asked.cpu {
+        measured(one, mode, convention, watts, &mut found);
+    }
+    found
+}
+
+/// The row of a command on a GPU that passes so many timesteps.
+#[cfg(feature = "nvml")]
+pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: Convention, found: &mut Rows) {
+    use crate::bench::gpu;
+    let idle = Duration::from_secs(2);
+    let measured = gpu::with_nvml(|name, power| (name, gpu::measure(command, steps, idle, power)));
+    match measured.and_then(|(name, measured)| Ok((name, measured?))) {
+        Err(reason) => found.notes.push(format!("no row for --gpu-command: {reason}")),
+        Ok((name, measured)) => {
+            let figures = Figures {
+                static_mw: measured.power.static_mw,
+                dynamic_mw: measured.power.dynamic_mw,
+                latency_us: measured.us_per_timestep,
+                source: RowSource::Measured,
+                power_source: RowSource::Measured,
+            };
+            let figures = match mode {
+                Mode::Offline => figures,
+                Mode::Realtime => figures.in_real_time(one.timestep.microseconds(), true, true),
+            };
+            let source = format!(
+                "'{command}', {} timesteps, board power in {} readings by NVML, idle measured first",
+                measured.timesteps, measured.readings
+            );
+            found.rows.push((figures.row(&name, convention, one.steps), source));
+        }
+    }
+}
+
+fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>, found: &mut Rows) {
+    let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), ASSUMED_MW, IDLE);
+    let samples = cpu::enough(one.samples, TIMESTEPS);
+    let here = Environment::here();
+    let mut add = |name: &str, window: bool, (timed, power): (Result<Timed, String>, Power)| match timed {
+        Err(reason) => found.notes.push(format!("no row for {name}: {reason}")),
+        Ok(timed) => {
+            let figures = Figures {
+                static_mw: power.static_mw,
+                dynamic_mw: power.dynamic_mw,
+                latency_us: timed.us_per_timestep,
+                source: RowSource::Measured,
+                power_source: power.source,
+            };
+            let figures = match mode {
+                Mode::Offline => figures,
+                Mode::Realtime => figures.in_real_time(one.timestep.microseconds(), window, true),
+            };
+            let source = format!(
+                "one thread of {here}; median of {} repeats of {} timesteps, quartiles {:.3} us apart, fastest {:.3} us; {}",
+                timed.repeats,
+                timed.timesteps,
+                timed.spread,
+                timed.fastest,
+                meter.source()
+            );
+            found.rows.push((figures.row(name, convention, one.steps), source));
+        }
+    };
+    add("CPU, dense f32", true, meter.during(|| cpu::dense(one.network, samples, BUDGET)));
+    match one.program {
+        Some(program) => {
+            add("CPU, event-driven", false, meter.during(|| cpu::event_driven(program, samples, BUDGET)));
+        }
+        None => found.notes.push("no row for CPU, event-driven: one copy alone could not be mapped".to_string()),
+    }
+    if here.profile == "debug" {
+        found.notes.push("nsim was built without optimisation: its rows of the processor are slow".to_string());
+    }
+}

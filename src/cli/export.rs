@@ -1,0 +1,65 @@
+//! `nsim export MODEL -o FILE.nir`: a model in a form that other tools read.
+//!
+//! Comes in: a model of any kind that nsim reads. Goes out: a NIR file, and a word on what other tools will not see of the
+//! model. nsim itself reads it back without loss.
+
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::{Answer, Context, common};
+use crate::error::Error;
+use crate::io::draft::Draft;
+use crate::io::foreign::{hdf5, nir_export};
+use crate::io::{model, write};
+use crate::report::inspect::Findings;
+
+/// What was typed.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "EXAMPLES:
+  nsim export vtsnn-slip -o slip.nir
+  nsim export network.net -o network.nir        from one foreign form to another")]
+pub struct Args {
+    /// A model file or the name of a shipped model
+    pub model: String,
+    /// The NIR file to write
+    #[arg(short, long, value_name = "FILE.nir")]
+    output: PathBuf,
+}
+
+/// The command.
+///
+/// # Errors
+/// When the model cannot be read or has parts that NIR has no form for.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    if args.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("nir")) {
+        return Err(Error::Usage(format!("-o {}: models are exported as .nir", args.output.display())));
+    }
+    write::check_free(&args.output, context.force)?;
+    let draft = Draft::of(&model::load_model(&args.model)?)?;
+    let (tree, notes) = nir_export::export(&draft)?;
+    let bytes = hdf5::write(&tree)?;
+    write::file(&args.output, context.force, |out| out.write_all(&bytes))?;
+    for note in &notes {
+        tracing::warn!("{note}");
+    }
+    let nodes = tree.group("node/nodes").map_or(0, |nodes| nodes.items.len());
+    let found = Findings {
+        kind: "NIR",
+        facts: vec![
+            ("model", json!(args.model)),
+            ("written", json!(args.output.display().to_string())),
+            ("nodes", json!(nodes)),
+            ("bytes", json!(bytes.len())),
+            ("notes", json!(notes)),
+        ],
+        tables: Vec::new(),
+    };
+    let schema = |mut value: serde_json::Value| {
+        value["schema"] = json!("nsim.export/1");
+        value
+    };
+    let file = args.output.display().to_string();
+    common::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
+    Ok(Answer::Yes)
+}

@@ -1,0 +1,203 @@
+//! `nsim import FILE`: a model of another tool, told and written as one of nsim's own.
+//!
+//! Comes in: a file and what it does not say. Goes out: what was read and by which conventions, and with `-o` the model as
+//! RON with its arrays beside it. The model is lowered before it is written: what cannot be one is refused here.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::{Answer, Context, common};
+use crate::base::diagnostic::Diagnostic;
+use crate::compile::lower::lower;
+use crate::desc::network::ThresholdTest;
+use crate::error::Error;
+use crate::io::draft::{Draft, DraftKind};
+use crate::io::foreign::{self, Imported, Options, ResetMode};
+use crate::report::inspect::{Findings, Rows};
+
+/// When a compartment spikes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Comparison {
+    /// v > threshold, as the chip does.
+    Strict,
+    /// v >= threshold, as SLAYER 2 does.
+    Inclusive,
+}
+
+/// What the voltage does when a neuron spikes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum AtSpike {
+    /// It returns to zero, as on the chip.
+    Zero,
+    /// The threshold is subtracted, which a core cannot do.
+    Subtract,
+}
+
+/// What was typed.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "EXAMPLES:
+  nsim import network.net -o model.ron              a network of lava-dl's netx
+  nsim import network.net --image digit.npy         its input layer driven by an image
+  nsim import weights.pt --neuron slip_loihi.yml    a checkpoint of SLAYER, or one of its sets of .npy
+  nsim import graph.nir --dt 0.1 -o model.ron       NIR, with the timestep that its file does not have
+  nsim import network.net                           only say what it holds")]
+pub struct Args {
+    /// The foreign file
+    pub file: PathBuf,
+    /// Milliseconds that a timestep stands for, where the file does not say
+    #[arg(long, value_name = "MS")]
+    dt: Option<f64>,
+    /// Parameters of the neuron, where the file has none: SLAYER's YAML
+    #[arg(long, value_name = "FILE")]
+    neuron: Option<PathBuf>,
+    /// What v does at a spike, where the file does not say (NIR)
+    #[arg(long, value_enum, value_name = "HOW")]
+    reset: Option<AtSpike>,
+    /// How v is compared with the threshold
+    #[arg(long, value_enum, value_name = "HOW")]
+    threshold: Option<Comparison>,
+    /// An image as .npy, 0 to 1 or 8 bits, that drives the bias of an input layer with neurons
+    #[arg(long, value_name = "FILE")]
+    image: Option<PathBuf>,
+    /// The step at which the first layer starts, each next one a step later
+    #[arg(long, value_name = "STEP")]
+    first_step: Option<u32>,
+    /// Reset u and v of each layer every so many steps, counted from its start
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(1..))]
+    reset_interval: Option<u32>,
+    /// The first of these resets, counted from a layer's start
+    #[arg(long, value_name = "STEPS", default_value_t = 0, requires = "reset_interval")]
+    reset_offset: u32,
+    /// Size of the input of a network that begins with a convolution
+    #[arg(long, value_name = "C,H,W", value_delimiter = ',')]
+    input_shape: Option<Vec<u64>>,
+    /// The model file to write; its arrays go beside it as .safetensors
+    #[arg(short, long, value_name = "MODEL.ron")]
+    output: Option<PathBuf>,
+}
+
+impl Args {
+    fn options(&self) -> Result<Options, Error> {
+        if let Some(dt) = self.dt.filter(|dt| !(*dt > 0.0 && *dt <= 1e6)) {
+            return Err(Error::Usage(format!("--dt {dt}: a timestep is above 0 and at most 1e6 ms")));
+        }
+        if let Some(shape) = self.input_shape.as_ref().filter(|shape| shape.len() != 3 || shape.contains(&0)) {
+            return Err(Error::Usage(format!("--input-shape {shape:?}: write CHANNELS,HEIGHT,WIDTH")));
+        }
+        Ok(Options {
+            dt_ms: self.dt,
+            neuron: self.neuron.clone(),
+            reset: self.reset.map(|reset| match reset {
+                AtSpike::Zero => ResetMode::Zero,
+                AtSpike::Subtract => ResetMode::Subtract,
+            }),
+            threshold: self.threshold.map(|comparison| match comparison {
+                Comparison::Strict => ThresholdTest::Strict,
+                Comparison::Inclusive => ThresholdTest::Inclusive,
+            }),
+            image: self.image.clone(),
+            first_step: self.first_step,
+            reset_interval: self.reset_interval,
+            reset_offset: self.reset_offset,
+            input_shape: self.input_shape.clone(),
+        })
+    }
+}
+
+/// The command.
+///
+/// # Errors
+/// When the file cannot be read, is of no kind that is imported, or holds what nsim has no counterpart for.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let imported = foreign::read(&args.file, &args.options()?)?;
+    let shown = args.output.as_deref().unwrap_or(&args.file);
+    lower(&imported.draft.network(shown)?).map_err(in_the_file(&args.file))?;
+    let files = match &args.output {
+        Some(path) => imported.draft.write(path, context.force)?,
+        None => Vec::new(),
+    };
+    let found = findings(&imported, &files);
+    let file = args.file.display().to_string();
+    let schema = |mut value: serde_json::Value| {
+        value["schema"] = json!("nsim.import/1");
+        value
+    };
+    common::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
+    Ok(Answer::Yes)
+}
+
+/// A problem of the draft, told of the foreign file: its text is not one that the user wrote.
+fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
+    move |mut problem| {
+        problem.place = None;
+        problem.in_file(path)
+    }
+}
+
+/// What was imported, for people and scripts.
+fn findings(imported: &Imported, files: &[String]) -> Findings {
+    let Draft { name, timestep_ms, populations, projections, output, reset, threshold, semantics, .. } =
+        &imported.draft;
+    let reset = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
+    let populations = populations.iter().map(|population| {
+        let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
+        let parameters = population.loihi.iter().flatten().map(|(key, value)| match value {
+            crate::io::draft::Value::Same(value) => format!("{key} {value}"),
+            crate::io::draft::Value::Each(_) => format!("{key} each"),
+        });
+        let kind = match (&population.loihi, population.srm) {
+            (Some(_), _) => "loihi",
+            (None, Some(_)) => "srm",
+            (None, None) => "input",
+        };
+        vec![
+            json!(population.name),
+            json!(kind),
+            json!(population.shape),
+            json!(population.start_step),
+            json!(parameters.chain(real).collect::<Vec<_>>().join(", ")),
+        ]
+    });
+    let projections = projections.iter().map(|projection| {
+        let (kind, weights) = match &projection.kind {
+            DraftKind::Dense(weights) => ("dense", weights.shape().to_vec()),
+            DraftKind::Sparse(synapses) => ("sparse", vec![synapses.len()]),
+            DraftKind::Conv2d { weights, .. } => ("conv2d", weights.shape().to_vec()),
+            DraftKind::SumPool2d { kernel, .. } => ("sumpool2d", vec![kernel.0 as usize, kernel.1 as usize]),
+        };
+        vec![
+            json!(projection.from.join(" + ")),
+            json!(projection.to),
+            json!(kind),
+            json!(weights),
+            json!(projection.delay),
+            json!(projection.weight_exp),
+        ]
+    });
+    Findings {
+        kind: imported.kind,
+        facts: vec![
+            ("name", json!(name)),
+            ("timestep_ms", json!(timestep_ms)),
+            ("semantics", json!(semantics)),
+            ("threshold", json!(threshold)),
+            ("output", json!(output)),
+            ("reset", json!(reset)),
+            ("notes", json!(imported.notes)),
+            ("written", if files.is_empty() { json!(null) } else { json!(files) }),
+        ],
+        tables: vec![
+            Rows {
+                key: "populations",
+                columns: &["name", "kind", "shape", "start_step", "parameters"],
+                rows: populations.collect(),
+            },
+            Rows {
+                key: "projections",
+                columns: &["from", "to", "kind", "weights", "delay", "weight_exp"],
+                rows: projections.collect(),
+            },
+        ],
+    }
+}

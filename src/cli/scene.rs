@@ -1,0 +1,162 @@
+//! `nsim scene`: makes synthetic recordings, writes them as a data set, and says what they hold.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::folds::stratified_folds;
+use crate::cli::{Answer, Context, common};
+use crate::desc::dataset::{DataSet, SampleEntry};
+use crate::desc::spanned::Spanned;
+use crate::desc::stimulus::SceneArg;
+use crate::error::Error;
+use crate::io::{mapping, npy, write};
+use crate::report::scene::{Class, SceneReport};
+use crate::scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim scene slip                                       what 20 scenes hold: labels, densities, onsets
+  nsim scene slip --samples 1000 --seed 7 -o scenes     recordings as .npy, and scenes/dataset.ron
+  nsim scene 'slip?grip_n=1.5..2.5&pixel_noise_hz=1'    other parameters, which docs/scenes.md lists
+  nsim run --input scenes/dataset.ron";
+
+/// Make synthetic visual-tactile recordings
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// slip, with parameters as NAME?key=value&..
+    pub name: String,
+    /// How many samples
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(crate::scene::MOST_SAMPLES)))]
+    pub samples: Option<u32>,
+    /// Seed of everything that is drawn
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Folder for the recordings and their dataset.ron
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+}
+
+/// Folds of the manifest's cross-validation, as the paper has them.
+const FOLDS: usize = 5;
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Error`] for an unknown scene or parameter, and when a file cannot be written.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let mut argument = SceneArg::parse(args.name.strip_prefix("scene:").unwrap_or(&args.name))?;
+    let given = [("samples", args.samples.map(u64::from)), ("seed", args.seed)];
+    for (key, value) in given.into_iter().filter_map(|(key, value)| Some((key, value?))) {
+        argument.parameters.retain(|(other, _)| other != key);
+        argument.parameters.push((key.to_string(), value.to_string()));
+    }
+    let scene = Recorded::parse(&argument)?;
+    if let Some(folder) = &args.output {
+        write::check_free(&folder.join("dataset.ron"), context.force)?;
+    }
+    let bar = common::progress(context, u64::from(scene.samples()), "scenes");
+    let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> = (0..scene.samples())
+        .into_par_iter()
+        .map(|sample| {
+            let recording = scene.recording(sample);
+            let files = match &args.output {
+                Some(folder) => store(folder, sample, &recording, context.force)?,
+                None => [String::new(), String::new()],
+            };
+            bar.inc(1);
+            let [touch, vision] = files.map(Spanned::from);
+            let files = [(TOUCH.0.to_string(), touch), (VISION.0.to_string(), vision)].into();
+            let entry = SampleEntry { files, label: Some(recording.label), onset_ms: recording.onset_ms };
+            Ok((Facts::of(&recording), entry))
+        })
+        .collect();
+    bar.finish_and_clear();
+    let (facts, entries): (Vec<Facts>, Vec<SampleEntry>) =
+        made.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
+    let manifest = args.output.as_ref().map(|folder| folder.join("dataset.ron"));
+    if let Some(path) = &manifest {
+        let text = mapping::pretty(&data_set(&scene, &argument, entries), 2)?;
+        write::text(path, context.force, &text)?;
+    }
+    let report = report(&scene, &argument, &facts, manifest);
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(Answer::Yes)
+}
+
+/// What the report needs of a recording.
+struct Facts {
+    label: u32,
+    onset_ms: Option<f64>,
+    spikes: [usize; 2],
+}
+
+impl Facts {
+    fn of(recording: &Recording) -> Facts {
+        let spikes = [recording.touch.len(), recording.vision.len()];
+        Facts { label: recording.label, onset_ms: recording.onset_ms, spikes }
+    }
+}
+
+/// Writes a sample's arrays, `[78, 2, T]` and `[63, 50, T]` of bytes, and says where they are.
+fn store(folder: &Path, sample: u32, recording: &Recording, force: bool) -> Result<[String; 2], Diagnostic> {
+    let taxels = 2 * touch::TAXELS as u64;
+    let shapes = [[taxels, 2], [camera::POOLED_HEIGHT as u64, camera::POOLED_WIDTH as u64]];
+    let mut names = [TOUCH.0, VISION.0].map(|name| format!("{name}/sample_{sample}_label_{}.npy", recording.label));
+    for ((name, shape), events) in names.iter_mut().zip(shapes).zip([&recording.touch, &recording.vision]) {
+        let steps = recording.steps as usize;
+        let mut bytes = vec![0; (shape[0] * shape[1]) as usize * steps];
+        for &(step, channel) in events {
+            bytes[channel as usize * steps + step as usize] = 1;
+        }
+        let shape = [shape[0], shape[1], steps as u64];
+        write::file(&folder.join(&*name), force, |out| npy::write_bytes(out, &shape, &bytes))?;
+    }
+    Ok(names)
+}
+
+fn data_set(scene: &Recorded, argument: &SceneArg, entries: Vec<SampleEntry>) -> DataSet {
+    let labels: Vec<u32> = entries.iter().filter_map(|entry| entry.label).collect();
+    let folds = if labels.len() >= FOLDS { stratified_folds(&labels, FOLDS, scene.seed()) } else { Vec::new() };
+    DataSet {
+        name: scene.name().to_string(),
+        populations: [TOUCH.0, VISION.0].map(|name| (name.to_string(), name.to_string())).into(),
+        steps: Some(scene.steps()),
+        classes: scene.classes(),
+        samples: entries.into_iter().map(Spanned::from).collect(),
+        folds: folds
+            .into_iter()
+            .map(|fold| Spanned::from(fold.into_iter().map(|sample| sample as u32).collect::<Vec<_>>()))
+            .collect(),
+        seed: Some(scene.seed()),
+        provenance: Some(format!("nsim {} scene, {}", env!("CARGO_PKG_VERSION"), argument.spelled())),
+    }
+}
+
+fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Option<PathBuf>) -> SceneReport {
+    let cells = |samples: usize, channels: u32| samples as f64 * f64::from(channels) * f64::from(scene.steps());
+    let class = |(label, name): (usize, String)| {
+        let of: Vec<&Facts> = facts.iter().filter(|fact| fact.label as usize == label).collect();
+        let spikes = |sense: usize| of.iter().map(|fact| fact.spikes[sense] as u64).sum::<u64>();
+        let mut onsets: Vec<f64> = of.iter().filter_map(|fact| fact.onset_ms).collect();
+        onsets.sort_by(f64::total_cmp);
+        Class {
+            name,
+            samples: of.len(),
+            spikes: [spikes(0), spikes(1)],
+            density: [spikes(0) as f64 / cells(of.len(), TOUCH.1), spikes(1) as f64 / cells(of.len(), VISION.1)],
+            onset_ms: onsets.first().map(|&first| [first, onsets[onsets.len() / 2], onsets[onsets.len() - 1]]),
+        }
+    };
+    SceneReport {
+        scene: argument.spelled(),
+        seed: scene.seed(),
+        samples: facts.len(),
+        steps: scene.steps(),
+        timestep_ms: scene.timestep_ms(),
+        classes: scene.classes().into_iter().enumerate().map(class).collect(),
+        manifest: manifest.map(|path| path.display().to_string()),
+    }
+}

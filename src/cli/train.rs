@@ -1,0 +1,395 @@
+//! `nsim train`: trains a network, or studies how well one trains over seeds, folds and settings.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde_json::Value;
+
+use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::cli::common::SampleRange;
+use crate::cli::{Answer, Context, common, inputs};
+use crate::compile;
+use crate::desc::training::TrainingFile;
+use crate::drive::{Outcome, digest};
+use crate::error::Error;
+use crate::io;
+use crate::io::shipped::Origin;
+use crate::ir::quantised::Quantised;
+use crate::report::train::{Run, StudyReport, TrainReport, history_csv};
+use crate::train::checkpoint;
+use crate::train::export;
+use crate::train::fit::{Example, Plan, State, stratified_folds};
+use crate::train::network::Weights;
+use crate::train::plan::plan;
+use crate::train::raster::Raster;
+use crate::train::text::with_field;
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim train models/train/vtsnn-slip.ron -o my-slip.ron    train the slip network on synthetic scenes
+  nsim train models/train/container-tactile.ron --train ev-containers/train --test ev-containers/test -o m.ron
+  nsim train c.ron --folds 5 --log history.csv             with the accuracy of a cross-validation
+  nsim train c.ron --epochs 500 --checkpoint state.safetensors -o m.ron    goes on where it was broken off
+  nsim train c.ron --study runs --seeds 1..6 --folds 5 --set weight_decay=0 --set weight_decay=0.01
+                                                           every combination; runs already in the folder are kept";
+
+/// Train a network with SLAYER: spikes in, a model file out
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// A training file
+    #[arg(value_name = "CONFIG.ron")]
+    config: PathBuf,
+    /// Training samples, as `nsim run --input` takes them [default: what the training file names]
+    #[arg(long, value_name = "SOURCE")]
+    train: Vec<String>,
+    /// Test samples, never used to choose anything [default: what the training file names]
+    #[arg(long, value_name = "SOURCE")]
+    test: Vec<String>,
+    /// Write the model here, its weights beside it as NAME.safetensors
+    #[arg(short, long, value_name = "MODEL.ron")]
+    output: Option<PathBuf>,
+    /// Another seed than the training file's
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Other epochs than the training file's
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    epochs: Option<u32>,
+    /// Train on so many stratified folds too, and report the accuracy on what each leaves out
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=100))]
+    folds: Option<u32>,
+    /// Another value for a field of the training file; with --study a field may be given several values
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+    /// Write loss and accuracy of each epoch here, as CSV
+    #[arg(long, value_name = "FILE.csv")]
+    log: Option<PathBuf>,
+    /// Keep the state here after every tenth epoch, and begin from it if it is there
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+    /// Train every combination of --seeds, --folds and --set, keep each result in this folder, and go on where a study
+    /// was broken off
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["output", "log", "checkpoint", "seed"])]
+    study: Option<PathBuf>,
+    /// Seeds of a study
+    #[arg(long, value_name = "A..B", requires = "study", default_value = "1..6")]
+    seeds: SampleRange,
+}
+
+/// A training file, checked.
+struct Job {
+    file: TrainingFile,
+    plan: Plan,
+}
+
+fn job(source: &SourceText, args: &Args) -> Result<Job, Error> {
+    let mut file = TrainingFile::parse(source)?;
+    file.seed = args.seed.unwrap_or(file.seed);
+    file.epochs = args.epochs.unwrap_or(file.epochs);
+    let plan = plan(&file, source)?;
+    Ok(Job { file, plan })
+}
+
+/// The text of the training file with fields replaced.
+fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText, Error> {
+    let mut text = source.text().to_string();
+    for (key, value) in fields {
+        let changed = with_field(&text, key, value);
+        text = changed.ok_or_else(|| Error::Usage(format!("--set {key}: the training file is no Training(..)")))?;
+    }
+    Ok(SourceText::new(source.path(), text))
+}
+
+/// A network with the inputs of the training file, by which sources are read as for `nsim run`.
+fn stand_in(file: &TrainingFile) -> Result<Quantised, Error> {
+    let mut text = String::from("Network(name: \"inputs\", timestep_ms: 1.0, populations: [");
+    for input in &file.inputs {
+        text += &format!("Input(name: {:?}, shape: {:?}),", input.name, input.shape);
+    }
+    text += "Loihi(name: \"stand-in-for-the-layers\", shape: [1], du: 0, dv: 0, vth_mant: 0)], projections: [";
+    for input in &file.inputs {
+        text += &format!(
+            "Random(from: [{:?}], to: \"stand-in-for-the-layers\", fan_out: 1, low: 0, high: 0, seed: 0),",
+            input.name
+        );
+    }
+    text += "], output: \"stand-in-for-the-layers\")";
+    let network = io::model::network(SourceText::new("inputs of the training file", text), Origin::File)?;
+    Ok(compile::front(&network)?.into_quantised())
+}
+
+/// Labelled samples of the given sources, or of those that the training file names.
+fn examples(
+    network: &Quantised,
+    given: &[String],
+    named: &[String],
+    what: &str,
+    config: &Path,
+) -> Result<Vec<Example>, Error> {
+    let sources = if given.is_empty() { named } else { given };
+    if sources.is_empty() {
+        return Ok(Vec::new());
+    }
+    let stimulus = inputs::stimulus(network, sources, None, None)?;
+    let mut examples = Vec::with_capacity(stimulus.samples.len());
+    for (index, sample) in stimulus.samples.iter().enumerate() {
+        let label = sample.label().ok_or_else(|| {
+            Diagnostic::new("train.label", format!("{what} sample {index} has no label")).in_file(config)
+        })?;
+        let inputs = network.inputs().map(|(_, population)| {
+            let units = population.shape.len();
+            let first = population.first_channel().map_or(0, |channel| channel.0);
+            let within = |step| {
+                let units = sample.at(step).iter().filter_map(move |channel| channel.0.checked_sub(first));
+                units.filter(move |&unit| unit < population.shape.len()).map(move |unit| (step, unit))
+            };
+            let events = (0..sample.steps()).flat_map(within).collect();
+            Raster::from_events(units as usize, sample.steps() as usize, events)
+        });
+        examples.push(Example { inputs: inputs.collect(), label });
+    }
+    Ok(examples)
+}
+
+/// Training and test samples.
+struct Data {
+    train: Vec<Example>,
+    test: Vec<Example>,
+}
+
+fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data, Error> {
+    let network = stand_in(file)?;
+    let train = examples(&network, &args.train, &file.train, "training", &args.config)?;
+    let test = examples(&network, &args.test, &file.test, "test", &args.config)?;
+    if train.is_empty() {
+        return Err(Error::Usage("there are no training samples: add --train SOURCE".to_string()));
+    }
+    if let Some(example) = train.iter().chain(&test).find(|example| example.label as usize >= classes) {
+        let message = format!("a sample has label {}, the network {classes} outputs", example.label);
+        return Err(Diagnostic::new("train.label", message).in_file(&args.config).into());
+    }
+    Ok(Data { train, test })
+}
+
+/// Trains to the end, from the checkpoint when there is one.
+fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<State, Error> {
+    let of = kept.map(|path| (path, checkpoint::fingerprint(plan, examples)));
+    let state = of.as_ref().map(|(path, print)| checkpoint::load(path, plan, print)).transpose()?.flatten();
+    let mut state = state.unwrap_or_else(|| plan.start());
+    let bar = common::progress(context, u64::from(plan.epochs), "epochs");
+    let mut failed = Ok(());
+    plan.run(&mut state, examples, |state| {
+        bar.set_position(u64::from(state.epoch));
+        if let Some((path, print)) = &of
+            && (state.epoch.is_multiple_of(10) || state.epoch == plan.epochs)
+        {
+            failed = checkpoint::save(path, state, print);
+        }
+        failed.is_ok()
+    });
+    bar.finish_and_clear();
+    failed?;
+    Ok(state)
+}
+
+/// Trains on all samples but those of a fold, and scores on them.
+fn cross_validate(
+    plan: &Plan,
+    examples: &[Example],
+    fold: &[usize],
+    context: Context,
+) -> Result<(f64, Weights), Error> {
+    let part = |tested: bool| {
+        let chosen = (0..examples.len()).filter(|index| fold.contains(index) == tested);
+        chosen.map(|index| examples[index].clone()).collect::<Vec<_>>()
+    };
+    let state = train(plan, &part(false), None, context)?;
+    let weights = plan.result(&state).clone();
+    Ok((plan.score(&weights, &part(true)).accuracy, weights))
+}
+
+/// Folds are drawn from a fixed seed, so that every setting is tried on the same ones.
+const FOLD_SEED: u64 = 0;
+
+fn folds(args: &Args, examples: &[Example]) -> Vec<Vec<usize>> {
+    let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
+    args.folds.map_or_else(Vec::new, |k| stratified_folds(&labels, k as usize, FOLD_SEED))
+}
+
+/// Output spikes as a run shows them.
+fn outcome(output: &Raster) -> Outcome {
+    Outcome { spikes: output.events().collect(), ..Outcome::default() }
+}
+
+fn weights_path(model: &Path) -> PathBuf {
+    model.with_extension("safetensors")
+}
+
+/// Writes a model file and its weights beside it.
+fn write_model(
+    path: &Path,
+    force: bool,
+    file: &TrainingFile,
+    plan: &Plan,
+    weights: &Weights,
+    comment: &str,
+    provenance: &str,
+) -> Result<(), Error> {
+    let beside = weights_path(path);
+    let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let model = export::model(file, &plan.topology, weights, &name, comment, provenance)?;
+    io::write::file(&beside, force, |out| out.write_all(&model.weights))?;
+    Ok(io::write::text(path, force, &model.ron)?)
+}
+
+/// The command.
+///
+/// # Errors
+/// [`Error`] when the training file or a source cannot be used.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let source = io::text::read_text(&args.config)?;
+    let fields = args
+        .set
+        .iter()
+        .map(|text| text.split_once('=').ok_or_else(|| Error::Usage(format!("--set {text}: write FIELD=VALUE"))));
+    let fields = fields.collect::<Result<Vec<_>, _>>()?;
+    if let Some(folder) = &args.study {
+        return study(args, &source, &fields, folder, context);
+    }
+    let source = with_fields(&source, &fields)?;
+    let job = job(&source, args)?;
+    for path in args.output.iter().chain(args.output.as_deref().map(weights_path).as_ref()).chain(&args.log) {
+        io::write::check_free(path, context.force)?;
+    }
+    let data = data(&job.file, job.plan.topology.classes(), args)?;
+    let begin = Instant::now();
+    let state = train(&job.plan, &data.train, args.checkpoint.as_deref(), context)?;
+    let seconds = begin.elapsed().as_secs_f64();
+    let weights = job.plan.result(&state);
+    let score = |examples: &[Example]| job.plan.score(weights, examples).accuracy;
+    let (train_accuracy, test_accuracy) = (score(&data.train), (!data.test.is_empty()).then(|| score(&data.test)));
+    let seen = if data.test.is_empty() { &data.train } else { &data.test };
+    let outcomes: Vec<Outcome> = job.plan.outputs(weights, seen).iter().map(outcome).collect();
+    let mut fold_accuracies = Vec::new();
+    for fold in folds(args, &data.train) {
+        fold_accuracies.push(cross_validate(&job.plan, &data.train, &fold, context)?.0);
+    }
+    let report = TrainReport {
+        name: &job.file.name,
+        epochs: state.epoch,
+        seed: job.plan.seed,
+        seconds,
+        samples: (data.train.len(), data.test.len()),
+        train_accuracy,
+        test_accuracy,
+        folds: &fold_accuracies,
+        model: args.output.as_deref(),
+        loss: state.history.last().map(|row| row.loss),
+        digest: &digest(&outcomes),
+    };
+    if let Some(path) = &args.log {
+        io::write::text(path, context.force, &history_csv(&state.history))?;
+    }
+    if let Some(path) = &args.output {
+        let (comment, provenance) = (report.provenance(&source, &args.set), report.summary());
+        write_model(path, context.force, &job.file, &job.plan, weights, &comment, &provenance)?;
+    }
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(Answer::Yes)
+}
+
+/// Every combination of the values that fields are given.
+fn combinations<'a>(fields: &[(&'a str, &'a str)]) -> Vec<Vec<(&'a str, &'a str)>> {
+    let mut keys: Vec<&str> = Vec::new();
+    for (key, _) in fields {
+        if !keys.contains(key) {
+            keys.push(key);
+        }
+    }
+    let mut all = vec![Vec::new()];
+    for key in keys {
+        let values: Vec<_> = fields.iter().filter(|field| field.0 == key).collect();
+        let with = |combination: &Vec<_>| {
+            values.iter().map(|&&value| combination.iter().copied().chain([value]).collect()).collect::<Vec<Vec<_>>>()
+        };
+        all = all.iter().flat_map(with).collect();
+    }
+    all
+}
+
+/// A run of a study from its file, when it is there and of the same training.
+fn kept(path: &Path, print: &str) -> Option<Run> {
+    let value: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+    (value["fingerprint"] == print).then(|| Run::from_json(&value)).flatten()
+}
+
+fn study(
+    args: &Args,
+    source: &SourceText,
+    fields: &[(&str, &str)],
+    folder: &Path,
+    context: Context,
+) -> Result<Answer, Error> {
+    let seeds = args.seeds.0.clone();
+    if seeds.end > seeds.start.saturating_add(1000) {
+        return Err(Error::Usage("--seeds: at most 1000 seeds".to_string()));
+    }
+    let mut runs = Vec::new();
+    let mut read: Option<Data> = None;
+    for (number, setting) in combinations(fields).iter().enumerate() {
+        let source = with_fields(source, setting)?;
+        let Job { file, mut plan } = job(&source, args)?;
+        let data = match &mut read {
+            Some(data) => data,
+            none => none.insert(data(&file, plan.topology.classes(), args)?),
+        };
+        let folds = folds(args, &data.train);
+        let name = setting.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(" ");
+        for seed in seeds.clone() {
+            plan.seed = seed as u64;
+            let print = checkpoint::fingerprint(&plan, &data.train);
+            let parts = if folds.is_empty() { vec![None] } else { folds.iter().map(Some).collect::<Vec<_>>() };
+            for (part, fold) in parts.into_iter().enumerate() {
+                let kind = if fold.is_some() { format!("fold{part}") } else { "test".to_string() };
+                let path = folder.join(format!("{}-{}-{seed}-{kind}.json", file.name, &print[..12]));
+                let run = match kept(&path, &print) {
+                    Some(run) => run,
+                    None => {
+                        let begin = Instant::now();
+                        let (accuracy, weights) = match fold {
+                            Some(fold) => cross_validate(&plan, &data.train, fold, context)?,
+                            None => {
+                                let state = train(&plan, &data.train, None, context)?;
+                                let weights = plan.result(&state).clone();
+                                (plan.score(&weights, &data.test).accuracy, weights)
+                            }
+                        };
+                        let model = path.with_extension("ron");
+                        let said = format!("{name} seed {seed}, {kind}, of a study: accuracy {accuracy:.4}");
+                        write_model(&model, true, &file, &plan, &weights, "", &said)?;
+                        let seconds = begin.elapsed().as_secs_f64();
+                        let run = Run {
+                            setting: name.clone(),
+                            number,
+                            seed: seed as u64,
+                            fold: fold.map(|_| part as u32),
+                            accuracy,
+                            seconds,
+                        };
+                        let mut value = run.json();
+                        value["fingerprint"] = print.clone().into();
+                        value["name"] = file.name.clone().into();
+                        value["tested"] = fold.cloned().into();
+                        io::write::text(&path, true, &format!("{value:#}\n"))?;
+                        run
+                    }
+                };
+                tracing::info!("{name} seed {seed} {kind}: {:.4}", run.accuracy);
+                runs.push(Run { number, ..run });
+            }
+        }
+    }
+    let report = StudyReport { name: &args.config.display().to_string(), runs: &runs };
+    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(Answer::Yes)
+}

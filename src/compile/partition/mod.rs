@@ -1,0 +1,370 @@
+//! Compartments onto logical cores.
+//!
+//! In comes a quantised network; out goes a [`Partition`] in which every core keeps every limit, or every reason why there
+//! is none. Every strategy ends in the same way: an order of compartments is filled into cores ([`order`]), so that limits
+//! are kept exactly and cores are full. What differs is the order, and what is done afterwards:
+//!
+//! - `Sequential`: the order of the model file, as the public tools hand out cores (nengo-loihi, NxTF).
+//! - `Greedy`: populations over space in tiles ([`tiles`]); all others by growth, each compartment next to those that it
+//!   is joined to ([`levels::grown`]).
+//! - `Multilevel`: tiles; all others in the order of a hierarchy of groups ([`levels`]), and then groups of every size, the
+//!   largest first, are moved between cores while that saves messages ([`refine`]).
+//!
+//! A strategy also looks at what the ones above it find and keeps the best: fewest cores, then fewest messages. So none is
+//! ever worse than the one above. Copies of a network are one copy's partition repeated, so that no copy shares a core with
+//! another, unless filling all of them together takes fewer cores.
+
+pub mod hyper;
+pub mod levels;
+pub mod order;
+pub mod refine;
+pub mod tiles;
+
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::compile::fill::Filling;
+use crate::compile::partition::hyper::{Groups, Hypergraph, State};
+use crate::compile::partition::levels::Levels;
+use crate::compile::partition::order::{Chips, Filler, Indices, Segment, file_order};
+use crate::compile::partition::refine::Effort;
+use crate::compile::rates::Rates;
+use crate::compile::reason::Reason;
+use crate::compile::sent::{cores_of, messages, sent, slots_of};
+use crate::compile::usage::usage;
+use crate::desc::target::{Limits, Target};
+use crate::ir::partition::{Partition, PartitionError, seats};
+use crate::ir::quantised::{Connectivity, Quantised};
+
+/// How compartments are gathered on cores.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Strategy {
+    /// In the order of the model file.
+    Sequential,
+    /// By tiles and by growth.
+    Greedy,
+    /// By tiles and by levels of groups, refined.
+    #[default]
+    Multilevel,
+}
+
+impl Strategy {
+    /// Every strategy.
+    pub const ALL: [Strategy; 3] = [Strategy::Sequential, Strategy::Greedy, Strategy::Multilevel];
+
+    /// Its name on the command line and in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Strategy::Sequential => "sequential",
+            Strategy::Greedy => "greedy",
+            Strategy::Multilevel => "multilevel",
+        }
+    }
+}
+
+/// Why there is no partition.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Failure {
+    /// The network does not fit, for all of these reasons.
+    DoesNotFit(Vec<Reason>),
+    /// The partitioner has contradicted itself.
+    Fault(String),
+}
+
+/// Compartments of each core.
+pub type Members = IdVec<CoreId, Vec<CompartmentId>>;
+
+/// How a partition is looked for.
+#[derive(Debug, Clone, Copy)]
+pub struct Search<'a> {
+    /// How compartments are gathered.
+    pub strategy: Strategy,
+    /// How often sources of one copy spike.
+    pub rates: &'a Rates,
+    /// Units of work, about 5 ns each: what an effort of so many seconds comes to, the same on every machine.
+    pub work: u64,
+}
+
+/// Units of work in a second, roughly; fixed, so that an effort means the same on every machine.
+pub const WORK_PER_SECOND: u64 = 200_000_000;
+/// Synapses that one unit of work looks at when a hypergraph is made and coarsened, level after level.
+const WORK_PER_PIN: u64 = 60;
+/// Passes of refinement on a level.
+const PASSES: usize = 3;
+/// Rounds of making tiles smaller because their output axons do not fit.
+const TILE_ROUNDS: usize = 6;
+/// Hundredths of the synapse words that refinement may count on, in the order of trial: words are estimates there.
+const WORD_MARGINS: [i64; 2] = [100, 85];
+
+/// Cores for a network of equal copies; `one` is a single copy and `all` is all of them, copy after copy.
+///
+/// # Errors
+/// [`Failure`].
+pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Search<'_>) -> Result<Partition, Failure> {
+    let limits = target.limits();
+    let copies = (all.compartments() / one.compartments().max(1)).max(1);
+    let filler = Filler::new(one, target);
+    let mut members = searched(&filler, search, Chips::Row)?;
+    if copies > 1 {
+        if !sends_little_enough(all, &repeated(&members, one, copies), target) {
+            members = searched(&filler, search, Chips::Apart)?;
+        }
+        members = repeated(&members, one, copies);
+        if members.len() as u64 > least_cores(one, copies, limits)
+            && let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
+            && together.len() < members.len()
+        {
+            members = together;
+        }
+    }
+    if members.len() as u64 > u64::from(target.cores()) {
+        return Err(Failure::DoesNotFit(vec![Reason::of_cores(target, copies, members.len() as u64)]));
+    }
+    counted(all, members, target).map_err(|error| Failure::Fault(error.to_string()))
+}
+
+/// A partition of these members, counted exactly with cores placed chip by chip.
+fn counted(network: &Quantised, members: Members, target: &Target) -> Result<Partition, PartitionError> {
+    let seats = seats(network.compartments(), &members)?;
+    let chips = row_of_chips(members.len(), target);
+    let usage = usage(network, &members, &seats, &chips, target.limits());
+    Partition::new(network.compartments(), members, usage, target.limits())
+}
+
+/// The members that a strategy finds for one copy.
+fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Members, Failure> {
+    let (network, target) = (filler.network, filler.target);
+    let sequential = filler.fewest_cores(&file_order(network), chips);
+    if search.strategy == Strategy::Sequential || matches!(&sequential, Ok(members) if members.len() == 1) {
+        return sequential;
+    }
+    let spatial: IdVec<PopulationId, bool> =
+        network.populations().ids().map(|population| tiles::is_spatial(network, population)).collect();
+    let mut fixed = vec![false; network.compartments() as usize];
+    for (_, population) in network.populations().enumerate().filter(|&(id, _)| spatial[id]) {
+        let Some(first) = population.first_compartment() else { continue };
+        fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
+    }
+    let tiled = spatial.iter().any(|&spatial| spatial).then(|| tiled(filler, &spatial, chips)).unwrap_or_default();
+    let free: u64 = network
+        .projections()
+        .enumerate()
+        .map(|(id, p)| if spatial[p.target] { 0 } else { network.synapses_of(id) })
+        .sum();
+    let affordable = free.saturating_mul(WORK_PER_PIN) <= search.work;
+    let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
+    let mut found: Vec<Members> = Vec::new();
+    let mut failure = None;
+    let mut keep = |members: Result<Members, Failure>| match members {
+        Ok(members) => found.push(members),
+        Err(error) => failure = Some(failure.take().unwrap_or(error)),
+    };
+    let typical =
+        sequential.as_ref().map_or(1, |members| network.compartments() as usize / members.len().max(1)).max(1);
+    keep(sequential);
+    let whole_populations = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
+    if !tiled.is_empty() {
+        let order: Vec<Segment> = tiled.iter().cloned().chain(whole_populations).collect();
+        keep(filler.fewest_cores(&order, chips));
+    }
+    if let Some(graph) = &graph {
+        let grown = levels::grown(graph, &fixed, typical);
+        keep(filler.fewest_cores(&with_ids(network, &tiled, &grown), chips));
+    }
+    if search.strategy == Strategy::Multilevel
+        && let Some(graph) = &graph
+    {
+        let levels = Levels::new(graph, &fixed);
+        keep(filler.fewest_cores(&with_ids(network, &tiled, &levels.order()), chips));
+        if let Some(best) = fewest(filler, &found, search.rates) {
+            for percent in WORD_MARGINS {
+                let refined = refined(graph, &levels, best, target, percent, search.work);
+                if counted(network, refined.clone(), target).is_ok() {
+                    found.push(refined);
+                    break;
+                }
+            }
+        }
+    }
+    // Compartments in the order of the file make lists denser; refined cores take newcomers at their end.
+    let best = fewest(filler, &found, search.rates);
+    match (best, failure) {
+        (Some(best), _) => {
+            let sorted = sorted(best, &fixed);
+            let same = *best == sorted;
+            Ok(if !same && counted(network, sorted.clone(), target).is_ok() { sorted } else { best.clone() })
+        }
+        (None, Some(failure)) => Err(failure),
+        (None, None) => Err(Failure::Fault("no strategy had an answer".to_string())),
+    }
+}
+
+/// The members with the fewest cores, then the fewest messages; the first of equals.
+fn fewest<'m>(filler: &Filler<'_>, found: &'m [Members], rates: &Rates) -> Option<&'m Members> {
+    if let [only] = found {
+        return Some(only);
+    }
+    let cores = found.iter().map(IdVec::len).min()?;
+    let of_these = found.iter().filter(|members| members.len() == cores);
+    of_these.min_by_key(|members| {
+        messages(filler.network, &cores_of(filler.network.compartments(), members), members.len(), rates)
+    })
+}
+
+/// Members in the order of the file, on cores that hold no tile.
+fn sorted(members: &Members, fixed: &[bool]) -> Members {
+    let sort = |held: &Vec<CompartmentId>| {
+        let mut held = held.clone();
+        if !held.iter().any(|id| fixed[id.index()]) {
+            held.sort_unstable();
+        }
+        held
+    };
+    members.iter().map(sort).collect()
+}
+
+/// Populations over space as tiles, smaller where their output axons would not fit.
+fn tiled(filler: &Filler<'_>, spatial: &IdVec<PopulationId, bool>, chips: Chips) -> Vec<Segment> {
+    let (network, limits) = (filler.network, filler.target.limits());
+    let mut filling = Filling::new(network, &filler.fan_in, limits);
+    let mut most: IdVec<PopulationId, u32> = vec![limits.compartments; spatial.len()].into();
+    let mut cut: IdVec<PopulationId, Option<Vec<Segment>>> = vec![None; spatial.len()].into();
+    let mut segments = Vec::new();
+    for _ in 0..TILE_ROUNDS {
+        segments.clear();
+        for population in network.populations().ids().filter(|&id| spatial[id]) {
+            if cut[population].is_none() {
+                let all = Indices::All(network.populations()[population].shape.len());
+                let whole = || vec![Segment { population, indices: all }];
+                let tiles = tiles::tiles(network, population, &mut filling, limits, most[population]);
+                cut[population] = Some(tiles.unwrap_or_else(whole));
+            }
+            segments.extend(cut[population].iter().flatten().cloned());
+        }
+        let rest = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
+        let order: Vec<Segment> = segments.iter().cloned().chain(rest).collect();
+        let Ok(members) = filler.once(&order) else { break };
+        let chips = match chips {
+            Chips::Row => row_of_chips(members.len(), filler.target),
+            Chips::Apart => (0..members.len() as u32).collect(),
+        };
+        let sent = sent(network, &cores_of(network.compartments(), &members), &chips, limits);
+        let mut again = false;
+        for held in &members {
+            let slots = slots_of(held, &sent);
+            if slots <= u64::from(limits.axons_out) || held.len() < 2 {
+                continue;
+            }
+            let (population, _) = network.population_of(held[0]);
+            if spatial[population] {
+                let fitting = (held.len() as u64 * u64::from(limits.axons_out) / slots).max(1) as u32;
+                if fitting < most[population] {
+                    (most[population], cut[population], again) = (fitting, None, true);
+                }
+            }
+        }
+        if !again {
+            break;
+        }
+    }
+    segments
+}
+
+/// Tiles, then compartments one by one in this order.
+fn with_ids(network: &Quantised, tiled: &[Segment], ids: &[u32]) -> Vec<Segment> {
+    let mut order = tiled.to_vec();
+    let mut last: Option<(PopulationId, u32, u32)> = None;
+    for &id in ids {
+        let inside = last.filter(|&(_, first, size)| id >= first && id - first < size);
+        let (population, first, size) = inside.unwrap_or_else(|| {
+            let (population, index) = network.population_of(CompartmentId(id));
+            (population, id - index, network.populations()[population].shape.len())
+        });
+        last = Some((population, first, size));
+        match order.last_mut() {
+            Some(Segment { population: p, indices: Indices::Listed(indices) })
+                if *p == population && inside.is_some() =>
+            {
+                indices.push(id - first);
+            }
+            _ => order.push(Segment { population, indices: Indices::Listed(vec![id - first]) }),
+        }
+    }
+    order
+}
+
+/// Members after groups of every level have been moved, the largest first.
+fn refined(
+    graph: &Hypergraph,
+    levels: &Levels,
+    members: &Members,
+    target: &Target,
+    percent: i64,
+    mut work: u64,
+) -> Members {
+    let mut state = State::new(graph, members, target, percent);
+    let core_size = graph.own.len() / members.len().max(1);
+    for labels in levels.labels.iter().rev() {
+        let groups = Groups::new(graph, within_cores(labels, &state.core_of));
+        // Groups of half a core and more cannot go anywhere.
+        if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
+            continue;
+        }
+        work = refine::refine(&mut state, &groups, Effort { passes: PASSES, work });
+    }
+    state.members(members)
+}
+
+/// Labels such that no group is on two cores.
+fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
+    let mut known: std::collections::HashMap<(u32, u32), u32> = std::collections::HashMap::new();
+    let of = |(label, &core): (&Option<u32>, &u32)| {
+        let next = known.len() as u32;
+        label.map(|label| *known.entry((label, core)).or_insert(next))
+    };
+    labels.iter().zip(core_of).map(of).collect()
+}
+
+/// A number of cores below which no partition can be, from what copies cannot share.
+#[must_use]
+pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
+    let active: u64 = one
+        .populations()
+        .enumerate()
+        .map(|(id, population)| {
+            let outgoing = one.outgoing(id);
+            let active = |&index: &u32| {
+                outgoing.iter().any(|&p| match &one.projections()[p].connectivity {
+                    Connectivity::Random { fan_out, .. } => *fan_out > 0,
+                    connectivity => connectivity.count_from(index) > 0,
+                })
+            };
+            (0..population.shape.len()).filter(active).count() as u64
+        })
+        .sum();
+    let (copies, compartments) = (u64::from(copies), u64::from(one.compartments()));
+    let by_compartments = (compartments * copies).div_ceil(u64::from(limits.compartments));
+    by_compartments.max((active * copies).div_ceil(u64::from(limits.axons_in)))
+}
+
+/// The chip of each core when cores are placed chip by chip.
+#[must_use]
+pub fn row_of_chips(cores: usize, target: &Target) -> IdVec<CoreId, u32> {
+    (0..cores as u32).map(|core| core / target.chip().cores).collect()
+}
+
+/// One copy's cores for all copies.
+fn repeated(members: &Members, one: &Quantised, copies: u32) -> Members {
+    let of_copy = |k: u32| {
+        let first = k * one.compartments();
+        members.iter().map(move |held| held.iter().map(|id| CompartmentId(first + id.0)).collect())
+    };
+    (0..copies).flat_map(of_copy).collect()
+}
+
+/// Whether every core's output axons fit when cores are placed chip by chip.
+fn sends_little_enough(network: &Quantised, members: &Members, target: &Target) -> bool {
+    let limits = target.limits();
+    let core_of = cores_of(network.compartments(), members);
+    let sent = sent(network, &core_of, &row_of_chips(members.len(), target), limits);
+    members.iter().all(|held| slots_of(held, &sent) <= u64::from(limits.axons_out))
+}

@@ -1,0 +1,316 @@
+//! Filling cores along an order of compartments, until output axons fit too.
+//!
+//! In come segments of compartments in an order, out go the compartments of each core. A core is closed when the next
+//! compartment would break a limit. Two things are not known while filling, and are settled around it:
+//!
+//! - *Whether to keep a segment whole* that fits into an empty core but not into the rest of the current one. Both ways
+//!   are tried for the whole network; the one with fewer cores is taken, on a tie the one that keeps segments whole,
+//!   because it sends fewer messages.
+//! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores are numbered chip by
+//!   chip, as [`crate::compile::place`] keeps them). The first filling ignores them; if a core then sends too much, each
+//!   compartment is charged what it sent and a margin, which doubles from round to round, and the filling is repeated. It
+//!   ends because estimates only grow, and a core with a single compartment is never split.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use crate::base::id::{CompartmentId, Id, PopulationId};
+use crate::compile::fanin::FanIn;
+use crate::compile::fill::{Filling, Newcomer};
+use crate::compile::partition::{Failure, Members, row_of_chips};
+use crate::compile::reason::Reason;
+use crate::compile::sent::{cores_of, sent, slots_of};
+use crate::desc::target::Target;
+use crate::ir::partition::Resource;
+use crate::ir::quantised::{Quantised, Units};
+
+/// Rounds of filling after which output axons are given up on: the margin is then 2^9 times what was sent.
+const ROUNDS: u32 = 14;
+/// The first margin is a 2^5th of what was sent.
+const FIRST_MARGIN: u32 = 5;
+
+/// Compartments from which on an order is filled in parts, and those of a part.
+const LARGE: u64 = 1 << 18;
+const PART: u32 = 1 << 15;
+
+/// What is assumed of the chips of cores while output axons are counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Chips {
+    /// Cores are numbered chip by chip.
+    Row,
+    /// The worst: no two cores share a chip.
+    Apart,
+}
+
+/// Compartments of one population that should stand together, in this order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Segment {
+    /// The population.
+    pub population: PopulationId,
+    /// Their indices in it.
+    pub indices: Indices,
+}
+
+/// Indices of a population's compartments.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Indices {
+    /// All from the first, so many.
+    All(u32),
+    /// These.
+    Listed(Vec<u32>),
+}
+
+impl Indices {
+    /// How many.
+    #[must_use]
+    pub fn len(&self) -> u32 {
+        match self {
+            Indices::All(count) => *count,
+            Indices::Listed(indices) => indices.len() as u32,
+        }
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn get(&self, at: u32) -> u32 {
+        match self {
+            Indices::All(_) => at,
+            Indices::Listed(indices) => indices[at as usize],
+        }
+    }
+}
+
+/// Parts of an order that are filled side by side, when it is so long that the core left open at the end of each is
+/// nothing; long segments are cut.
+fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
+    let all: u64 = order.iter().map(|segment| u64::from(segment.indices.len())).sum();
+    let longest = order.iter().map(|segment| segment.indices.len()).max()?;
+    if all < LARGE || longest < PART {
+        return None;
+    }
+    let mut parts = Vec::new();
+    for Segment { population, indices } in order {
+        for from in (0..indices.len()).step_by(PART as usize) {
+            let to = (from + PART).min(indices.len());
+            let indices = Indices::Listed((from..to).map(|at| indices.get(at)).collect());
+            parts.push(Segment { population: *population, indices });
+        }
+    }
+    Some(parts)
+}
+
+/// Every population a segment, in the order of the model file.
+#[must_use]
+pub fn file_order(network: &Quantised) -> Vec<Segment> {
+    let of = |(population, p): (PopulationId, &crate::ir::quantised::Population)| {
+        p.first_compartment().map(|_| Segment { population, indices: Indices::All(p.shape.len()) })
+    };
+    network.populations().enumerate().filter_map(of).collect()
+}
+
+/// The needs beyond a limit, the greatest for each population and resource.
+#[derive(Default)]
+struct Misfits(BTreeMap<(PopulationId, Resource), (u64, u64)>);
+
+impl Misfits {
+    fn note(&mut self, population: PopulationId, (resource, need, limit): (Resource, u64, u64)) {
+        let known = self.0.entry((population, resource)).or_insert((need, limit));
+        known.0 = known.0.max(need);
+    }
+
+    fn none(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    fn reasons(self, network: &Quantised) -> Failure {
+        let reason = |((population, resource), (need, limit)): ((PopulationId, Resource), (u64, u64))| {
+            Reason::of_population(&network.populations()[population].name, resource, need, limit)
+        };
+        Failure::DoesNotFit(self.0.into_iter().map(reason).collect())
+    }
+}
+
+/// Fills cores with one network's compartments.
+#[derive(Debug)]
+pub struct Filler<'a> {
+    /// The network.
+    pub network: &'a Quantised,
+    /// The target.
+    pub target: &'a Target,
+    /// The network read backwards.
+    pub fan_in: FanIn,
+}
+
+impl<'a> Filler<'a> {
+    /// A filler.
+    #[must_use]
+    pub fn new(network: &'a Quantised, target: &'a Target) -> Self {
+        Filler { network, target, fan_in: FanIn::new(network) }
+    }
+
+    /// The better of keeping segments whole and filling every core up.
+    ///
+    /// # Errors
+    /// [`Failure::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
+    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Members, Failure> {
+        let whole = self.settled(order, chips, true)?;
+        if order.len() < 2 || whole.len() < 2 {
+            return Ok(whole);
+        }
+        match self.settled(order, chips, false) {
+            Ok(full) if full.len() < whole.len() => Ok(full),
+            _ => Ok(whole),
+        }
+    }
+
+    /// Fills once, whatever is sent; segments are kept whole.
+    ///
+    /// # Errors
+    /// As [`Filler::fewest_cores`].
+    pub fn once(&self, order: &[Segment]) -> Result<Members, Failure> {
+        self.fill(order, &vec![0; self.network.compartments() as usize], true)
+    }
+
+    /// Fills until output axons fit too.
+    ///
+    /// # Errors
+    /// As [`Filler::fewest_cores`].
+    pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Members, Failure> {
+        let limits = self.target.limits();
+        let mut estimate = vec![0u32; self.network.compartments() as usize];
+        for round in 0.. {
+            let members = self.fill(order, &estimate, keep_whole)?;
+            let chips = match chips {
+                Chips::Row => row_of_chips(members.len(), self.target),
+                Chips::Apart => (0..members.len() as u32).collect(),
+            };
+            let sent = sent(self.network, &cores_of(self.network.compartments(), &members), &chips, limits);
+            let mut misfits = Misfits::default();
+            for (id, population) in self.network.populations().enumerate() {
+                let Some(first) = population.first_compartment() else { continue };
+                let of_population = &sent.axons[first.index()..first.index() + population.shape.len() as usize];
+                let (need, limit) = (of_population.iter().max(), limits.axons_out_per_compartment);
+                if let Some(&need) = need.filter(|&&need| need > limit) {
+                    misfits.note(id, (Resource::AxonsOutPerCompartment, need.into(), limit.into()));
+                }
+            }
+            let mut again = false;
+            for held in &members {
+                let (need, limit) = (slots_of(held, &sent), u64::from(limits.axons_out));
+                if need > limit && (held.len() == 1 || round == ROUNDS) {
+                    let (population, _) = self.network.population_of(held[0]);
+                    misfits.note(population, (Resource::AxonsOut, need, limit));
+                }
+                again |= need > limit && held.len() > 1;
+            }
+            if !misfits.none() {
+                return Err(misfits.reasons(self.network));
+            }
+            if !again {
+                return Ok(members);
+            }
+            self.raise(&mut estimate, &sent.slots, round);
+        }
+        unreachable!("the last round gives reasons or members")
+    }
+
+    /// Raises each estimate to what was sent and a margin, though never above what every synapse on a core of its own sends.
+    fn raise(&self, estimate: &mut [u32], slots: &[u32], round: u32) {
+        let limits = self.target.limits();
+        let dearest = u64::from(limits.axon_out_slots.max(limits.axon_out_slots_off_chip));
+        for (population, description) in self.network.populations().enumerate() {
+            let Some(first) = description.first_compartment() else { continue };
+            for index in 0..description.shape.len() {
+                let at = first.index() + index as usize;
+                let margin = (u64::from(slots[at]) << round) >> FIRST_MARGIN;
+                let outgoing = self.network.outgoing(population).iter();
+                let synapses: u64 =
+                    outgoing.map(|&id| self.network.projections()[id].connectivity.count_from(index)).sum();
+                let raised = (u64::from(slots[at]) + margin).min(synapses.saturating_mul(dearest));
+                estimate[at] = estimate[at].max(u32::try_from(raised).unwrap_or(u32::MAX));
+            }
+        }
+    }
+
+    /// Fills cores in order, with these estimates of output axon slots.
+    fn fill(&self, order: &[Segment], estimate: &[u32], keep_whole: bool) -> Result<Members, Failure> {
+        let limits = self.target.limits();
+        let filling = || Filling::new(self.network, &self.fan_in, limits);
+        let (members, misfits) = match parts(order) {
+            None => self.fill_part(&mut filling(), order, estimate, keep_whole),
+            Some(parts) => {
+                let filled: Vec<(Members, Misfits)> = parts
+                    .par_iter()
+                    .map_init(filling, |filling, part| {
+                        self.fill_part(filling, std::slice::from_ref(part), estimate, keep_whole)
+                    })
+                    .collect();
+                let (mut members, mut misfits) = (Vec::new(), Misfits::default());
+                for (part, of_part) in filled {
+                    members.extend(part.iter().cloned());
+                    of_part.0.into_iter().for_each(|((population, resource), (need, limit))| {
+                        misfits.note(population, (resource, need, limit));
+                    });
+                }
+                (members.into(), misfits)
+            }
+        };
+        if misfits.none() { Ok(members) } else { Err(misfits.reasons(self.network)) }
+    }
+
+    /// Fills cores with a part of an order.
+    fn fill_part(
+        &self,
+        filling: &mut Filling,
+        order: &[Segment],
+        estimate: &[u32],
+        keep_whole: bool,
+    ) -> (Members, Misfits) {
+        filling.next_core();
+        let mut members = Members::new();
+        let mut misfits = Misfits::default();
+        for Segment { population, indices } in order {
+            let population = *population;
+            let Units::Loihi { first, neurons, .. } = &self.network.populations()[population].units else { continue };
+            let newcomer = |at: u32| {
+                let index = indices.get(at);
+                let id = CompartmentId(first.0 + index);
+                Newcomer { id, population, index, neuron: neurons.get(index), slots_out: estimate[id.index()] }
+            };
+            let size = indices.len();
+            let before = filling.len();
+            let mut may_move = keep_whole && before > 0 && size <= self.target.limits().compartments;
+            let mut next = 0;
+            while next < size {
+                let Err(used) = filling.add(&newcomer(next)) else {
+                    next += 1;
+                    continue;
+                };
+                let mut held = filling.next_core();
+                if held.is_empty() {
+                    used.excesses(self.target.limits()).for_each(|excess| misfits.note(population, excess));
+                    next += 1;
+                } else if std::mem::take(&mut may_move) {
+                    if (0..size).all(|at| filling.add(&newcomer(at)).is_ok()) {
+                        held.truncate(before);
+                        next = size;
+                    } else {
+                        filling.next_core();
+                    }
+                    members.push(held);
+                } else {
+                    members.push(held);
+                }
+            }
+        }
+        if !filling.is_empty() {
+            members.push(filling.next_core());
+        }
+        (members, misfits)
+    }
+}

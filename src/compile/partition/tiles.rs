@@ -1,0 +1,214 @@
+//! Populations over space, cut into tiles.
+//!
+//! In comes a population of `[channels, height, width]` that convolutions or poolings reach; out go segments, each a
+//! rectangle of positions with all or an equal share of the channels. A core that holds a rectangle needs the sources
+//! under the rectangle and its rim; a core that holds as many compartments in the order of the file, channel by channel,
+//! needs nearly all sources of the layer before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks
+//! for the fewest cores with a beam search over them, here every grid is counted in closed form and the first that fits,
+//! in the order of cores and then of messages, is taken.
+//!
+//! Compartments of a tile stand position by position, channels together, so that the targets of a spike follow each
+//! other; channel by channel where each channel only sees its own (pooling, depthwise convolution).
+
+use crate::base::id::{CompartmentId, PopulationId};
+use crate::compile::fill::{Filling, Newcomer};
+use crate::compile::partition::order::{Indices, Segment};
+use crate::desc::target::Limits;
+use crate::ir::graph::Window;
+use crate::ir::quantised::{Connectivity, Quantised, Units};
+
+/// Grids that are tried on a core before giving up.
+const TRIALS: usize = 60;
+
+/// Windows that reach a population, when that is all that reaches it.
+fn windows(network: &Quantised, population: PopulationId) -> Option<Vec<Window>> {
+    let into = network.projections().iter().filter(|p| p.target == population);
+    let windows: Option<Vec<Window>> = into
+        .map(|projection| match &projection.connectivity {
+            Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. } => Some(*window),
+            _ => None,
+        })
+        .collect();
+    windows.filter(|windows| !windows.is_empty())
+}
+
+/// Whether a population is one that is cut into tiles.
+#[must_use]
+pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
+    let shape = network.populations()[population].shape;
+    shape.volume().is_some() && windows(network, population).is_some()
+}
+
+/// Numbers of parts into which a length is cut, each with the size of a part; parts that are no smaller are left out.
+fn cuts(length: u32) -> Vec<(u32, u32)> {
+    let mut cuts: Vec<(u32, u32)> =
+        (1..=length).map(|parts| length.div_ceil(parts)).map(|s| (length.div_ceil(s), s)).collect();
+    cuts.dedup();
+    cuts
+}
+
+/// Source positions under a part of a target axis.
+fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64 {
+    let reach = u64::from(size - 1) * u64::from(stride) + u64::from(kernel - 1) * u64::from(dilation) + 1;
+    // Where strides skip sources, only those under a kernel are reached.
+    let seen = u64::from(size) * u64::from(kernel);
+    reach.min(seen).min(u64::from(source))
+}
+
+/// A grid of tiles: (channels, height, width) of one, how many, and the messages that a spike everywhere would cost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Grid {
+    tiles: u64,
+    messages: u64,
+    size: (u32, u32, u32),
+}
+
+/// Grids that may fit a core of so many compartments, the best first.
+fn grids(windows: &[Window], (c, h, w): (u32, u32, u32), limits: &Limits, most: u32) -> Vec<Grid> {
+    let mut grids = Vec::new();
+    for (nc, tc) in cuts(c) {
+        for (nh, th) in cuts(h) {
+            for (nw, tw) in cuts(w) {
+                let size = u64::from(tc) * u64::from(th) * u64::from(tw);
+                if size > u64::from(most) {
+                    continue;
+                }
+                let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
+                let mut sources = 0;
+                for window in windows {
+                    let out_of_group = (window.target.0 / window.groups).max(1);
+                    let groups = tc.div_ceil(out_of_group).min(window.groups);
+                    let channels = u64::from(groups) * u64::from(window.source.0 / window.groups);
+                    let rows = under(th, window.kernel.0, window.stride.0, window.dilation.0, window.source.1);
+                    let columns = under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
+                    sources += channels * rows * columns;
+                }
+                if sources <= u64::from(limits.axons_in) {
+                    grids.push(Grid { tiles, messages: tiles * sources, size: (tc, th, tw) });
+                }
+            }
+        }
+    }
+    grids.sort_unstable();
+    grids
+}
+
+/// The tiles of a population as segments, each fit for a core with at most so many compartments; `None` when no grid
+/// was found that fits.
+#[must_use]
+pub fn tiles(
+    network: &Quantised,
+    population: PopulationId,
+    filling: &mut Filling,
+    limits: &Limits,
+    most: u32,
+) -> Option<Vec<Segment>> {
+    let description = &network.populations()[population];
+    let shape = description.shape.volume()?;
+    let windows = windows(network, population)?;
+    let own_only = windows.iter().all(|window| window.groups == window.source.0 && window.groups > 1);
+    let Units::Loihi { first, neurons, .. } = &description.units else { return None };
+    let fits = |filling: &mut Filling, indices: &[u32]| {
+        filling.next_core();
+        let fits = indices.iter().all(|&index| {
+            let id = CompartmentId(first.0 + index);
+            filling.add(&Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 }).is_ok()
+        });
+        filling.next_core();
+        fits
+    };
+    let all = grids(&windows, shape, limits, most.min(limits.compartments));
+    // A grid that failed for its synapses says that others with as many compartments of as many sources fail too; so the
+    // trials thin out as they go on.
+    let mut tried = 0;
+    let mut at = 0;
+    while at < all.len() && tried < TRIALS {
+        let grid = all[at];
+        if fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only)) {
+            return Some(segments(population, shape, grid.size, own_only));
+        }
+        tried += 1;
+        // Skip ahead to grids with more tiles, the faster the more have failed.
+        let wanted = grid.tiles + 1 + grid.tiles * tried as u64 / 64;
+        while at < all.len() && all[at].tiles < wanted {
+            at += 1;
+        }
+    }
+    None
+}
+
+/// The tile in the middle of a grid, whose windows are whole.
+fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
+    let of = |length: u32, size: u32| (length.div_ceil(size) - 1) / 2;
+    (of(shape.0, size.0), of(shape.1, size.1), of(shape.2, size.2))
+}
+
+/// Indices of one tile.
+fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), own_only: bool) -> Vec<u32> {
+    let range = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
+    let (c, y, x) = (range(shape.0, size.0, at.0), range(shape.1, size.1, at.1), range(shape.2, size.2, at.2));
+    let index = |c: u32, y: u32, x: u32| (c * shape.1 + y) * shape.2 + x;
+    if own_only {
+        return c
+            .flat_map(|c| y.clone().flat_map(move |y| (0..shape.2).map(move |x| (c, y, x))))
+            .filter(|(_, _, column)| x.contains(column))
+            .map(|(c, y, x)| index(c, y, x))
+            .collect();
+    }
+    let mut indices = Vec::new();
+    for y in y {
+        for x in x.clone() {
+            indices.extend(c.clone().map(|c| index(c, y, x)));
+        }
+    }
+    indices
+}
+
+/// All tiles; rows of them run to and fro, so that neighbours in the order are neighbours in space.
+fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u32), own_only: bool) -> Vec<Segment> {
+    let (nc, nh, nw) = (shape.0.div_ceil(size.0), shape.1.div_ceil(size.1), shape.2.div_ceil(size.2));
+    let mut segments = Vec::new();
+    for y in 0..nh {
+        for x in 0..nw {
+            let x = if y % 2 == 0 { x } else { nw - 1 - x };
+            for c in 0..nc {
+                let indices = Indices::Listed(cell(shape, size, (c, y, x), own_only));
+                segments.push(Segment { population, indices });
+            }
+        }
+    }
+    segments
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_hold_every_compartment_once() {
+        for (shape, size) in [((3, 5, 7), (3, 2, 3)), ((4, 4, 4), (1, 4, 4)), ((5, 6, 7), (2, 6, 4))] {
+            for own_only in [false, true] {
+                let segments = segments(PopulationId(0), shape, size, own_only);
+                let mut all: Vec<u32> = segments
+                    .into_iter()
+                    .flat_map(|segment| match segment.indices {
+                        Indices::Listed(indices) => indices,
+                        Indices::All(_) => panic!("tiles are listed"),
+                    })
+                    .collect();
+                all.sort_unstable();
+                assert_eq!(all, (0..shape.0 * shape.1 * shape.2).collect::<Vec<_>>());
+            }
+        }
+    }
+
+    #[test]
+    fn a_part_of_an_axis_sees_what_its_windows_cover() {
+        assert_eq!(under(4, 3, 1, 1, 100), 6);
+        assert_eq!(under(4, 5, 2, 1, 100), 11);
+        assert_eq!(under(4, 5, 2, 1, 9), 9);
+        // A stride beyond the kernel skips sources.
+        assert_eq!(under(3, 1, 4, 1, 100), 3);
+        assert_eq!(cuts(10), [(1, 10), (2, 5), (3, 4), (4, 3), (5, 2), (10, 1)]);
+    }
+}

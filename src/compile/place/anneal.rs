@@ -1,0 +1,211 @@
+//! Exchanging cores of a chip, and chips of the board, until messages go less far.
+//!
+//! In come nets, places to start from and how much may be tried; out go places, never worse under the objective. A
+//! proposal takes a core and another site of its chip, half of the time the one nearest to the middle of what the core
+//! talks to (the force-directed part), else any; who sits there changes places with it, and onto a tile that is not in use
+//! a whole tile moves, so that no more tiles are powered than before. It is accepted when it saves
+//! links, and otherwise with a probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
+//! simulated annealing", Science 220, 1983). The best places are kept.
+//!
+//! Chips are annealed side by side in rounds, each from the places in which all others were when the round began; after a
+//! round all are put together and kept if that is better. So it does not matter how many threads there are.
+
+use rayon::prelude::*;
+
+use crate::base::id::{CoreId, Id, IdVec};
+use crate::base::rng;
+use crate::compile::place::Search;
+use crate::compile::place::nets::{Columns, Nets};
+use crate::ir::placement::{Mesh, Site};
+
+/// Rounds in which several chips are annealed against each other.
+const ROUNDS: u64 = 3;
+/// The last temperature as a part of the first.
+const COOLEST: f64 = 1e-3;
+/// Proposals of a core in a round at most.
+const PROPOSALS: u64 = 400;
+
+/// Places near what cores talk to.
+#[must_use]
+pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
+    let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites).objective(search.objective);
+    let mut best = start;
+    if best.len() > mesh.cores_per_chip as usize {
+        best = exchanged(nets, mesh, best, search);
+    }
+    let cores: Vec<CoreId> = best.ids().collect();
+    let chips: Vec<&[CoreId]> = cores.chunks(mesh.cores_per_chip as usize).collect();
+    let mut least = cost(&best);
+    let rounds = if chips.len() > 1 { ROUNDS } else { 1 };
+    for round in 0..rounds {
+        let work = search.work / rounds / chips.len().max(1) as u64;
+        let found: Vec<Vec<Site>> = chips
+            .par_iter()
+            .enumerate()
+            .map(|(chip, cores)| {
+                let seed = rng::bits(search.seed, round, chip as u64);
+                one_chip(nets, mesh, best.as_slice(), cores, seed, work)
+            })
+            .collect();
+        let together: IdVec<CoreId, Site> = found.into_iter().flatten().collect::<Vec<Site>>().into();
+        let now = cost(&together);
+        if now < least {
+            (best, least) = (together, now);
+        }
+    }
+    best
+}
+
+/// Links of a net as one number: twice the tree and once all ways.
+fn worth(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Columns) -> i64 {
+    let (tree, all) = nets.links(net, mesh, sites, columns);
+    ((2 * tree + all) * nets.nets[net as usize].weight) as i64
+}
+
+/// Anneals the cores of one chip while all others stay.
+fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64, work: u64) -> Vec<Site> {
+    let mut sites = all.to_vec();
+    let first = cores[0].index();
+    let chip = sites[first].chip;
+    let own = |sites: &[Site]| sites[first..first + cores.len()].to_vec();
+    let start = mesh.number(Site { chip, x: 0, y: 0, core: 0 }).unwrap_or(0);
+    let mut held: Vec<Option<usize>> = vec![None; mesh.cores_per_chip as usize];
+    for core in cores {
+        if let Some(number) = mesh.number(sites[core.index()]) {
+            held[(number - start) as usize] = Some(core.index());
+        }
+    }
+    let mut columns = Columns::new(mesh);
+    let touched: usize =
+        cores.iter().flat_map(|core| nets.of_core.get(core.0)).map(|&net| 2 + nets.reached.get(net).len()).sum();
+    let each = (touched / cores.len()).max(1) as u64 * 4;
+    let proposals = (work / each).min(PROPOSALS * cores.len() as u64);
+    if cores.len() < 2 && held.len() < 2 || proposals == 0 {
+        return own(&sites);
+    }
+    let (mut now, mut least, mut best) = (0i64, 0i64, own(&sites));
+    let mut affected: Vec<u32> = Vec::new();
+    let mut moves: Vec<(usize, Site, Site)> = Vec::new();
+    let mut heat = None::<f64>;
+    for step in 0..proposals {
+        let draw = |k: u64, n: u64| rng::below(n, seed, step, k);
+        let core = cores[draw(0, cores.len() as u64) as usize].index();
+        let from = sites[core];
+        let wanted = match draw(1, 2) {
+            0 => middle(nets, mesh, &sites, core as u32, chip).map(|(x, y)| {
+                let spread = |at: u32, most: u32, k| {
+                    (i64::from(at) + draw(k, 3) as i64 - 1).clamp(0, i64::from(most) - 1) as u32
+                };
+                (spread(x, mesh.width, 3), spread(y, mesh.height, 4))
+            }),
+            _ => None,
+        };
+        let any = || (draw(3, u64::from(mesh.width)) as u32, draw(4, u64::from(mesh.height)) as u32);
+        let (x, y) = wanted.unwrap_or_else(any);
+        let to = Site { chip, x, y, core: draw(5, u64::from(mesh.cores_per_tile)) as u32 };
+        let Some(number) = mesh.number(to).filter(|_| (to.x, to.y) != (from.x, from.y)) else { continue };
+        moves.clear();
+        let tile = |site: Site| (0..mesh.cores_per_tile).map(move |core| Site { core, ..site });
+        let holder = |held: &[Option<usize>], site: Site| held[(mesh.number(site)? - start) as usize];
+        if tile(to).any(|site| holder(&held, site).is_some()) {
+            moves.push((core, from, to));
+            moves.extend(held[(number - start) as usize].map(|other| (other, to, from)));
+        } else {
+            // Power comes in tiles, so that no further one is begun: all of this one move.
+            for site in tile(from) {
+                let there = Site { core: site.core, ..to };
+                moves.extend(holder(&held, site).filter(|_| mesh.number(there).is_some()).map(|c| (c, site, there)));
+            }
+            if moves.len() != tile(from).filter(|&site| holder(&held, site).is_some()).count() {
+                continue;
+            }
+        }
+        affected.clear();
+        moves.iter().for_each(|&(core, _, _)| affected.extend(nets.of_core.get(core as u32)));
+        if moves.len() > 1 {
+            affected.sort_unstable();
+            affected.dedup();
+        }
+        let sum = |sites: &[Site], columns: &mut Columns| -> i64 {
+            affected.iter().map(|&net| worth(nets, net, mesh, sites, columns)).sum()
+        };
+        let before = sum(&sites, &mut columns);
+        moves.iter().for_each(|&(core, _, to)| sites[core] = to);
+        let change = sum(&sites, &mut columns) - before;
+        // The first cost is the first temperature.
+        let first_heat = *heat.get_or_insert_with(|| 0.2 * change.unsigned_abs().max(1) as f64);
+        let temperature = first_heat * COOLEST.powf(step as f64 / proposals as f64);
+        let accepted = change <= 0 || rng::unit(seed, step, 6) < (-(change as f64) / temperature).exp();
+        if accepted {
+            now += change;
+            let mut hold = |site: Site, core: Option<usize>| {
+                if let Some(number) = mesh.number(site) {
+                    held[(number - start) as usize] = core;
+                }
+            };
+            moves.iter().for_each(|&(_, from, _)| hold(from, None));
+            moves.iter().for_each(|&(core, _, to)| hold(to, Some(core)));
+            if now < least {
+                (least, best) = (now, own(&sites));
+            }
+        } else {
+            moves.iter().for_each(|&(core, from, _)| sites[core] = from);
+        }
+    }
+    best
+}
+
+/// The tile of this chip in the middle of what a core talks to.
+fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Option<(u32, u32)> {
+    let (mut x, mut y, mut sum) = (0u64, 0u64, 0u64);
+    let (left, top) = ((chip % mesh.chips_x) * mesh.width, (chip / mesh.chips_x) * mesh.height);
+    let mut pull = |(px, py): (u32, u32), weight: u64| {
+        let near = |at: u32, first: u32, size: u32| u64::from(at.clamp(first, first + size - 1) - first);
+        x += near(px, left, mesh.width) * weight;
+        y += near(py, top, mesh.height) * weight;
+        sum += weight;
+    };
+    for &net in nets.of_core.get(core) {
+        let of = nets.nets[net as usize];
+        match of.source {
+            Some(source) if source == core => {
+                nets.reached.get(net).iter().for_each(|&to| pull(mesh.tile(sites[to as usize]), of.weight));
+            }
+            Some(source) => pull(mesh.tile(sites[source as usize]), of.weight),
+            None => pull((left, top), of.weight),
+        }
+    }
+    (sum > 0).then(|| (((x + sum / 2) / sum) as u32, ((y + sum / 2) / sum) as u32))
+}
+
+/// Chips changed for each other, and for chips not in use, while that saves links.
+fn exchanged(nets: &Nets, mesh: &Mesh, mut sites: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
+    // Only messages between chips matter, so chips stand for their cores; few enough to try every pair.
+    let used = sites.len().div_ceil(mesh.cores_per_chip as usize);
+    let messages: usize = nets.reached.total() + nets.nets.len();
+    let near = (used as u32 + mesh.chips_x).min(mesh.chips_x * mesh.chips_y);
+    let tries = (search.work / 2 / (messages.max(1) as u64)).min(u64::from(near) * used as u64 * 2);
+    let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites).objective(search.objective);
+    let mut least = cost(&sites);
+    for step in 0..tries {
+        let a = rng::below(used as u64, search.seed, step, 100) as u32;
+        let from = sites[CoreId(a * mesh.cores_per_chip)].chip;
+        let to = rng::below(u64::from(near), search.seed, step, 101) as u32;
+        if from == to {
+            continue;
+        }
+        let mut changed = sites.clone();
+        for site in changed.iter_mut() {
+            site.chip = match site.chip {
+                chip if chip == from => to,
+                chip if chip == to => from,
+                chip => chip,
+            };
+        }
+        let now = cost(&changed);
+        if now < least {
+            (sites, least) = (changed, now);
+        }
+    }
+    sites
+}

@@ -1,0 +1,633 @@
+//! A model in the making, and how it becomes a model file.
+//!
+//! Comes in: populations and projections with their arrays, as a reader of foreign files (or any other maker of models)
+//! found them. Goes out: the text of a RON model with one safetensors file beside it, or the [`Network`] that reading
+//! the two would give. There is one way from a draft to a network, through the text, so that a network that was imported
+//! on the fly and one that was written and read again are the same. Whether it makes sense is for `compile::lower`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+
+use super::write;
+use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::fixed::SignMode;
+use crate::desc::network::{
+    ArrayRef, Network, NetworkFile, ParameterValue, PopulationDesc, ProjectionDesc, ResetDesc, Semantics, Source,
+    ThresholdTest, WeightRounding,
+};
+use crate::desc::spanned::Spanned;
+use crate::desc::tensor::{Numbers, Tensor};
+
+/// Lists of at most so many numbers stand in the text.
+const IN_PLACE: usize = 16;
+
+/// A parameter's value: one for all, or one for each compartment.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// The same for all.
+    Same(f64),
+    /// One each.
+    Each(Vec<f64>),
+}
+
+impl Value {
+    /// One for all when all are equal.
+    #[must_use]
+    pub fn of(values: Vec<f64>) -> Value {
+        match values.first() {
+            Some(&first) if values.iter().all(|value| value.to_bits() == first.to_bits()) => Value::Same(first),
+            _ => Value::Each(values),
+        }
+    }
+
+    /// The value of one compartment.
+    ///
+    /// # Panics
+    /// When there is one for each and `index` is not one of them.
+    #[must_use]
+    pub fn get(&self, index: usize) -> f64 {
+        match self {
+            Value::Same(value) => *value,
+            Value::Each(values) => values[index],
+        }
+    }
+
+    /// Changes every value.
+    #[must_use]
+    pub fn map(&self, f: impl Fn(f64) -> f64) -> Value {
+        match self {
+            Value::Same(value) => Value::Same(f(*value)),
+            Value::Each(values) => Value::of(values.iter().map(|&value| f(value)).collect()),
+        }
+    }
+}
+
+/// A population.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DraftPopulation {
+    /// Its name.
+    pub name: String,
+    /// `[n]` or `[channels, height, width]`.
+    pub shape: Vec<u64>,
+    /// Parameters of Loihi compartments by the names that model files use, in order.
+    pub loihi: Option<Vec<(&'static str, Value)>>,
+    /// Parameters of spike response neurons by the names that model files use; without either, it is an input.
+    pub srm: Option<[(&'static str, f64); 4]>,
+    /// The step before which it is held at zero.
+    pub start_step: u32,
+}
+
+impl DraftPopulation {
+    /// Channels that a stimulus drives.
+    #[must_use]
+    pub fn input(name: &str, shape: Vec<u64>) -> Self {
+        DraftPopulation { name: name.to_string(), shape, loihi: None, srm: None, start_step: 0 }
+    }
+
+    /// Compartments with these parameters.
+    #[must_use]
+    pub fn loihi(name: &str, shape: Vec<u64>, parameters: Vec<(&'static str, Value)>) -> Self {
+        DraftPopulation { loihi: Some(parameters), ..DraftPopulation::input(name, shape) }
+    }
+
+    /// Channels or compartments.
+    #[must_use]
+    pub fn units(&self) -> u64 {
+        self.shape.iter().fold(1, |product: u64, &axis| product.saturating_mul(axis))
+    }
+
+    /// A parameter by name.
+    #[must_use]
+    pub fn parameter(&self, name: &str) -> Option<&Value> {
+        self.loihi.as_ref()?.iter().find(|(key, _)| *key == name).map(|(_, value)| value)
+    }
+}
+
+/// How a projection reaches its targets.
+#[derive(Debug, Clone, PartialEq)]
+pub enum DraftKind {
+    /// `[target][source]`.
+    Dense(Tensor),
+    /// (source, target, weight) each.
+    Sparse(Vec<(u64, u64, f64)>),
+    /// `[C'][C / groups][kh][kw]`; pairs are (y, x).
+    Conv2d {
+        /// The kernel.
+        weights: Tensor,
+        /// Step.
+        stride: (u64, u64),
+        /// Nothing around the source.
+        padding: (u64, u64),
+        /// Distance of neighbours.
+        dilation: (u64, u64),
+        /// Channel groups.
+        groups: u64,
+    },
+    /// Sum pooling with one weight.
+    SumPool2d {
+        /// Window.
+        kernel: (u64, u64),
+        /// Step.
+        stride: (u64, u64),
+        /// Nothing around the source.
+        padding: (u64, u64),
+        /// The weight of each synapse.
+        weight: f64,
+    },
+}
+
+/// A projection.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DraftProjection {
+    /// Source populations, concatenated.
+    pub from: Vec<String>,
+    /// Target population.
+    pub to: String,
+    /// How it reaches its targets.
+    pub kind: DraftKind,
+    /// Delay field.
+    pub delay: u32,
+    /// Weight exponent.
+    pub weight_exp: i64,
+    /// Sign mode.
+    pub sign: SignMode,
+    /// Bits of a weight.
+    pub weight_bits: i64,
+    /// What a real weight of 1 counts.
+    pub weight_scale: Option<f64>,
+}
+
+impl DraftProjection {
+    /// A projection with the default format of synapses.
+    #[must_use]
+    pub fn new(from: &str, to: &str, kind: DraftKind) -> Self {
+        DraftProjection {
+            from: vec![from.to_string()],
+            to: to.to_string(),
+            kind,
+            delay: 0,
+            weight_exp: 0,
+            sign: SignMode::Mixed,
+            weight_bits: 8,
+            weight_scale: None,
+        }
+    }
+}
+
+/// A model in the making.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Draft {
+    /// The network's name.
+    pub name: String,
+    /// Milliseconds that a timestep stands for.
+    pub timestep_ms: f64,
+    /// Populations in order.
+    pub populations: Vec<DraftPopulation>,
+    /// Projections in order.
+    pub projections: Vec<DraftProjection>,
+    /// The population whose spikes decide.
+    pub output: String,
+    /// Names of the classes.
+    pub classes: Vec<String>,
+    /// Periodic reset.
+    pub reset: Option<ResetDesc>,
+    /// When a compartment spikes.
+    pub threshold: ThresholdTest,
+    /// Which arithmetic.
+    pub semantics: Semantics,
+    /// How weights are rounded.
+    pub weight_rounding: WeightRounding,
+    /// The stimulus to use when none is given.
+    pub scene: Option<String>,
+    /// Where the network comes from.
+    pub provenance: Option<String>,
+}
+
+impl Draft {
+    /// A network without populations.
+    #[must_use]
+    pub fn new(name: &str, timestep_ms: f64) -> Self {
+        Draft {
+            name: name.to_string(),
+            timestep_ms,
+            populations: Vec::new(),
+            projections: Vec::new(),
+            output: String::new(),
+            classes: Vec::new(),
+            reset: None,
+            threshold: ThresholdTest::Strict,
+            semantics: Semantics::Hardware,
+            weight_rounding: WeightRounding::Even,
+            scene: None,
+            provenance: None,
+        }
+    }
+
+    /// The draft of a model, with its arrays in full.
+    ///
+    /// # Errors
+    /// `export.unsupported` for arrays that a seed stands for.
+    pub fn of(network: &Network) -> Result<Draft, Diagnostic> {
+        let file = network.file();
+        let mut draft = Draft::new(&file.name, file.timestep_ms.value);
+        for population in &file.populations {
+            let desc = &population.value;
+            let (name, shape) = (&desc.name().value, desc.shape().value.clone());
+            draft.populations.push(match desc {
+                PopulationDesc::Input { .. } => DraftPopulation::input(name, shape),
+                PopulationDesc::Srm(srm) => {
+                    let parameters = [
+                        ("tau_sr_ms", srm.tau_sr_ms.value),
+                        ("tau_ref_ms", srm.tau_ref_ms.value),
+                        ("scale_ref", srm.scale_ref.value),
+                        ("theta", srm.theta.value),
+                    ];
+                    DraftPopulation { srm: Some(parameters), ..DraftPopulation::input(name, shape) }
+                }
+                PopulationDesc::Loihi(loihi) => {
+                    let mut parameters = Vec::new();
+                    for (key, parameter) in PARAMETERS.into_iter().zip(loihi.parameters()) {
+                        if let Some(parameter) = parameter {
+                            parameters.push((key, value_of(network, &parameter.value)?));
+                        }
+                    }
+                    let start = loihi.start_step.as_ref().map_or(0, |step| step.value);
+                    let start_step = u32::try_from(start).map_err(|_| seeded(&format!("start_step {start}")))?;
+                    DraftPopulation { start_step, ..DraftPopulation::loihi(name, shape, parameters) }
+                }
+            });
+        }
+        for projection in &file.projections {
+            let synapse = projection.value.synapse();
+            let pair = |pair: &Option<Spanned<(u64, u64)>>, default| pair.as_ref().map_or(default, |pair| pair.value);
+            let kind = match &projection.value {
+                ProjectionDesc::Dense(dense) => DraftKind::Dense(array_of(network, &dense.weights.source)?),
+                ProjectionDesc::Sparse(sparse) => {
+                    DraftKind::Sparse(sparse.synapses.iter().map(|synapse| synapse.value).collect())
+                }
+                ProjectionDesc::Conv2d(conv) => DraftKind::Conv2d {
+                    weights: array_of(network, &conv.weights.source)?,
+                    stride: pair(&conv.stride, (1, 1)),
+                    padding: pair(&conv.padding, (0, 0)),
+                    dilation: pair(&conv.dilation, (1, 1)),
+                    groups: conv.groups.as_ref().map_or(1, |groups| groups.value),
+                },
+                ProjectionDesc::SumPool2d(pool) => DraftKind::SumPool2d {
+                    kernel: pool.kernel.value,
+                    stride: pair(&pool.stride, pool.kernel.value),
+                    padding: pair(&pool.padding, (0, 0)),
+                    weight: pool.weight.value,
+                },
+                ProjectionDesc::Random(_) => return Err(seeded("a Random projection")),
+            };
+            let delay = synapse.delay.map_or(0, |delay| delay.value);
+            draft.projections.push(DraftProjection {
+                from: synapse.from.iter().map(|name| name.value.clone()).collect(),
+                delay: u32::try_from(delay).map_err(|_| seeded(&format!("a delay of {delay}")))?,
+                weight_exp: synapse.weight_exp.map_or(0, |exponent| exponent.value),
+                sign: synapse.sign.map_or(SignMode::Mixed, |sign| sign.value),
+                weight_bits: synapse.weight_bits.map_or(8, |bits| bits.value),
+                weight_scale: synapse.weight_scale.map(|scale| scale.value),
+                ..DraftProjection::new("", &synapse.to.value, kind)
+            });
+        }
+        draft.output = file.output.value.clone();
+        draft.classes = file.classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone());
+        draft.reset = file.reset.as_ref().map(|reset| reset.value);
+        draft.threshold = file.threshold;
+        draft.semantics = file.semantics;
+        draft.weight_rounding = file.weight_rounding;
+        draft.scene = file.scene.clone();
+        draft.provenance = file.provenance.clone();
+        Ok(draft)
+    }
+
+    /// A population by name.
+    #[must_use]
+    pub fn population(&self, name: &str) -> Option<&DraftPopulation> {
+        self.populations.iter().find(|population| population.name == name)
+    }
+
+    /// The text of the model, and the arrays that it refers to as tensors of `file`.
+    #[must_use]
+    pub fn ron(&self, file: &str) -> (String, BTreeMap<String, Tensor>) {
+        let mut writer = Writer { file, arrays: BTreeMap::new() };
+        let mut out = String::from("Network(\n");
+        let _ = writeln!(out, "    name: {},", quoted(&self.name));
+        let _ = writeln!(out, "    timestep_ms: {},", number(self.timestep_ms));
+        out.push_str("    populations: [\n");
+        for population in &self.populations {
+            writer.population(population, &mut out);
+        }
+        out.push_str("    ],\n    projections: [\n");
+        for projection in &self.projections {
+            writer.projection(projection, &mut out);
+        }
+        let _ = writeln!(out, "    ],\n    output: {},", quoted(&self.output));
+        if !self.classes.is_empty() {
+            let names: Vec<String> = self.classes.iter().map(|class| quoted(class)).collect();
+            let _ = writeln!(out, "    classes: [{}],", names.join(", "));
+        }
+        if let Some(reset) = self.reset {
+            let _ = writeln!(out, "    reset: (interval: {}, offset: {}),", reset.interval, reset.offset);
+        }
+        if self.threshold != ThresholdTest::Strict {
+            let _ = writeln!(out, "    threshold: {:?},", self.threshold);
+        }
+        if self.semantics != Semantics::Hardware {
+            let _ = writeln!(out, "    semantics: {:?},", self.semantics);
+        }
+        if self.weight_rounding != WeightRounding::Even {
+            let _ = writeln!(out, "    weight_rounding: {:?},", self.weight_rounding);
+        }
+        if let Some(scene) = &self.scene {
+            let _ = writeln!(out, "    scene: {},", quoted(scene));
+        }
+        if let Some(provenance) = &self.provenance {
+            let _ = writeln!(out, "    provenance: {},", quoted(provenance));
+        }
+        out.push_str(")\n");
+        (out, writer.arrays)
+    }
+
+    /// The network that the written files would give; `path` is what messages call the model.
+    ///
+    /// # Errors
+    /// `model.*` for a name or number that a model file cannot hold.
+    pub fn network(&self, path: &Path) -> Result<Network, Diagnostic> {
+        let file = "arrays";
+        let (text, tensors) = self.ron(file);
+        let source = SourceText::new(path, text);
+        let parsed = NetworkFile::parse(&source)?;
+        let arrays =
+            tensors.into_iter().map(|(key, tensor)| (ArrayRef::Safetensors(file.to_string(), key), tensor)).collect();
+        Network::new(parsed, source, arrays)
+    }
+
+    /// Writes the model, and its arrays beside it as `STEM.safetensors`; `-` writes the text alone.
+    ///
+    /// # Errors
+    /// `write.*`; `write.arrays` when stdout would have to take more than text.
+    pub fn write(&self, path: &Path, force: bool) -> Result<Vec<String>, Diagnostic> {
+        let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
+        let beside = path.with_file_name(format!("{stem}.safetensors"));
+        let name = beside.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let (text, tensors) = self.ron(&name);
+        let mut files = vec![path.display().to_string()];
+        write::check_free(path, force)?;
+        if !tensors.is_empty() {
+            if super::text::is_standard_stream(path) {
+                return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file beside it")
+                    .help("give -o MODEL.ron"));
+            }
+            write::check_free(&beside, force)?;
+            let bytes = serialise(&tensors).map_err(|error| {
+                Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&beside)
+            })?;
+            write::file(&beside, force, |out| out.write_all(&bytes))?;
+            files.push(beside.display().to_string());
+        }
+        write::text(path, force, &text)?;
+        Ok(files)
+    }
+}
+
+/// The names of [`crate::desc::network::LoihiDesc::parameters`], in its order.
+const PARAMETERS: [&str; 12] = [
+    "du",
+    "dv",
+    "tau_u_ms",
+    "tau_v_ms",
+    "vth_mant",
+    "vth",
+    "bias_mant",
+    "bias_exp",
+    "bias",
+    "refractory",
+    "vmin_exp",
+    "vmax_exp",
+];
+
+fn seeded(what: &str) -> Diagnostic {
+    Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
+        .help("numbers that a seed stands for have no form in other tools: give them as an array")
+}
+
+fn array_of(network: &Network, source: &Source) -> Result<Tensor, Diagnostic> {
+    match source {
+        Source::InPlace(tensor, _) => Ok(self::tensor(tensor.shape().to_vec(), reals_of(tensor))),
+        Source::File(reference) => {
+            let tensor = network.array(reference);
+            Ok(self::tensor(tensor.shape().to_vec(), reals_of(tensor)))
+        }
+        Source::Uniform { .. } => Err(seeded("a Uniform array")),
+    }
+}
+
+fn reals_of(tensor: &Tensor) -> Vec<f64> {
+    (0..tensor.len()).map(|index| tensor.real(index)).collect()
+}
+
+fn value_of(network: &Network, value: &ParameterValue) -> Result<Value, Diagnostic> {
+    match value {
+        ParameterValue::Same(value) => Ok(Value::Same(*value)),
+        ParameterValue::Each(source) => Ok(Value::Each(reals_of(&array_of(network, source)?))),
+    }
+}
+
+/// Tensors as the bytes of a safetensors file, each in the least type that holds its numbers exactly.
+fn serialise(tensors: &BTreeMap<String, Tensor>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let mut stored: Vec<(&String, Dtype, Vec<u8>)> = Vec::new();
+    for (key, tensor) in tensors {
+        let (dtype, bytes) = match tensor.numbers() {
+            Numbers::Integers(x) if x.iter().all(|&x| i16::try_from(x).is_ok()) => {
+                (Dtype::I16, x.iter().flat_map(|&x| (x as i16).to_le_bytes()).collect())
+            }
+            Numbers::Integers(x) => (Dtype::I32, x.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Numbers::Reals(x) if x.iter().all(|&x| f64::from(x as f32).to_bits() == x.to_bits()) => {
+                (Dtype::F32, x.iter().flat_map(|&x| (x as f32).to_le_bytes()).collect())
+            }
+            Numbers::Reals(x) => (Dtype::F64, x.iter().flat_map(|x| x.to_le_bytes()).collect()),
+        };
+        stored.push((key, dtype, bytes));
+    }
+    let views = stored
+        .iter()
+        .map(|(key, dtype, bytes)| Ok((*key, TensorView::new(*dtype, tensors[*key].shape().to_vec(), bytes)?)))
+        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    safetensors::serialize(views, None)
+}
+
+/// A RON string.
+fn quoted(text: &str) -> String {
+    let mut out = String::from("\"");
+    for c in text.chars() {
+        match c {
+            '"' => out.push_str("\\\""),
+            '\\' => out.push_str("\\\\"),
+            '\n' => out.push_str("\\n"),
+            c if c.is_control() => {
+                let _ = write!(out, "\\u{{{:x}}}", u32::from(c));
+            }
+            c => out.push(c),
+        }
+    }
+    out.push('"');
+    out
+}
+
+/// A number that reads back as the same bits.
+fn number(x: f64) -> String {
+    if x.fract() == 0.0 && x.abs() < 9e15 && x.to_bits() != (-0.0f64).to_bits() {
+        format!("{}", x as i64)
+    } else {
+        format!("{x:?}")
+    }
+}
+
+fn list(values: &[f64]) -> String {
+    format!("[{}]", values.iter().map(|&value| number(value)).collect::<Vec<_>>().join(", "))
+}
+
+struct Writer<'a> {
+    file: &'a str,
+    arrays: BTreeMap<String, Tensor>,
+}
+
+impl Writer<'_> {
+    /// A reference to a tensor, under a key that no other has.
+    fn array(&mut self, key: &str, tensor: Tensor) -> String {
+        let mut unique = key.to_string();
+        let mut count = 1;
+        while self.arrays.contains_key(&unique) {
+            count += 1;
+            unique = format!("{key}.{count}");
+        }
+        let text = format!("Safetensors({}, {})", quoted(self.file), quoted(&unique));
+        self.arrays.insert(unique, tensor);
+        text
+    }
+
+    fn population(&mut self, population: &DraftPopulation, out: &mut String) {
+        if let Some(parameters) = population.srm {
+            let _ = write!(out, "        Srm(name: {}, shape: {:?}", quoted(&population.name), population.shape);
+            for (key, value) in parameters {
+                let _ = write!(out, ", {key}: {}", number(value));
+            }
+            out.push_str("),\n");
+            return;
+        }
+        let Some(parameters) = &population.loihi else {
+            let _ = writeln!(out, "        Input(name: {}, shape: {:?}),", quoted(&population.name), population.shape);
+            return;
+        };
+        let _ = write!(out, "        Loihi(name: {}, shape: {:?}", quoted(&population.name), population.shape);
+        for (key, value) in parameters {
+            let value = match value {
+                Value::Same(value) => number(*value),
+                Value::Each(values) if values.len() <= IN_PLACE => list(values),
+                Value::Each(values) => {
+                    let tensor = tensor(vec![values.len()], values.clone());
+                    self.array(&format!("{}.{key}", population.name), tensor)
+                }
+            };
+            let _ = write!(out, ", {key}: {value}");
+        }
+        if population.start_step != 0 {
+            let _ = write!(out, ", start_step: {}", population.start_step);
+        }
+        out.push_str("),\n");
+    }
+
+    fn projection(&mut self, projection: &DraftProjection, out: &mut String) {
+        let kind = match &projection.kind {
+            DraftKind::Dense(_) => "Dense",
+            DraftKind::Sparse(_) => "Sparse",
+            DraftKind::Conv2d { .. } => "Conv2d",
+            DraftKind::SumPool2d { .. } => "SumPool2d",
+        };
+        let from: Vec<String> = projection.from.iter().map(|name| quoted(name)).collect();
+        let _ = write!(out, "        {kind}(from: [{}], to: {}", from.join(", "), quoted(&projection.to));
+        let key = format!("{}->{}", projection.from.join("+"), projection.to);
+        match &projection.kind {
+            DraftKind::Dense(weights) => {
+                let weights = self.array(&key, weights.clone());
+                let _ = write!(out, ", weights: {weights}");
+            }
+            DraftKind::Sparse(synapses) => {
+                out.push_str(", synapses: [");
+                for (index, &(source, target, weight)) in synapses.iter().enumerate() {
+                    let comma = if index == 0 { "" } else { ", " };
+                    let _ = write!(out, "{comma}({source}, {target}, {})", number(weight));
+                }
+                out.push(']');
+            }
+            DraftKind::Conv2d { weights, stride, padding, dilation, groups } => {
+                let weights = self.array(&key, weights.clone());
+                let _ = write!(
+                    out,
+                    ", weights: {weights}, stride: {stride:?}, padding: {padding:?}, dilation: {dilation:?}, groups: {groups}"
+                );
+            }
+            DraftKind::SumPool2d { kernel, stride, padding, weight } => {
+                let weight = number(*weight);
+                let _ = write!(out, ", kernel: {kernel:?}, stride: {stride:?}, padding: {padding:?}, weight: {weight}");
+            }
+        }
+        if projection.weight_exp != 0 {
+            let _ = write!(out, ", weight_exp: {}", projection.weight_exp);
+        }
+        if projection.sign != SignMode::Mixed {
+            let _ = write!(out, ", sign: {:?}", projection.sign);
+        }
+        if projection.weight_bits != 8 {
+            let _ = write!(out, ", weight_bits: {}", projection.weight_bits);
+        }
+        if projection.delay != 0 {
+            let _ = write!(out, ", delay: {}", projection.delay);
+        }
+        if let Some(scale) = projection.weight_scale {
+            let _ = write!(out, ", weight_scale: {}", number(scale));
+        }
+        out.push_str("),\n");
+    }
+}
+
+/// A tensor of these numbers: integers when all are.
+///
+/// # Panics
+/// When the numbers do not fill the shape, a mistake of the caller.
+#[must_use]
+pub fn tensor(shape: Vec<usize>, numbers: Vec<f64>) -> Tensor {
+    let whole = numbers.iter().all(|&x| f64::from(x as i32).to_bits() == x.to_bits());
+    let numbers = match whole {
+        true => Numbers::Integers(numbers.iter().map(|&x| x as i32).collect()),
+        false => Numbers::Reals(numbers),
+    };
+    Tensor::new(shape, numbers).expect("the numbers fill the shape")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn strings_are_written_as_ron_reads_them() {
+        for text in ["plain", "a \"quoted\" \\ one\n\ttwo \u{1}", "µ-in"] {
+            assert_eq!(ron::from_str::<String>(&quoted(text)).unwrap(), text);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_read_back_as_the_same_bits(x in any::<f64>().prop_filter("finite", |x| x.is_finite())) {
+            let ron::Value::Number(back) = ron::from_str(&number(x)).unwrap() else { panic!() };
+            prop_assert_eq!(back.into_f64().to_bits(), x.to_bits());
+        }
+    }
+}

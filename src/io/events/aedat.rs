@@ -1,0 +1,175 @@
+//! AEDAT4, the files of iniVation's DV.
+//!
+//! A line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then packets: a stream's number and a
+//! size, and so many bytes that hold, plain or compressed by LZ4 or Zstandard, a flatbuffer with a vector of events of 16
+//! bytes: microseconds, x, y, polarity (iniVation, AEDAT file format 4.0; `dv/data/event.fbs`). Packets whose identifier
+//! is not `EVTS` are passed over. A packet is read whole: it and what it decompresses to take at most 64 MiB each.
+
+use std::io::{BufRead, Read};
+
+use super::{Event, Sink, fill, wrong};
+use crate::base::diagnostic::Diagnostic;
+
+/// What a file begins with.
+const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
+/// The most bytes of a packet, and of what it decompresses to.
+const MOST_PACKET: usize = 64 << 20;
+/// Bytes of an event.
+const EVENT: usize = 16;
+
+/// Reads a file.
+///
+/// # Errors
+/// `input.events` for what is no AEDAT4, is damaged, or is compressed in another way.
+pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+    let mut magic = [0; 14];
+    let mut at = 0;
+    if !fill(input, &mut magic, &mut at)? || &magic != MAGIC {
+        let older = magic.starts_with(b"#!AER-DAT");
+        let what = if older { "an older version of AEDAT" } else { "no AEDAT4" };
+        return Err(wrong(format!("this is {what}")).help("convert it with DV, or with dv-processing in Python"));
+    }
+    let header = sized(input, &mut at, "the header")?.ok_or_else(|| wrong("the file ends behind its first line"))?;
+    let table = Table::root(&header).ok_or_else(|| wrong("the header is damaged"))?;
+    let compression =
+        table.scalar(0, 4).map_or(0, |bytes| i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
+    let end = table.scalar(1, 8).map_or(-1, |b| i64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]));
+    if let Some(text) = table.text(2) {
+        let side = |name: &str| {
+            let after = text.split(&format!("\"{name}\"")).nth(1)?;
+            after.split_once('>')?.1.split('<').next()?.trim().parse::<u32>().ok()
+        };
+        if let (Some(width), Some(height)) = (side("sizeX"), side("sizeY")) {
+            sink.size(width, height);
+        }
+    }
+    // The table of packets at the end is no packet.
+    while end < 0 || at < end as u64 {
+        let mut head = [0; 8];
+        if !fill(input, &mut head, &mut at)? {
+            break;
+        }
+        let size = i32::from_le_bytes([head[4], head[5], head[6], head[7]]);
+        let packed = exactly(input, usize::try_from(size).unwrap_or(usize::MAX), &mut at, "a packet")?;
+        let packet = unpack(packed, compression)?;
+        packet_events(&packet, sink)?;
+    }
+    Ok(())
+}
+
+fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>, Diagnostic> {
+    let mut plain = Vec::new();
+    let limit = MOST_PACKET as u64 + 1;
+    let damaged = |error: &dyn std::fmt::Display| wrong(format!("a packet does not decompress: {error}"));
+    match compression {
+        0 => return Ok(packed),
+        // LZ4 and LZ4_HIGH, ZSTD and ZSTD_HIGH.
+        1 | 2 => {
+            lz4_flex::frame::FrameDecoder::new(packed.as_slice())
+                .take(limit)
+                .read_to_end(&mut plain)
+                .map_err(|error| damaged(&error))?;
+        }
+        3 | 4 => {
+            let decoder =
+                ruzstd::decoding::StreamingDecoder::new_with_max_window_size(packed.as_slice(), MOST_PACKET as u64)
+                    .map_err(|error| damaged(&error))?;
+            decoder.take(limit).read_to_end(&mut plain).map_err(|error| damaged(&error))?;
+        }
+        other => return Err(wrong(format!("compression {other} is not known"))),
+    }
+    if plain.len() > MOST_PACKET {
+        return Err(wrong(format!("a packet decompresses to more than {MOST_PACKET} bytes")));
+    }
+    Ok(plain)
+}
+
+/// So many bytes, allocated as they come.
+fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, what: &str) -> Result<Vec<u8>, Diagnostic> {
+    if size > MOST_PACKET {
+        return Err(wrong(format!("{what} at byte {at} claims {size} bytes, more than {MOST_PACKET}")));
+    }
+    let mut bytes = Vec::new();
+    input.take(size as u64).read_to_end(&mut bytes).map_err(|error| super::unreadable(&error))?;
+    *at += bytes.len() as u64;
+    if bytes.len() < size {
+        return Err(wrong(format!("the file ends within {what}")));
+    }
+    Ok(bytes)
+}
+
+/// A flatbuffer behind its size.
+fn sized(input: &mut dyn BufRead, at: &mut u64, what: &str) -> Result<Option<Vec<u8>>, Diagnostic> {
+    let mut size = [0; 4];
+    if !fill(input, &mut size, at)? {
+        return Ok(None);
+    }
+    exactly(input, u32::from_le_bytes(size) as usize, at, what).map(Some)
+}
+
+fn packet_events(packet: &[u8], sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+    // Behind the size stand the root's place and the identifier.
+    let Some(buffer) = packet.get(4..).filter(|buffer| buffer.get(4..8) == Some(b"EVTS")) else { return Ok(()) };
+    let damaged = || wrong("a packet of events is damaged");
+    let Some(events) = Table::root(buffer).ok_or_else(damaged)?.vector(0, EVENT) else { return Ok(()) };
+    for event in events.ok_or_else(damaged)?.chunks_exact(EVENT) {
+        let t_us = i64::from_le_bytes([event[0], event[1], event[2], event[3], event[4], event[5], event[6], event[7]]);
+        let side = |a: u8, b: u8| u32::try_from(i16::from_le_bytes([a, b])).unwrap_or(u32::MAX);
+        sink.event(Event { t_us, x: side(event[8], event[9]), y: side(event[10], event[11]), on: event[12] != 0 })?;
+    }
+    Ok(())
+}
+
+/// A table of a flatbuffer (FlatBuffers, internals: a table begins with the signed distance to its vtable).
+struct Table<'a> {
+    buffer: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Table<'a> {
+    fn root(buffer: &'a [u8]) -> Option<Self> {
+        let at = word(buffer, 0)? as usize;
+        buffer.get(at..at.checked_add(4)?)?;
+        Some(Table { buffer, at })
+    }
+
+    /// The place of a field; none when it has its default.
+    fn field(&self, index: usize) -> Option<usize> {
+        let back = i64::from(word(self.buffer, self.at)? as i32);
+        let vtable = usize::try_from(self.at as i64 - back).ok()?;
+        let half =
+            |at: usize| Some(usize::from(u16::from_le_bytes([*self.buffer.get(at)?, *self.buffer.get(at + 1)?])));
+        let place = 4 + 2 * index;
+        if place + 2 > half(vtable)? {
+            return None;
+        }
+        let offset = half(vtable.checked_add(place)?)?;
+        (offset != 0).then(|| self.at.checked_add(offset))?
+    }
+
+    fn scalar(&self, index: usize, size: usize) -> Option<&'a [u8]> {
+        let at = self.field(index)?;
+        self.buffer.get(at..at.checked_add(size)?)
+    }
+
+    /// The entries of a vector: none when the field is absent, none within when they leave the buffer.
+    fn vector(&self, index: usize, size: usize) -> Option<Option<&'a [u8]>> {
+        let at = self.field(index)?;
+        let entries = || {
+            let start = at.checked_add(word(self.buffer, at)? as usize)?;
+            let count = word(self.buffer, start)? as usize;
+            let first = start.checked_add(4)?;
+            self.buffer.get(first..first.checked_add(count.checked_mul(size)?)?)
+        };
+        Some(entries())
+    }
+
+    fn text(&self, index: usize) -> Option<&'a str> {
+        std::str::from_utf8(self.vector(index, 1)??).ok()
+    }
+}
+
+fn word(buffer: &[u8], at: usize) -> Option<u32> {
+    let bytes = buffer.get(at..at.checked_add(4)?)?;
+    Some(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
+}

@@ -1,0 +1,92 @@
+//! What the fuzz targets of `tests/fuzz` and the tests of their corpora run: each parser on any bytes.
+//!
+//! Comes in: bytes. Goes out: nothing; a parser may refuse them, and may not panic or take memory beyond its bound. Models
+//! that are read are turned into the text and back, as an import does.
+
+use std::path::Path;
+
+use super::{Options, of_bytes};
+use crate::base::diagnostic::SourceText;
+use crate::desc::network::ThresholdTest;
+use crate::io::events::{EventFormat, EventOptions, Expected, nir_data};
+
+/// Imports a model and writes it as text.
+fn import(path: &str, data: &[u8]) {
+    let options = [
+        Options::default(),
+        Options {
+            dt_ms: Some(1.0),
+            threshold: Some(ThresholdTest::Inclusive),
+            reset_interval: Some(16),
+            input_shape: Some(vec![1, 8, 8]),
+            ..Options::default()
+        },
+    ];
+    for options in options {
+        if let Ok(imported) = of_bytes(Path::new(path), data.to_vec(), &options) {
+            let _ = imported.draft.network(Path::new(path));
+        }
+    }
+}
+
+/// HDF5: netx, NIR, NIR data, and what is none of them.
+pub fn hdf5(data: &[u8]) {
+    import("fuzz.net", data);
+    if let Ok(tree) = super::hdf5::tree(Path::new("fuzz.nir"), data.to_vec()) {
+        let expected = Expected { units: 3, volume: None, dt_ms: 1.0 };
+        let _ = nir_data::read(&tree, Path::new("fuzz.nir"), "in", &expected, &EventOptions::default());
+    }
+}
+
+/// PyTorch checkpoints.
+pub fn checkpoint(data: &[u8]) {
+    if let Ok(mut checkpoint) = super::torch::open(data.to_vec()) {
+        let names: Vec<String> = checkpoint.entries().map(|(name, _)| name.to_string()).take(64).collect();
+        for name in names {
+            let _ = checkpoint.tensor(&name);
+        }
+    }
+    import("fuzz.pt", data);
+}
+
+/// Network configs of SLAYER.
+pub fn yaml(data: &[u8]) {
+    if let Ok(text) = std::str::from_utf8(data) {
+        let _ = super::slayer::config(&SourceText::new("fuzz.yml", text));
+    }
+}
+
+/// Arrays and event lists.
+pub fn arrays(data: &[u8]) {
+    if let Ok(array) = crate::io::npy::Array::from_bytes(Path::new("fuzz.npy"), data.to_vec()) {
+        let _ = array.tensor();
+    }
+    if let Ok(file) = crate::io::safetensors::TensorFile::from_bytes(Path::new("fuzz.safetensors"), data.to_vec()) {
+        for entry in file.entries().unwrap_or_default().into_iter().take(64) {
+            let _ = file.tensor(&entry.key);
+        }
+    }
+    let _ = crate::io::event_csv::of_bytes(Path::new("fuzz.csv"), data.to_vec(), 64);
+}
+
+/// Event recordings; the first byte chooses the format.
+pub fn events(data: &[u8]) {
+    let Some((&first, mut rest)) = data.split_first() else { return };
+    let formats = [
+        EventFormat::Bs2,
+        EventFormat::Bs1,
+        EventFormat::Dat,
+        EventFormat::Raw,
+        EventFormat::Aedat4,
+        EventFormat::Tact,
+    ];
+    let format = formats[usize::from(first) % formats.len()];
+    let expected = Expected { units: 128, volume: Some((2, 8, 8)), dt_ms: 1.0 };
+    let options = EventOptions {
+        crop: Some((0, 0, 16, 16)),
+        pool: Some((2, 2)),
+        steps: (first & 0x40 == 0).then_some(64),
+        ..EventOptions::default()
+    };
+    let _ = crate::io::events::of_input(&mut rest, "fuzz", format, &expected, &options);
+}

@@ -1,0 +1,572 @@
+//! A restricted reader of pickles: data only.
+//!
+//! Comes in: the bytes of a pickle of protocol 0 to 5. Goes out: the values that it builds, in an [`Arena`] that they refer
+//! to each other in. Nothing is called and nothing is imported: a name such as `torch._utils._rebuild_tensor_v2` is kept
+//! as a name, a call of one of a few known names becomes a value, a call of any other ends the reading with that name
+//! (opcodes: CPython `Lib/pickletools.py`). Values, the stack and the memo are counted and bounded.
+
+use std::collections::HashMap;
+
+/// Values, places of the stack and entries of lists that one pickle may have.
+const MOST_VALUES: usize = 1 << 20;
+
+/// A value's place in the arena.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct ValueId(u32);
+
+/// A value.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// `None`.
+    None,
+    /// True or false.
+    Bool(bool),
+    /// An integer of at most 64 bits.
+    Int(i64),
+    /// A longer integer, little-endian.
+    Long(Vec<u8>),
+    /// A real.
+    Float(f64),
+    /// A text.
+    Text(String),
+    /// Bytes.
+    Bytes(Vec<u8>),
+    /// A tuple.
+    Tuple(Vec<ValueId>),
+    /// A list or a set.
+    List(Vec<ValueId>),
+    /// A dictionary in its order.
+    Dict(Vec<(ValueId, ValueId)>),
+    /// The name of a class or function: module and name.
+    Name(String, String),
+    /// What a persistent id refers to.
+    Persistent(ValueId),
+    /// A call of a known name: the name's last part and its arguments.
+    Call(String, Vec<ValueId>),
+}
+
+/// Why a pickle is not read.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PickleError {
+    /// It makes an object of a class, or calls a function, that is not data.
+    #[error("it pickles {0}")]
+    Class(String),
+    /// It ends early or contradicts itself.
+    #[error("{0} at byte {1}")]
+    Malformed(&'static str, usize),
+    /// It has more values than are read.
+    #[error("it has more than {MOST_VALUES} values")]
+    TooLarge,
+}
+
+/// What a pickle built.
+#[derive(Debug, Clone)]
+pub struct Arena {
+    values: Vec<Value>,
+}
+
+impl Arena {
+    /// A value.
+    #[must_use]
+    pub fn get(&self, id: ValueId) -> &Value {
+        &self.values[id.0 as usize]
+    }
+}
+
+/// Names whose calls are data: what is kept of them.
+fn known(module: &str, name: &str) -> bool {
+    matches!(
+        (module, name),
+        ("collections", "OrderedDict")
+            | ("torch._utils", "_rebuild_tensor_v2" | "_rebuild_tensor" | "_rebuild_parameter")
+            | ("torch", "Size")
+            | ("_codecs", "encode")
+    )
+}
+
+struct Machine<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    values: Vec<Value>,
+    stack: Vec<ValueId>,
+    /// Stack heights.
+    marks: Vec<usize>,
+    memo: HashMap<u32, ValueId>,
+    entries: usize,
+}
+
+type Result<T> = std::result::Result<T, PickleError>;
+
+/// Reads the pickle that begins here: its value, and how many bytes it takes.
+///
+/// # Errors
+/// [`PickleError`].
+pub fn load(bytes: &[u8]) -> Result<(Arena, ValueId, usize)> {
+    let mut machine = Machine {
+        bytes,
+        at: 0,
+        values: Vec::new(),
+        stack: Vec::new(),
+        marks: Vec::new(),
+        memo: HashMap::new(),
+        entries: 0,
+    };
+    while !machine.step()? {}
+    let top = machine.pop()?;
+    Ok((Arena { values: machine.values }, top, machine.at))
+}
+
+impl<'a> Machine<'a> {
+    fn wrong<T>(&self, what: &'static str) -> Result<T> {
+        Err(PickleError::Malformed(what, self.at))
+    }
+
+    fn take(&mut self, count: usize) -> Result<&'a [u8]> {
+        match self.bytes.get(self.at..).and_then(|rest| rest.get(..count)) {
+            Some(taken) => {
+                self.at += count;
+                Ok(taken)
+            }
+            None => self.wrong("it ends within a value"),
+        }
+    }
+
+    fn fixed<const N: usize>(&mut self) -> Result<[u8; N]> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(N)?);
+        Ok(array)
+    }
+
+    fn size4(&mut self) -> Result<usize> {
+        Ok(u32::from_le_bytes(self.fixed()?) as usize)
+    }
+
+    fn size8(&mut self) -> Result<usize> {
+        let size = u64::from_le_bytes(self.fixed()?);
+        usize::try_from(size).or_else(|_| self.wrong("a size beyond all memory"))
+    }
+
+    fn line(&mut self) -> Result<&'a str> {
+        let rest = &self.bytes[self.at..];
+        let Some(end) = rest.iter().position(|&byte| byte == b'\n') else { return self.wrong("a line without end") };
+        self.at += end + 1;
+        match std::str::from_utf8(&rest[..end]) {
+            Ok(line) => Ok(line.trim_end_matches('\r')),
+            Err(_) => self.wrong("a line that is not text"),
+        }
+    }
+
+    fn text(&mut self, size: usize) -> Result<Value> {
+        let bytes = self.take(size)?;
+        Ok(Value::Text(String::from_utf8_lossy(bytes).into_owned()))
+    }
+
+    fn push(&mut self, value: Value) -> Result<()> {
+        if self.values.len() >= MOST_VALUES {
+            return Err(PickleError::TooLarge);
+        }
+        let id = ValueId(self.values.len() as u32);
+        self.values.push(value);
+        self.put(id)
+    }
+
+    fn put(&mut self, id: ValueId) -> Result<()> {
+        if self.stack.len() >= MOST_VALUES {
+            return Err(PickleError::TooLarge);
+        }
+        self.stack.push(id);
+        Ok(())
+    }
+
+    fn pop(&mut self) -> Result<ValueId> {
+        let floor = self.marks.last().copied().unwrap_or(0);
+        if self.stack.len() <= floor {
+            return self.wrong("a value is missing");
+        }
+        self.stack.pop().map_or_else(|| self.wrong("a value is missing"), Ok)
+    }
+
+    fn top(&self) -> Result<ValueId> {
+        self.stack.last().copied().map_or_else(|| self.wrong("a value is missing"), Ok)
+    }
+
+    /// What stands above the last mark.
+    fn marked(&mut self) -> Result<Vec<ValueId>> {
+        match self.marks.pop() {
+            Some(height) if height <= self.stack.len() => Ok(self.stack.split_off(height)),
+            _ => self.wrong("a mark is missing"),
+        }
+    }
+
+    fn grow(&mut self, entries: usize) -> Result<()> {
+        self.entries += entries;
+        if self.entries > MOST_VALUES { Err(PickleError::TooLarge) } else { Ok(()) }
+    }
+
+    fn append(&mut self, items: Vec<ValueId>) -> Result<()> {
+        self.grow(items.len())?;
+        let list = self.top()?;
+        match &mut self.values[list.0 as usize] {
+            Value::List(list) => list.extend(items),
+            _ => return self.wrong("a list is missing"),
+        }
+        Ok(())
+    }
+
+    fn set(&mut self, items: &[ValueId]) -> Result<()> {
+        self.grow(items.len())?;
+        let dict = self.top()?;
+        let pairs = items.chunks_exact(2).map(|pair| (pair[0], pair[1]));
+        match &mut self.values[dict.0 as usize] {
+            Value::Dict(dict) if items.len() % 2 == 0 => dict.extend(pairs),
+            _ => return self.wrong("a dictionary is missing"),
+        }
+        Ok(())
+    }
+
+    fn memoise(&mut self, key: u32) -> Result<()> {
+        let id = self.top()?;
+        if self.memo.len() >= MOST_VALUES {
+            return Err(PickleError::TooLarge);
+        }
+        self.memo.insert(key, id);
+        Ok(())
+    }
+
+    fn recall(&mut self, key: u32) -> Result<()> {
+        match self.memo.get(&key) {
+            Some(&id) => self.put(id),
+            None => self.wrong("a value that was not kept"),
+        }
+    }
+
+    fn key(&mut self) -> Result<u32> {
+        self.line()?.parse().or_else(|_| self.wrong("a number that is none"))
+    }
+
+    /// The name at a place, and whether calls of it are data.
+    fn name_of(&self, id: ValueId) -> Result<(&str, &str)> {
+        match &self.values[id.0 as usize] {
+            Value::Name(module, name) => Ok((module, name)),
+            _ => self.wrong("a call of what has no name"),
+        }
+    }
+
+    fn reduce(&mut self) -> Result<()> {
+        let (arguments, function) = (self.pop()?, self.pop()?);
+        let (module, name) = self.name_of(function)?;
+        if !known(module, name) {
+            return Err(PickleError::Class(format!("{module}.{name}")));
+        }
+        let name = name.to_string();
+        let arguments = match &self.values[arguments.0 as usize] {
+            Value::Tuple(arguments) => arguments.clone(),
+            _ => return self.wrong("a call without arguments"),
+        };
+        self.grow(arguments.len())?;
+        match name.as_str() {
+            // Pairs as an argument are how protocol 0 and 1 of old Pythons wrote it.
+            "OrderedDict" => {
+                let mut pairs = Vec::new();
+                if let Some(Value::List(list)) = arguments.first().map(|&id| &self.values[id.0 as usize]) {
+                    for &pair in list {
+                        match &self.values[pair.0 as usize] {
+                            Value::Tuple(pair) | Value::List(pair) if pair.len() == 2 => pairs.push((pair[0], pair[1])),
+                            _ => return self.wrong("an entry that is no pair"),
+                        }
+                    }
+                }
+                self.grow(pairs.len())?;
+                self.push(Value::Dict(pairs))
+            }
+            "Size" => match arguments.first() {
+                Some(&size) => self.put(size),
+                None => self.wrong("a size without numbers"),
+            },
+            _ => self.push(Value::Call(name, arguments)),
+        }
+    }
+
+    /// One opcode; whether it was the last.
+    #[allow(clippy::too_many_lines)]
+    fn step(&mut self) -> Result<bool> {
+        let [opcode] = self.fixed()?;
+        match opcode {
+            b'.' => return Ok(true),
+            0x80 => {
+                let [version] = self.fixed()?;
+                if version > 5 {
+                    return self.wrong("a protocol that is not known");
+                }
+            }
+            0x95 => {
+                self.take(8)?;
+            }
+            b'(' => {
+                if self.marks.len() >= MOST_VALUES {
+                    return Err(PickleError::TooLarge);
+                }
+                self.marks.push(self.stack.len());
+            }
+            b'0' => {
+                // POP takes a mark when one is on top.
+                if self.marks.last() == Some(&self.stack.len()) {
+                    self.marks.pop();
+                } else {
+                    self.pop()?;
+                }
+            }
+            b'1' => {
+                self.marked()?;
+            }
+            b'2' => {
+                let top = self.top()?;
+                self.put(top)?;
+            }
+            b'N' => self.push(Value::None)?,
+            0x88 => self.push(Value::Bool(true))?,
+            0x89 => self.push(Value::Bool(false))?,
+            b'K' => {
+                let [x] = self.fixed()?;
+                self.push(Value::Int(x.into()))?;
+            }
+            b'M' => {
+                let x = u16::from_le_bytes(self.fixed()?);
+                self.push(Value::Int(x.into()))?;
+            }
+            b'J' => {
+                let x = i32::from_le_bytes(self.fixed()?);
+                self.push(Value::Int(x.into()))?;
+            }
+            b'I' | b'L' => {
+                let line = self.line()?;
+                let value = match (opcode, line) {
+                    (b'I', "00") => Value::Bool(false),
+                    (b'I', "01") => Value::Bool(true),
+                    _ => match line.trim_end_matches('L').parse() {
+                        Ok(x) => Value::Int(x),
+                        Err(_) => return self.wrong("a number that is none"),
+                    },
+                };
+                self.push(value)?;
+            }
+            0x8a | 0x8b => {
+                let size = if opcode == 0x8a { usize::from(self.fixed::<1>()?[0]) } else { self.size4()? };
+                let bytes = self.take(size)?;
+                let value = if size <= 8 {
+                    let negative = bytes.last().is_some_and(|byte| byte & 0x80 != 0);
+                    let mut wide = [if negative { 0xff } else { 0 }; 8];
+                    wide[..size].copy_from_slice(bytes);
+                    Value::Int(i64::from_le_bytes(wide))
+                } else {
+                    Value::Long(bytes.to_vec())
+                };
+                self.push(value)?;
+            }
+            b'G' => {
+                let x = f64::from_be_bytes(self.fixed()?);
+                self.push(Value::Float(x))?;
+            }
+            b'F' => {
+                let x = self.line()?.parse().or_else(|_| self.wrong("a number that is none"))?;
+                self.push(Value::Float(x))?;
+            }
+            b'V' | b'S' => {
+                let line = self.line()?.trim_matches(['\'', '"']).to_string();
+                self.push(Value::Text(line))?;
+            }
+            b'X' | b'T' => {
+                let size = self.size4()?;
+                let text = self.text(size)?;
+                self.push(text)?;
+            }
+            0x8c | b'U' => {
+                let size = usize::from(self.fixed::<1>()?[0]);
+                let text = self.text(size)?;
+                self.push(text)?;
+            }
+            0x8d => {
+                let size = self.size8()?;
+                let text = self.text(size)?;
+                self.push(text)?;
+            }
+            b'B' | b'C' | 0x8e | 0x96 => {
+                let size = match opcode {
+                    b'B' => self.size4()?,
+                    b'C' => usize::from(self.fixed::<1>()?[0]),
+                    _ => self.size8()?,
+                };
+                let bytes = self.take(size)?.to_vec();
+                self.push(Value::Bytes(bytes))?;
+            }
+            b']' | 0x8f => self.push(Value::List(Vec::new()))?,
+            b'}' => self.push(Value::Dict(Vec::new()))?,
+            b')' => self.push(Value::Tuple(Vec::new()))?,
+            b't' | b'l' | 0x91 => {
+                let items = self.marked()?;
+                self.grow(items.len())?;
+                self.push(if opcode == b't' { Value::Tuple(items) } else { Value::List(items) })?;
+            }
+            b'd' => {
+                let items = self.marked()?;
+                self.push(Value::Dict(Vec::new()))?;
+                self.set(&items)?;
+            }
+            0x85..=0x87 => {
+                let count = usize::from(opcode - 0x84);
+                let mut items = Vec::with_capacity(count);
+                for _ in 0..count {
+                    items.push(self.pop()?);
+                }
+                items.reverse();
+                self.push(Value::Tuple(items))?;
+            }
+            b'a' => {
+                let item = self.pop()?;
+                self.append(vec![item])?;
+            }
+            b'e' | 0x90 => {
+                let items = self.marked()?;
+                self.append(items)?;
+            }
+            b's' => {
+                let (value, key) = (self.pop()?, self.pop()?);
+                self.set(&[key, value])?;
+            }
+            b'u' => {
+                let items = self.marked()?;
+                self.set(&items)?;
+            }
+            b'q' => {
+                let [key] = self.fixed()?;
+                self.memoise(key.into())?;
+            }
+            b'r' => {
+                let key = u32::from_le_bytes(self.fixed()?);
+                self.memoise(key)?;
+            }
+            0x94 => {
+                let key = self.memo.len() as u32;
+                self.memoise(key)?;
+            }
+            b'p' => {
+                let key = self.key()?;
+                self.memoise(key)?;
+            }
+            b'h' => {
+                let [key] = self.fixed()?;
+                self.recall(key.into())?;
+            }
+            b'j' => {
+                let key = u32::from_le_bytes(self.fixed()?);
+                self.recall(key)?;
+            }
+            b'g' => {
+                let key = self.key()?;
+                self.recall(key)?;
+            }
+            b'c' => {
+                let (module, name) = (self.line()?.to_string(), self.line()?.to_string());
+                self.push(Value::Name(module, name))?;
+            }
+            0x93 => {
+                let (name, module) = (self.pop()?, self.pop()?);
+                match (&self.values[module.0 as usize], &self.values[name.0 as usize]) {
+                    (Value::Text(module), Value::Text(name)) => {
+                        let name = Value::Name(module.clone(), name.clone());
+                        self.push(name)?;
+                    }
+                    _ => return self.wrong("a name that is no text"),
+                }
+            }
+            b'R' => self.reduce()?,
+            // Attributes of an ordered dictionary: PyTorch keeps `_metadata` there, which is not needed.
+            b'b' => {
+                let state = self.pop()?;
+                let object = self.top()?;
+                if !matches!(self.values[object.0 as usize], Value::Dict(_)) {
+                    return self.wrong("the state of what has none");
+                }
+                let _ = state;
+            }
+            b'Q' => {
+                let id = self.pop()?;
+                self.push(Value::Persistent(id))?;
+            }
+            b'P' => {
+                let line = self.line()?.to_string();
+                self.push(Value::Text(line))?;
+                let id = self.pop()?;
+                self.push(Value::Persistent(id))?;
+            }
+            // Objects of classes: what a pickled module is made of.
+            0x81 | 0x92 | b'i' | b'o' => {
+                let class = self.values.iter().rev().find_map(|value| match value {
+                    Value::Name(module, name) => Some(format!("{module}.{name}")),
+                    _ => None,
+                });
+                return Err(PickleError::Class(class.unwrap_or_else(|| "an object".to_string())));
+            }
+            0x82..=0x84 => return Err(PickleError::Class("an extension code".to_string())),
+            _ => {
+                self.at -= 1;
+                return self.wrong("an opcode that is not known");
+            }
+        }
+        Ok(false)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shown(arena: &Arena, id: ValueId) -> String {
+        let each = |ids: &[ValueId]| ids.iter().map(|&id| shown(arena, id)).collect::<Vec<_>>().join(" ");
+        match arena.get(id) {
+            Value::Tuple(items) => format!("({})", each(items)),
+            Value::List(items) => format!("[{}]", each(items)),
+            Value::Dict(pairs) => {
+                format!("{{{}}}", pairs.iter().map(|&(k, v)| each(&[k, v])).collect::<Vec<_>>().join(", "))
+            }
+            Value::Persistent(id) => format!("@{}", shown(arena, *id)),
+            Value::Call(name, arguments) => format!("{name}({})", each(arguments)),
+            other => format!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn data_is_read_in_every_protocol() {
+        // pickle.dumps({'a': [1, -2, 3.5], 'b': (True, None)}, protocol=p) of CPython 3.11.
+        let expected = "{Text(\"a\") [Int(1) Int(-2) Float(3.5)], Text(\"b\") (Bool(true) None)}";
+        let pickles: [&[u8]; 3] = [
+            b"(dp0\nVa\np1\n(lp2\nI1\naI-2\naF3.5\nasVb\np3\n(I01\nNtp4\ns.",
+            b"\x80\x02}q\x00(X\x01\x00\x00\x00aq\x01]q\x02(K\x01J\xfe\xff\xff\xffG@\x0c\x00\x00\x00\x00\x00\x00eX\x01\x00\x00\x00bq\x03\x88N\x86q\x04u.",
+            b"\x80\x04\x95\x25\x00\x00\x00\x00\x00\x00\x00}\x94(\x8c\x01a\x94]\x94(K\x01J\xfe\xff\xff\xffG@\x0c\x00\x00\x00\x00\x00\x00e\x8c\x01b\x94\x88N\x86\x94u.",
+        ];
+        for pickle in pickles {
+            let (arena, top, taken) = load(pickle).unwrap();
+            assert_eq!((shown(&arena, top).as_str(), taken), (expected, pickle.len()));
+        }
+    }
+
+    #[test]
+    fn what_would_be_executed_is_named_and_refused() {
+        let system = b"cos\nsystem\n(S'echo hello'\ntR.";
+        assert_eq!(load(system).unwrap_err(), PickleError::Class("os.system".to_string()));
+        let object = b"\x80\x02cmodels\nNet\n)\x81}b.";
+        assert_eq!(load(object).unwrap_err(), PickleError::Class("models.Net".to_string()));
+        let eval = b"\x80\x04\x8c\x08builtins\x8c\x04eval\x93\x8c\x01x\x85R.";
+        assert_eq!(load(eval).unwrap_err(), PickleError::Class("builtins.eval".to_string()));
+    }
+
+    #[test]
+    fn a_pickle_may_refer_to_itself_and_may_be_cut() {
+        let cycle = b"\x80\x02]q\x00h\x00a.";
+        let (arena, top, _) = load(cycle).unwrap();
+        assert_eq!(arena.get(top), &Value::List(vec![top]));
+        for cut in 0..cycle.len() {
+            assert!(load(&cycle[..cut]).is_err());
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! The result of `nsim bench map` as text, JSON and CSV.
+
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use super::bench::{rounded, significant};
+use crate::bench::Environment;
+use crate::bench::mapping::Mapped;
+use crate::compile::{Objective, Strategy};
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct MapReport<'a> {
+    /// Where it was measured.
+    pub environment: &'a Environment,
+    /// The rows, network by network.
+    pub rows: &'a [Mapped],
+}
+
+/// The least part that a network counts in a mean of ratios, so that one that fits a tile does not make it zero.
+const LEAST_RATIO: f64 = 0.05;
+
+/// How the placed mappings of a strategy compare with unplaced sequential ones.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Comparison {
+    /// Networks whose spikes cross a link at all when placed sequentially.
+    pub networks: usize,
+    /// Geometric mean of multicast hops over those of sequential.
+    pub hops_multicast: f64,
+    /// Networks in which hops, or cores, are more.
+    pub worse: usize,
+}
+
+impl MapReport<'_> {
+    /// The placed mappings of a strategy and an objective against unplaced sequential ones.
+    #[must_use]
+    pub fn against_sequential(&self, strategy: Strategy, objective: Objective) -> Comparison {
+        let (mut sum, mut networks, mut worse) = (0.0, 0, 0);
+        let plain = self.rows.iter().filter(|row| row.strategy == Strategy::Sequential && !row.placed);
+        for before in plain {
+            let of = |row: &&Mapped| {
+                row.network == before.network && row.strategy == strategy && row.objective == objective && row.placed
+            };
+            let Some(after) = self.rows.iter().find(of) else { continue };
+            let (a, b) = (after.traffic.hops_multicast_per_step, before.traffic.hops_multicast_per_step);
+            worse += usize::from(a > b || (objective == Objective::Cores && after.cores > before.cores));
+            if b > 0.0 {
+                sum += (a / b).max(LEAST_RATIO).ln();
+                networks += 1;
+            }
+        }
+        Comparison { networks, hops_multicast: (sum / networks.max(1) as f64).exp(), worse }
+    }
+
+    /// `nsim.bench/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let Environment { cpu, cores, os, rustc, nsim, profile } = self.environment;
+        let row = |row: &Mapped| {
+            json!({
+                "network": row.network,
+                "strategy": row.strategy.name(),
+                "placed": row.placed,
+                "objective": row.objective.name(),
+                "cores": row.cores,
+                "chips": row.chips,
+                "cut_spikes": rounded(row.traffic.cut_spikes_per_step),
+                "hops": rounded(row.traffic.hops_per_step),
+                "hops_multicast": rounded(row.traffic.hops_multicast_per_step),
+                "mean_link_load": rounded(row.traffic.mean_link_load),
+                "max_link_load": rounded(row.traffic.max_link_load),
+                "energy_uj": rounded(row.energy_uj),
+                "step_us": rounded(row.step_us),
+                "seconds": rounded(row.seconds),
+                "peak_mib": row.peak_mib.map(rounded),
+            })
+        };
+        json!({
+            "schema": "nsim.bench/1",
+            "name": "map",
+            "environment": {
+                "cpu": cpu, "cores": cores, "os": os, "rustc": rustc, "nsim": nsim, "profile": profile,
+            },
+            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row each.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        let Value::Array(rows) = self.json()["rows"].take() else { return Ok(String::new()) };
+        for (index, row) in rows.iter().enumerate() {
+            let Value::Object(fields) = row else { continue };
+            if index == 0 {
+                out.write_record(fields.keys())?;
+            }
+            out.write_record(fields.values().map(|value| match value {
+                Value::String(text) => text.clone(),
+                Value::Null => String::new(),
+                other => other.to_string(),
+            }))?;
+        }
+        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut table = Table::new();
+        table.load_style(comfy_table::presets::NOTHING);
+        table.set_header([
+            "network",
+            "strategy",
+            "placed",
+            "for",
+            "cores",
+            "chips",
+            "spikes cut",
+            "hops",
+            "multicast",
+            "busiest link",
+            "uJ a step",
+            "us a step",
+            "s",
+            "MiB",
+        ]);
+        for row in self.rows {
+            let traffic = &row.traffic;
+            table.add_row([
+                row.network.to_string(),
+                row.strategy.name().to_string(),
+                if row.placed { "yes" } else { "no" }.to_string(),
+                row.objective.name().to_string(),
+                row.cores.to_string(),
+                row.chips.to_string(),
+                significant(traffic.cut_spikes_per_step),
+                significant(traffic.hops_per_step),
+                significant(traffic.hops_multicast_per_step),
+                significant(traffic.max_link_load),
+                significant(row.energy_uj),
+                significant(row.step_us),
+                significant(row.seconds),
+                row.peak_mib.map_or(String::new(), |mib| format!("{mib:.0}")),
+            ]);
+        }
+        table.column_iter_mut().skip(4).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        let mut text = format!("{}\n\n{table}\n\n", self.environment);
+        for strategy in [Strategy::Greedy, Strategy::Multilevel] {
+            let Comparison { networks, hops_multicast, worse } = self.against_sequential(strategy, Objective::Cores);
+            let name = strategy.name();
+            text += &format!(
+                "{name}, placed: {hops_multicast:.2} of the multicast hops of unplaced sequential (geometric mean of \
+                 {networks} networks); more hops or cores on {worse}\n"
+            );
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::traffic::Traffic;
+
+    fn row(network: &'static str, strategy: Strategy, placed: bool, cores: u32, hops: f64) -> Mapped {
+        let traffic = Traffic {
+            cut_spikes_per_step: 1.0,
+            hops_per_step: hops,
+            hops_multicast_per_step: hops,
+            mean_link_load: 0.0,
+            max_link_load: 0.0,
+        };
+        Mapped {
+            network,
+            strategy,
+            placed,
+            objective: Objective::Cores,
+            cores,
+            chips: 1,
+            traffic,
+            energy_uj: 1.0,
+            step_us: 2.0,
+            seconds: 0.5,
+            peak_mib: None,
+        }
+    }
+
+    #[test]
+    fn a_comparison_is_a_geometric_mean_over_networks_with_hops() {
+        let rows = [
+            row("a", Strategy::Sequential, false, 4, 8.0),
+            row("a", Strategy::Multilevel, true, 4, 2.0),
+            row("b", Strategy::Sequential, false, 1, 0.0),
+            row("b", Strategy::Multilevel, true, 1, 0.0),
+            row("c", Strategy::Sequential, false, 2, 5.0),
+            row("c", Strategy::Multilevel, true, 3, 5.0),
+        ];
+        let report = MapReport { environment: &Environment::here(), rows: &rows };
+        let found = report.against_sequential(Strategy::Multilevel, Objective::Cores);
+        assert_eq!((found.networks, found.worse), (2, 1));
+        assert!((found.hops_multicast - 0.5).abs() < 1e-12);
+        let json = report.json();
+        for key in [
+            "network",
+            "strategy",
+            "placed",
+            "objective",
+            "cores",
+            "chips",
+            "cut_spikes",
+            "hops",
+            "hops_multicast",
+            "mean_link_load",
+            "max_link_load",
+            "energy_uj",
+            "step_us",
+            "seconds",
+            "peak_mib",
+        ] {
+            assert!(json["rows"][0].get(key).is_some(), "{key}");
+        }
+        assert_eq!(report.csv().unwrap().lines().count(), 7);
+        assert!(report.text().contains("0.50 of the multicast hops"));
+    }
+}

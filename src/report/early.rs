@@ -1,0 +1,220 @@
+//! The result of `nsim bench early` as text, JSON, CSV and charts.
+
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use super::plot::{Axis, Series, chart};
+use super::train::mean_sd;
+
+/// One model on its samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trial {
+    /// Milliseconds of a timestep.
+    pub timestep_ms: f64,
+    /// Share of the samples that are right on the spikes up to each step.
+    pub accuracy: Vec<f64>,
+    /// Mean energy that one copy has spent up to the end of each step.
+    pub energy_uj: Vec<f64>,
+    /// For each sample when it was right for good; `None` where it never is.
+    pub decided_ms: Vec<Option<f64>>,
+}
+
+/// Models of one kind: the folds of a cross-validation, or a single one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Group {
+    /// What they have in common.
+    pub name: String,
+    /// Each of them.
+    pub trials: Vec<Trial>,
+}
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct EarlyReport<'a> {
+    /// The groups.
+    pub groups: &'a [Group],
+    /// Copies on the target.
+    pub copies: u32,
+    /// Whether steps are held to the timestep.
+    pub realtime: bool,
+}
+
+/// A group after one step.
+struct Point {
+    time_ms: f64,
+    accuracy: (f64, f64),
+    energy_uj: (f64, f64),
+}
+
+impl Group {
+    fn points(&self) -> Vec<Point> {
+        let steps = self.trials.iter().map(|trial| trial.accuracy.len()).min().unwrap_or(0);
+        let over = |f: &dyn Fn(&Trial) -> f64| mean_sd(&self.trials.iter().map(f).collect::<Vec<_>>());
+        (0..steps)
+            .map(|step| Point {
+                time_ms: (step + 1) as f64 * self.trials[0].timestep_ms,
+                accuracy: over(&|trial| trial.accuracy[step]),
+                energy_uj: over(&|trial| trial.energy_uj[step]),
+            })
+            .collect()
+    }
+
+    /// The time from which samples that end right are right for good, in the mean of each model: mean and median over the
+    /// models.
+    fn decided_ms(&self) -> Option<(f64, f64)> {
+        let of = |trial: &Trial| {
+            let times: Vec<f64> = trial.decided_ms.iter().copied().flatten().collect();
+            (!times.is_empty()).then(|| mean_sd(&times).0)
+        };
+        let mut means: Vec<f64> = self.trials.iter().filter_map(of).collect();
+        means.sort_by(f64::total_cmp);
+        Some((mean_sd(&means).0, *means.get(means.len() / 2)?))
+    }
+
+    /// Mean accuracy over all steps: the area under the curve, which grows when decisions come earlier.
+    fn area(&self) -> f64 {
+        mean_sd(&self.points().iter().map(|point| point.accuracy.0).collect::<Vec<_>>()).0
+    }
+}
+
+impl EarlyReport<'_> {
+    /// `nsim.bench/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let group = |group: &Group| {
+            let points = group.points();
+            let column =
+                |f: &dyn Fn(&Point) -> f64| points.iter().map(|p| (f(p) * 1e6).round() / 1e6).collect::<Vec<_>>();
+            json!({
+                "name": group.name,
+                "models": group.trials.len(),
+                "right_for_good_ms": group.decided_ms().map(|(mean, median)| json!({ "mean": mean, "median": median })),
+                "mean_accuracy_over_time": group.area(),
+                "time_ms": column(&|p| p.time_ms),
+                "accuracy": column(&|p| p.accuracy.0),
+                "accuracy_sd": column(&|p| p.accuracy.1),
+                "energy_uj": column(&|p| p.energy_uj.0),
+                "energy_uj_sd": column(&|p| p.energy_uj.1),
+            })
+        };
+        json!({
+            "schema": "nsim.bench/1", "name": "early", "copies": self.copies,
+            "mode": if self.realtime { "realtime" } else { "offline" },
+            "rows": self.groups.iter().map(group).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row for each group and step.
+    #[must_use]
+    pub fn csv(&self) -> String {
+        let mut out = "name,time_ms,accuracy,accuracy_sd,energy_uj,energy_uj_sd\n".to_string();
+        for group in self.groups {
+            for p in group.points() {
+                out += &format!(
+                    "\"{}\",{},{:.6},{:.6},{:.6},{:.6}\n",
+                    group.name.replace('"', "\"\""),
+                    p.time_ms,
+                    p.accuracy.0,
+                    p.accuracy.1,
+                    p.energy_uj.0,
+                    p.energy_uj.1
+                );
+            }
+        }
+        out
+    }
+
+    fn lines(&self, x: fn(&Point) -> f64) -> Vec<Series> {
+        let line = |group: &Group| {
+            let points = group.points();
+            let band = match group.trials.len() {
+                1 => Vec::new(),
+                _ => points
+                    .iter()
+                    .map(|p| ((p.accuracy.0 - p.accuracy.1).max(0.0), (p.accuracy.0 + p.accuracy.1).min(1.0)))
+                    .collect(),
+            };
+            Series::Line {
+                name: group.name.clone(),
+                points: points.iter().map(|p| (x(p), p.accuracy.0)).collect(),
+                band,
+            }
+        };
+        self.groups.iter().map(line).collect()
+    }
+
+    /// Accuracy over time; the band is one standard deviation over the models of a group.
+    #[must_use]
+    pub fn over_time(&self) -> String {
+        let axes = (Axis::linear("time into the sample, ms"), Axis::linear("accuracy on the spikes so far"));
+        chart("Accuracy over time", &axes.0, &axes.1, &self.lines(|p| p.time_ms))
+    }
+
+    /// Accuracy over the energy that one copy has spent.
+    #[must_use]
+    pub fn over_energy(&self) -> String {
+        let axes = (Axis::linear("energy of one copy so far, uJ"), Axis::linear("accuracy on the spikes so far"));
+        chart("Accuracy over energy", &axes.0, &axes.1, &self.lines(|p| p.energy_uj.0))
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut table = Table::new();
+        table.load_style(comfy_table::presets::NOTHING);
+        table.set_header([
+            "models",
+            "number",
+            "accuracy",
+            "sd",
+            "right for good at, ms",
+            "median",
+            "mean over time",
+            "uJ a sample",
+        ]);
+        for group in self.groups {
+            let points = group.points();
+            let Some(last) = points.last() else { continue };
+            let decided = group.decided_ms();
+            let shown = |value: Option<f64>| value.map_or("never".to_string(), |ms| format!("{ms:.1}"));
+            table.add_row([
+                group.name.clone(),
+                group.trials.len().to_string(),
+                format!("{:.4}", last.accuracy.0),
+                format!("{:.4}", last.accuracy.1),
+                shown(decided.map(|d| d.0)),
+                shown(decided.map(|d| d.1)),
+                format!("{:.4}", group.area()),
+                format!("{:.3}", last.energy_uj.0),
+            ]);
+        }
+        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        let mode = if self.realtime { "steps held to the timestep" } else { "as fast as possible" };
+        format!("{} copies packed, figures of one, {mode}\n\n{table}\n", self.copies)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn models_of_a_group_are_one_line_with_a_band() {
+        let trial = |late: f64| Trial {
+            timestep_ms: 2.0,
+            accuracy: vec![0.5, 1.0 - late],
+            energy_uj: vec![1.0, 2.0],
+            decided_ms: vec![Some(2.0 + late), None],
+        };
+        let groups = [Group { name: "a".into(), trials: vec![trial(0.0), trial(0.5), trial(0.25)] }];
+        let report = EarlyReport { groups: &groups, copies: 1, realtime: false };
+        let json = report.json();
+        let row = &json["rows"][0];
+        assert_eq!((&row["time_ms"], &row["energy_uj"]), (&json!([2.0, 4.0]), &json!([1.0, 2.0])));
+        assert_eq!((&row["accuracy"][1], &row["right_for_good_ms"]["median"]), (&json!(0.75), &json!(2.25)));
+        assert_eq!(report.csv().lines().count(), 3);
+        let Series::Line { points, band, .. } = &report.lines(|p| p.time_ms)[0] else { panic!() };
+        assert_eq!((points[1], band.len()), ((4.0, 0.75), 2));
+        assert!(report.over_time().starts_with("<svg") && report.text().contains("0.7500"));
+    }
+}

@@ -1,0 +1,259 @@
+//! The result of `nsim train` as text, JSON and CSV, and what a model file says of its own making.
+
+use std::path::Path;
+
+use comfy_table::{CellAlignment, Table};
+use serde_json::{Value, json};
+
+use crate::base::diagnostic::SourceText;
+use crate::train::fit::EpochRow;
+
+/// Everything that the report of one training says.
+#[derive(Debug)]
+pub struct TrainReport<'a> {
+    /// The model's name.
+    pub name: &'a str,
+    /// Epochs trained.
+    pub epochs: u32,
+    /// The seed.
+    pub seed: u64,
+    /// Seconds that training took, without reading samples.
+    pub seconds: f64,
+    /// Training and test samples.
+    pub samples: (usize, usize),
+    /// Share of the training samples that is right.
+    pub train_accuracy: f64,
+    /// Share of the test samples that is right.
+    pub test_accuracy: Option<f64>,
+    /// Accuracy on each fold left out.
+    pub folds: &'a [f64],
+    /// Where the model was written.
+    pub model: Option<&'a Path>,
+    /// Mean loss of the last epoch.
+    pub loss: Option<f64>,
+    /// Of the output spikes on the test samples (without any, the training samples), as `nsim run` computes it.
+    pub digest: &'a str,
+}
+
+/// Mean and standard deviation (of the values themselves, not of their mean).
+#[must_use]
+pub fn mean_sd(values: &[f64]) -> (f64, f64) {
+    let n = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (mean, (values.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n).sqrt())
+}
+
+fn rounded(x: f64) -> f64 {
+    (x * 1e6).round() / 1e6
+}
+
+impl TrainReport<'_> {
+    /// `nsim.train/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        json!({
+            "schema": "nsim.train/1",
+            "name": self.name,
+            "epochs": self.epochs,
+            "seed": self.seed,
+            "seconds": rounded(self.seconds),
+            "samples": self.samples.0,
+            "test_samples": self.samples.1,
+            "loss": self.loss.map(rounded),
+            "train_accuracy": rounded(self.train_accuracy),
+            "test_accuracy": self.test_accuracy.map(rounded),
+            "folds": self.folds.iter().copied().map(rounded).collect::<Vec<_>>(),
+            "digest": self.digest,
+            "model": self.model.map(|path| path.display().to_string()),
+        })
+    }
+
+    /// One row.
+    ///
+    /// # Errors
+    /// Never in practice: the row is built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let test = self.test_accuracy.map_or(String::new(), |accuracy| accuracy.to_string());
+        Ok(format!(
+            "name,seed,epochs,seconds,train_accuracy,test_accuracy\n{},{},{},{},{},{test}\n",
+            self.name, self.seed, self.epochs, self.seconds, self.train_accuracy
+        ))
+    }
+
+    /// One line: accuracy on what.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let test = self
+            .test_accuracy
+            .map_or(String::new(), |accuracy| format!("; accuracy {accuracy:.4} on {} test samples", self.samples.1));
+        let folds = match self.folds {
+            [] => String::new(),
+            folds => {
+                let each: Vec<String> = folds.iter().map(|fold| format!("{fold:.3}")).collect();
+                let (mean, sd) = mean_sd(folds);
+                format!(
+                    "; {} folds of the training samples: {}, mean {mean:.3}, sd {sd:.3}",
+                    folds.len(),
+                    each.join(" ")
+                )
+            }
+        };
+        format!(
+            "trained by nsim train, seed {}, {} epochs over {} samples, of which {:.4} are right{test}{folds}",
+            self.seed, self.epochs, self.samples.0, self.train_accuracy
+        )
+    }
+
+    /// What the model file says before the network: the summary and the training file.
+    #[must_use]
+    pub fn provenance(&self, source: &SourceText, set: &[String]) -> String {
+        let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let set = set.iter().map(|set| format!(" --set '{set}'")).collect::<String>();
+        let summary: String = super::wrapped(&self.summary());
+        format!(
+            "{}\n\n{summary}\nnsim train {file}{set} --seed {}, the training file being:\n\n{}",
+            self.name,
+            self.seed,
+            source.text()
+        )
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = format!("{}: {}", self.name, super::wrapped(&self.summary()));
+        out += &format!("{:.1} s\n", self.seconds);
+        if let Some(model) = self.model {
+            out += &format!("written: {}\n", model.display());
+        }
+        out
+    }
+}
+
+/// Loss and accuracy of each epoch, a row each.
+#[must_use]
+pub fn history_csv(history: &[EpochRow]) -> String {
+    let rows = history.iter().map(|row| format!("{},{},{}\n", row.epoch, row.loss, row.accuracy));
+    std::iter::once("epoch,loss,accuracy\n".to_string()).chain(rows).collect()
+}
+
+/// One training of a study.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// The fields that were set.
+    pub setting: String,
+    /// Number of the combination of fields.
+    pub number: usize,
+    /// The seed.
+    pub seed: u64,
+    /// The fold that was left out and tested on; none: the test samples.
+    pub fold: Option<u32>,
+    /// Share of the tested samples that is right.
+    pub accuracy: f64,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+impl Run {
+    /// As kept in a study's folder.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        json!({
+            "setting": self.setting, "seed": self.seed, "fold": self.fold, "accuracy": self.accuracy,
+            "seconds": rounded(self.seconds),
+        })
+    }
+
+    /// From what was kept.
+    #[must_use]
+    pub fn from_json(value: &Value) -> Option<Run> {
+        Some(Run {
+            setting: value["setting"].as_str()?.to_string(),
+            number: 0,
+            seed: value["seed"].as_u64()?,
+            fold: value["fold"].as_u64().map(|fold| fold as u32),
+            accuracy: value["accuracy"].as_f64()?,
+            seconds: value["seconds"].as_f64()?,
+        })
+    }
+}
+
+/// Everything that the report of a study says.
+#[derive(Debug)]
+pub struct StudyReport<'a> {
+    /// The training file.
+    pub name: &'a str,
+    /// Its runs, settings together.
+    pub runs: &'a [Run],
+}
+
+impl StudyReport<'_> {
+    fn settings(&self) -> impl Iterator<Item = (&str, Vec<&Run>)> {
+        self.runs.chunk_by(|a, b| a.number == b.number).map(|runs| (runs[0].setting.as_str(), runs.iter().collect()))
+    }
+
+    /// `nsim.train/1` with a row each setting.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let setting = |(name, runs): (&str, Vec<&Run>)| {
+            let (mean, sd) = mean_sd(&runs.iter().map(|run| run.accuracy).collect::<Vec<_>>());
+            json!({
+                "setting": name, "mean": rounded(mean), "sd": rounded(sd),
+                "runs": runs.iter().map(|run| run.json()).collect::<Vec<_>>(),
+            })
+        };
+        json!({
+            "schema": "nsim.train/1",
+            "name": self.name,
+            "settings": self.settings().map(setting).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row a run.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        out.write_record(["setting", "seed", "fold", "accuracy", "seconds"])?;
+        for run in self.runs {
+            let fold = run.fold.map_or("test".to_string(), |fold| fold.to_string());
+            out.write_record([
+                run.setting.clone(),
+                run.seed.to_string(),
+                fold,
+                run.accuracy.to_string(),
+                rounded(run.seconds).to_string(),
+            ])?;
+        }
+        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut table = Table::new();
+        table.load_style(comfy_table::presets::NOTHING);
+        table.set_header(["setting", "runs", "mean", "sd", "least", "most", "s a run"]);
+        for (name, runs) in self.settings() {
+            let accuracies: Vec<f64> = runs.iter().map(|run| run.accuracy).collect();
+            let (mean, sd) = mean_sd(&accuracies);
+            let seconds = runs.iter().map(|run| run.seconds).sum::<f64>() / runs.len() as f64;
+            let least = accuracies.iter().copied().fold(f64::MAX, f64::min);
+            let most = accuracies.iter().copied().fold(f64::MIN, f64::max);
+            let shown = if name.is_empty() { "as the file says" } else { name };
+            table.add_row([
+                shown.to_string(),
+                runs.len().to_string(),
+                format!("{mean:.4}"),
+                format!("{sd:.4}"),
+                format!("{least:.4}"),
+                format!("{most:.4}"),
+                format!("{seconds:.1}"),
+            ]);
+        }
+        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        format!("{}\n\n{table}\n", self.name)
+    }
+}

@@ -1,0 +1,257 @@
+//! The loop of epochs: minibatches over threads, gradients summed in the order of samples, one step each.
+//!
+//! Everything random is a function of (seed, entity, epoch), sums have a fixed order, and [`State`] is all that one epoch
+//! hands to the next: results do not depend on threads, nor on where a run was broken off and taken up again.
+
+use rayon::prelude::*;
+
+use super::augment::vary;
+use super::cells::Spiking;
+use super::loss::{Loss, class_of};
+use super::network::{Deployed, Topology, Weights, Workspace};
+use super::optimiser::{Moments, Optimiser};
+use super::raster::Raster;
+use crate::base::rng;
+use crate::desc::training::AugmentDesc;
+
+/// A labelled sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Example {
+    /// Spikes of each input population.
+    pub inputs: Vec<Raster>,
+    /// Its class.
+    pub label: u32,
+}
+
+/// How a network is trained.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// Sizes and neurons.
+    pub topology: Topology,
+    /// What is minimised.
+    pub loss: Loss,
+    /// By which steps.
+    pub optimiser: Optimiser,
+    /// Learning rate of each layer at the first step.
+    pub rates: Vec<f32>,
+    /// Share of the learning rate that is left at the last step; it falls as half a cosine.
+    pub last_rate: f32,
+    /// Samples of a step.
+    pub batch: usize,
+    /// Passes over the samples.
+    pub epochs: u32,
+    /// Variations of the samples.
+    pub augment: AugmentDesc,
+    /// Share that the running mean of the weights keeps at each step; the mean is what is deployed. 0: the weights.
+    pub averaging: f32,
+    /// Initial weights are uniform within this many times `1 / sqrt(fan-in)`, for each layer.
+    pub initial: Vec<f32>,
+    /// The seed.
+    pub seed: u64,
+}
+
+/// Where a training stands after an epoch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Epochs done.
+    pub epoch: u32,
+    /// Trained weights.
+    pub weights: Weights,
+    /// Their running mean.
+    pub average: Weights,
+    /// What the optimiser remembers.
+    pub moments: Moments,
+    /// One row an epoch.
+    pub history: Vec<EpochRow>,
+}
+
+/// What is recorded of an epoch.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct EpochRow {
+    /// The epoch, from 1.
+    pub epoch: u32,
+    /// Mean loss over its (varied) samples while it ran.
+    pub loss: f64,
+    /// Share of them that was right while it ran.
+    pub accuracy: f64,
+}
+
+/// How well a network does.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Score {
+    /// Share of samples that are right.
+    pub accuracy: f64,
+    /// Classes, `None` where all outputs are silent.
+    pub predicted: Vec<Option<u32>>,
+}
+
+/// Streams of the plan's seed.
+const INITIAL: u64 = 1 << 32;
+const ORDER: u64 = 2 << 32;
+const VARY: u64 = 3;
+
+impl Plan {
+    /// Before the first epoch: initial weights.
+    #[must_use]
+    pub fn start(&self) -> State {
+        let mut weights = self.topology.zeros();
+        for (index, (layer, weights)) in self.topology.layers.iter().zip(&mut weights).enumerate() {
+            let bound = f64::from(self.initial[index]) / (layer.fan_in as f64).sqrt();
+            for (i, w) in weights.iter_mut().enumerate() {
+                *w = (bound * (2.0 * rng::unit(self.seed, INITIAL + index as u64, i as u64) - 1.0)) as f32;
+            }
+        }
+        self.start_from(weights)
+    }
+
+    /// Before the first epoch, from given weights.
+    #[must_use]
+    pub fn start_from(&self, weights: Weights) -> State {
+        let zeros = self.topology.zeros();
+        let moments = Moments { first: zeros.clone(), second: zeros, steps: 0 };
+        State { epoch: 0, average: weights.clone(), weights, moments, history: Vec::new() }
+    }
+
+    /// One epoch over the examples.
+    pub fn epoch(&self, state: &mut State, examples: &[Example], workers: &mut Vec<Workspace>) {
+        let epoch = u64::from(state.epoch);
+        let order = permutation(examples.len(), self.seed, ORDER + epoch);
+        workers.resize_with(self.batch.min(examples.len()), || Workspace::new(&self.topology));
+        let batches = examples.len().div_ceil(self.batch);
+        let whole = f64::from(self.epochs) * batches as f64;
+        let mut sum = self.topology.zeros();
+        let (mut loss, mut right) = (0.0, 0usize);
+        for batch in order.chunks(self.batch) {
+            let deployed = self.topology.deploy(&state.weights, Spiking::Hard);
+            let results: Vec<(f64, bool)> = batch
+                .par_iter()
+                .zip(&mut *workers)
+                .map(|(&index, work)| self.sample(&deployed, &examples[index], index as u64, epoch, work))
+                .collect();
+            for gradient in &mut sum {
+                gradient.fill(0.0);
+            }
+            for ((sample_loss, sample_right), work) in results.iter().zip(&*workers) {
+                loss += sample_loss;
+                right += usize::from(*sample_right);
+                for (sum, gradient) in sum.iter_mut().zip(&work.gradient) {
+                    sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
+                }
+            }
+            let share = 1.0 / batch.len() as f32;
+            sum.iter_mut().flatten().for_each(|g| *g *= share);
+            let done = state.moments.steps as f64 / whole.max(1.0);
+            let cosine = 0.5 * (1.0 + libm::cos(std::f64::consts::PI * done.min(1.0))) as f32;
+            let factor = self.last_rate + (1.0 - self.last_rate) * cosine;
+            let rates: Vec<f32> = self.rates.iter().map(|rate| rate * factor).collect();
+            self.optimiser.step(&rates, &mut state.weights, &sum, &mut state.moments);
+            self.keep_in_range(&mut state.weights);
+            // Early on the mean is over the steps taken so far.
+            let keep = self.averaging.min(1.0 - 1.0 / (state.moments.steps as f32));
+            for (average, weights) in state.average.iter_mut().zip(&state.weights) {
+                average.iter_mut().zip(weights).for_each(|(a, w)| *a += (1.0 - keep) * (w - *a));
+            }
+        }
+        state.epoch += 1;
+        let samples = examples.len().max(1) as f64;
+        state.history.push(EpochRow { epoch: state.epoch, loss: loss / samples, accuracy: right as f64 / samples });
+    }
+
+    /// Weights whose mantissa would be clipped are held at the end of the range, where the gradient can still move them.
+    fn keep_in_range(&self, weights: &mut Weights) {
+        for (layer, weights) in self.topology.layers.iter().zip(weights) {
+            if let Some(m) = &layer.mantissas {
+                let (low, high) = (-256.0 / m.scale, 254.0 / m.scale);
+                weights.iter_mut().for_each(|w| *w = w.clamp(low, high));
+            }
+        }
+    }
+
+    fn sample(
+        &self,
+        deployed: &Deployed,
+        example: &Example,
+        index: u64,
+        epoch: u64,
+        work: &mut Workspace,
+    ) -> (f64, bool) {
+        let varied;
+        let inputs = match self.augment == AugmentDesc::default() {
+            true => &example.inputs,
+            false => {
+                varied = vary(&self.augment, &example.inputs, rng::bits(self.seed, VARY, 0), index, epoch);
+                &varied
+            }
+        };
+        self.topology.forward(deployed, inputs, Spiking::Hard, work);
+        let output = std::mem::take(work.output_mut());
+        let loss = self.loss.of(&output, example.label, work.output_error());
+        let right = class_of(&output.counts()) == Some(example.label);
+        *work.output_mut() = output;
+        self.topology.backward(deployed, inputs, work);
+        (loss, right)
+    }
+
+    /// Runs all epochs that are left; `after` sees the state after each and may end the run by returning false.
+    pub fn run(&self, state: &mut State, examples: &[Example], mut after: impl FnMut(&State) -> bool) {
+        let mut workers = Vec::new();
+        while state.epoch < self.epochs {
+            self.epoch(state, examples, &mut workers);
+            if !after(state) {
+                return;
+            }
+        }
+    }
+
+    /// The weights that are deployed.
+    #[must_use]
+    pub fn result<'a>(&self, state: &'a State) -> &'a Weights {
+        if self.averaging > 0.0 { &state.average } else { &state.weights }
+    }
+
+    /// The output spikes of each example.
+    #[must_use]
+    pub fn outputs(&self, weights: &Weights, examples: &[Example]) -> Vec<Raster> {
+        let deployed = self.topology.deploy(weights, Spiking::Hard);
+        let run = |work: &mut Workspace, example: &Example| {
+            self.topology.forward(&deployed, &example.inputs, Spiking::Hard, work);
+            work.output().clone()
+        };
+        examples.par_iter().map_init(|| Workspace::new(&self.topology), run).collect()
+    }
+
+    /// How many of the examples are right.
+    #[must_use]
+    pub fn score(&self, weights: &Weights, examples: &[Example]) -> Score {
+        let outputs = self.outputs(weights, examples);
+        let predicted: Vec<Option<u32>> = outputs.iter().map(|output| class_of(&output.counts())).collect();
+        let right = predicted.iter().zip(examples).filter(|(class, example)| **class == Some(example.label)).count();
+        Score { accuracy: right as f64 / examples.len().max(1) as f64, predicted }
+    }
+}
+
+/// 0..n in an order that the seed decides (Fisher and Yates).
+fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..n).collect();
+    for i in (1..n).rev() {
+        order.swap(i, rng::below(i as u64 + 1, seed, stream, i as u64) as usize);
+    }
+    order
+}
+
+/// For each of `k` folds the samples that it tests on: the samples of each class are dealt out in a seeded order, so that
+/// every fold has as many of each class, give or take one.
+#[must_use]
+pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
+    let mut folds = vec![Vec::new(); k];
+    let mut dealt = 0;
+    for class in 0..labels.iter().max().map_or(0, |&most| most + 1) {
+        let members: Vec<usize> = (0..labels.len()).filter(|&i| labels[i] == class).collect();
+        for at in permutation(members.len(), seed, ORDER + u64::from(class)) {
+            folds[dealt % k].push(members[at]);
+            dealt += 1;
+        }
+    }
+    folds.iter_mut().for_each(|fold| fold.sort_unstable());
+    folds
+}

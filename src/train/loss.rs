@@ -1,0 +1,159 @@
+//! Losses of spike counts, and their derivative by each output spike.
+//!
+//! Counts are compared with a target for the right class and one for every other. Four forms:
+//!
+//! - [`Form::SpikeCount`]: `1/2 sum_n (sum_t s_n(t) - target_n)^2` (Taunyazov et al. 2020, spike-count loss). The
+//!   derivative by a spike is the same at every step: the excess of the count.
+//! - [`Form::Weighted`]: both sums weighted with `omega(t) = beta t^2 + gamma`, decreasing (the same paper, weighted
+//!   spike-count loss). The desired spikes are taken as evenly spread, so that the target is its count times the mean of
+//!   omega; an early spike then makes up for several late ones.
+//! - [`Form::NumSpikes`]: what slayerPytorch's `spikeLoss.py` computes under that name. It differs twice: the excess is
+//!   divided by the number of steps, and it is correlated with the response kernel, because the error passes through
+//!   `psp` on its way to the spikes. The second makes errors fade toward the end of the sample.
+//! - [`Form::CrossEntropy`]: `-log softmax(scale * count)` of the right class, without targets; not in the paper.
+
+use super::raster::Raster;
+
+/// Which loss.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Form {
+    /// Spike-count loss.
+    SpikeCount,
+    /// Weighted spike-count loss.
+    Weighted {
+        /// Coefficient of t^2, t as a share of the sample in 0..1; negative for an early decision.
+        beta: f32,
+        /// Constant term.
+        gamma: f32,
+    },
+    /// slayerPytorch's `numSpikes`; the response kernel by steps.
+    NumSpikes {
+        /// The response kernel.
+        kernel: Vec<f32>,
+    },
+    /// Cross-entropy of the softmax of counts.
+    CrossEntropy {
+        /// What a spike adds to its class's logit.
+        scale: f32,
+    },
+}
+
+/// A loss with its targets.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Loss {
+    /// The form.
+    pub form: Form,
+    /// Desired spikes of the right class.
+    pub right: f32,
+    /// Desired spikes of every other class.
+    pub wrong: f32,
+}
+
+impl Loss {
+    /// The loss of a sample; adds its derivative by each output spike to `error`, `[step][output]`.
+    pub fn of(&self, output: &Raster, label: u32, error: &mut [f32]) -> f64 {
+        let (n, steps) = (output.units(), output.steps());
+        let target = |class: usize| if class == label as usize { self.right } else { self.wrong };
+        let counts = output.counts();
+        match &self.form {
+            Form::SpikeCount => {
+                let excess: Vec<f32> = counts.iter().enumerate().map(|(class, count)| count - target(class)).collect();
+                error.chunks_exact_mut(n).for_each(|error| add(error, &excess, 1.0));
+                squares(&excess)
+            }
+            Form::Weighted { beta, gamma } => {
+                let omega = |t: usize| {
+                    let t = t as f32 / steps as f32;
+                    beta * t * t + gamma
+                };
+                let mean = (0..steps).map(omega).sum::<f32>() / steps as f32;
+                let mut excess: Vec<f32> = (0..n).map(|class| -mean * target(class)).collect();
+                for t in 0..steps {
+                    output.at(t).for_each(|(class, value)| excess[class] += value * omega(t));
+                }
+                error.chunks_exact_mut(n).enumerate().for_each(|(t, error)| add(error, &excess, omega(t)));
+                squares(&excess)
+            }
+            Form::NumSpikes { kernel } => {
+                let excess: Vec<f32> =
+                    counts.iter().enumerate().map(|(class, count)| (count - target(class)) / steps as f32).collect();
+                // The kernel summed over what is left of the sample.
+                let mut reach = 0.0;
+                for (k, error) in error.chunks_exact_mut(n).rev().enumerate() {
+                    reach += kernel.get(k).copied().unwrap_or(0.0);
+                    add(error, &excess, reach);
+                }
+                squares(&excess) * steps as f64
+            }
+            Form::CrossEntropy { scale } => {
+                let most = counts.iter().copied().fold(0.0, f32::max);
+                let powers: Vec<f64> =
+                    counts.iter().map(|count| libm::exp(f64::from(scale * (count - most)))).collect();
+                let sum: f64 = powers.iter().sum();
+                let right = |class: usize| f64::from(u8::from(class == label as usize));
+                let excess: Vec<f32> =
+                    (0..n).map(|class| scale * (powers[class] / sum - right(class)) as f32).collect();
+                error.chunks_exact_mut(n).for_each(|error| add(error, &excess, 1.0));
+                -libm::log(powers[label as usize] / sum)
+            }
+        }
+    }
+}
+
+fn add(error: &mut [f32], excess: &[f32], factor: f32) {
+    error.iter_mut().zip(excess).for_each(|(error, excess)| *error += factor * excess);
+}
+
+fn squares(excess: &[f32]) -> f64 {
+    excess.iter().map(|&e| f64::from(e) * f64::from(e)).sum::<f64>() / 2.0
+}
+
+/// The output with most spikes, the lowest on a tie; none when all are silent. As `nsim run` decides.
+#[must_use]
+pub fn class_of(counts: &[f32]) -> Option<u32> {
+    let most = counts.iter().copied().fold(0.0, f32::max);
+    (most > 0.0).then(|| counts.iter().position(|&count| count == most).map(|class| class as u32)).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn output() -> Raster {
+        Raster::from_events(2, 4, vec![(0, 0), (1, 0), (3, 0), (2, 1)])
+    }
+
+    fn loss(form: Form) -> (f64, Vec<f32>) {
+        let mut error = vec![0.0; 8];
+        let value = Loss { form, right: 2.0, wrong: 0.0 }.of(&output(), 1, &mut error);
+        (value, error)
+    }
+
+    #[test]
+    fn counts_are_compared_with_targets() {
+        let (value, error) = loss(Form::SpikeCount);
+        assert_eq!((value, &error[..2], &error[6..]), ((9.0 + 1.0) / 2.0, &[3.0, -1.0][..], &[3.0, -1.0][..]));
+    }
+
+    #[test]
+    fn early_spikes_weigh_more() {
+        // omega = 1, 15/16, 3/4, 7/16; its mean 0.78125.
+        let (value, error) = loss(Form::Weighted { beta: -1.0, gamma: 1.0 });
+        let excess = [1.0 + 0.9375 + 0.4375, 0.75 - 2.0 * 0.78125];
+        assert!((value - (excess[0] * excess[0] + excess[1] * excess[1]) / 2.0).abs() < 1e-6);
+        assert!((error[6] - 0.4375 * excess[0] as f32).abs() < 1e-6);
+        assert_eq!(loss(Form::Weighted { beta: 0.0, gamma: 1.0 }), loss(Form::SpikeCount));
+    }
+
+    #[test]
+    fn slayers_form_divides_by_steps_and_fades() {
+        let (value, error) = loss(Form::NumSpikes { kernel: vec![0.0, 1.0, 0.5] });
+        assert!((value - loss(Form::SpikeCount).0 / 4.0).abs() < 1e-9);
+        assert_eq!([error[0], error[2], error[4], error[6]], [1.125, 1.125, 0.75, 0.0]);
+    }
+
+    #[test]
+    fn silence_decides_nothing() {
+        assert_eq!([class_of(&[0.0, 0.0]), class_of(&[1.0, 2.0, 2.0])], [None, Some(1)]);
+    }
+}

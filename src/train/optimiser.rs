@@ -1,0 +1,65 @@
+//! Steps along a gradient: Adam (Kingma, Ba: ICLR 2015) and RMSprop (Hinton's lecture; constants as PyTorch's defaults).
+
+use super::network::Weights;
+
+/// Which rule.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rule {
+    /// Means of the gradient and of its square, 0.9 and 0.999.
+    Adam,
+    /// Mean of the square, 0.99.
+    RmsProp,
+}
+
+/// A rule with its settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Optimiser {
+    /// The rule.
+    pub rule: Rule,
+    /// Multiple of the weights that is added to the gradient (l2, as in the paper), or taken off the weights directly.
+    pub weight_decay: f32,
+    /// Whether decay is taken off the weights directly, times the learning rate (Loshchilov, Hutter: ICLR 2019).
+    pub decoupled: bool,
+}
+
+/// What an optimiser remembers.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Moments {
+    /// Mean gradient (Adam).
+    pub first: Weights,
+    /// Mean square of the gradient.
+    pub second: Weights,
+    /// Steps taken.
+    pub steps: u64,
+}
+
+const EPSILON: f32 = 1e-8;
+
+impl Optimiser {
+    /// One step, at a learning rate, for the layers that have one above 0.
+    pub fn step(&self, rate: &[f32], weights: &mut Weights, gradient: &Weights, moments: &mut Moments) {
+        moments.steps += 1;
+        let power = |beta: f32| 1.0 - libm::pow(f64::from(beta), moments.steps as f64) as f32;
+        let (bias_first, bias_second) = (power(0.9), power(0.999));
+        for (layer, weights) in weights.iter_mut().enumerate() {
+            let (first, second) = (&mut moments.first[layer], &mut moments.second[layer]);
+            let rate = rate[layer];
+            let (l2, direct) = if self.decoupled { (0.0, rate * self.weight_decay) } else { (self.weight_decay, 0.0) };
+            for (((w, g), m), v) in weights.iter_mut().zip(&gradient[layer]).zip(first).zip(second) {
+                let g = g + l2 * *w;
+                *w -= direct * *w;
+                match self.rule {
+                    Rule::Adam => {
+                        *m = 0.9 * *m + 0.1 * g;
+                        *v = 0.999 * *v + 0.001 * g * g;
+                        *w -= rate * (*m / bias_first) / ((*v / bias_second).sqrt() + EPSILON);
+                    }
+                    Rule::RmsProp => {
+                        *v = 0.99 * *v + 0.01 * g * g;
+                        *w -= rate * g / (v.sqrt() + EPSILON);
+                    }
+                }
+            }
+        }
+    }
+}

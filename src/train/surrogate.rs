@@ -1,0 +1,71 @@
+//! The derivative that stands in for that of a spike (Shrestha, Orchard: "SLAYER", NeurIPS 2018, eq. 15; parameters as in
+//! slayerPytorch `spikeLayer.py`, `tauRho` and `scaleRho`).
+
+/// `rho(u) = scale / (tau * theta) * exp(-|u - theta| / (tau * theta))`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Surrogate {
+    /// Threshold.
+    theta: f32,
+    /// `1 / (tau * theta)`.
+    steepness: f32,
+    /// `scale`.
+    scale: f32,
+}
+
+impl Surrogate {
+    /// For a threshold; `tau_rho` is the width in thresholds.
+    #[must_use]
+    pub fn new(theta: f32, tau_rho: f32, scale_rho: f32) -> Self {
+        Surrogate { theta, steepness: 1.0 / (tau_rho * theta), scale: scale_rho }
+    }
+
+    /// The stand-in derivative at a potential.
+    #[inline]
+    #[must_use]
+    pub fn slope(&self, u: f32) -> f32 {
+        self.scale * self.steepness * exp_minus(((u - self.theta) * self.steepness).abs())
+    }
+
+    /// The function whose derivative [`Surrogate::slope`] is: what the smoothed network puts in place of a spike.
+    #[must_use]
+    pub fn smooth(&self, u: f32) -> f32 {
+        let x = (u - self.theta) * self.steepness;
+        self.scale * if x < 0.0 { exp_minus(-x) } else { 2.0 - exp_minus(x) }
+    }
+}
+
+/// `exp(-x)` for x >= 0 within 3e-7, in operations that every machine rounds alike: a power of two times a polynomial
+/// (Taylor's, of 2^f around f = -1/2) that compilers can run over vectors.
+#[inline]
+fn exp_minus(x: f32) -> f32 {
+    let y = (x * std::f32::consts::LOG2_E).min(125.0);
+    let whole = y as i32;
+    let f = (whole as f32 - y + 0.5) * std::f32::consts::LN_2;
+    let series =
+        1.0 + f * (1.0 + f * (0.5 + f * (1.0 / 6.0 + f * (1.0 / 24.0 + f * (1.0 / 120.0 + f * (1.0 / 720.0))))));
+    series * std::f32::consts::FRAC_1_SQRT_2 * f32::from_bits(((127 - whole) as u32) << 23)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_is_one() {
+        for i in 0..80_000 {
+            let x = i as f32 * 1e-3;
+            let exact = f64::from(-x).exp();
+            let error = (f64::from(exp_minus(x)) - exact).abs();
+            assert!(error <= 3e-7 && error <= 2e-5 * exact, "{x}");
+        }
+    }
+
+    #[test]
+    fn the_slope_is_that_of_the_smooth_spike() {
+        let surrogate = Surrogate::new(10.0, 1.5, 0.8);
+        for u in [-20.0f32, 3.0, 9.0, 11.0, 40.0] {
+            let difference = (surrogate.smooth(u + 0.05) - surrogate.smooth(u - 0.05)) / 0.1;
+            assert!((difference - surrogate.slope(u)).abs() < 1e-4, "{u}");
+        }
+    }
+}

@@ -1,0 +1,5 @@
+//! NumPy and safetensors arrays, event lists in CSV.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| nsim::io::foreign::drill::arrays(data));

@@ -1,0 +1,5 @@
+//! PyTorch checkpoints in both containers, through import.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| nsim::io::foreign::drill::checkpoint(data));

@@ -1,0 +1,5 @@
+//! Event recordings: the first byte chooses the format.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| nsim::io::foreign::drill::events(data));

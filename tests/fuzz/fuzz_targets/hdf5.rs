@@ -1,0 +1,5 @@
+//! netx, NIR and any other HDF5 file, through import.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| nsim::io::foreign::drill::hdf5(data));

@@ -1,0 +1,5 @@
+//! SLAYER's network configs.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| nsim::io::foreign::drill::yaml(data));

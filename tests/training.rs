@@ -1,0 +1,138 @@
+//! Training: threads and interruptions change nothing, and what was trained is what is deployed.
+
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+const CONFIG: &str = r#"Training(
+    name: "small",
+    timestep_ms: 1.0,
+    inputs: [(name: "touch", shape: [12]), (name: "sight", shape: [2, 3])],
+    layers: [
+        (name: "a", from: ["touch"], size: 8),
+        (name: "b", from: ["sight"], size: 4),
+        (name: "out", from: ["a", "b"], size: 3),
+    ],
+    neuron: Loihi(tau_u_ms: Same(5), tau_v_ms: Spread(4, 12, 3), weight_scale: 16, theta: 10, refractory: 2, credit: UpToReset),
+    loss: SpikeCount(right: 12, wrong: 2),
+    optimiser: Adam(rate: 0.03),
+    weight_decay: 0.01,
+    last_rate: 0.1,
+    averaging: 0.9,
+    augment: (shift: 2, drop_spike: 0.05, drop_channel: 0.05, jitter: 1, stretch: 0.1, noise: 0.001),
+    batch: 4,
+    epochs: 12,
+    seed: 3,
+    train: ["FOLDER/set.ron"],
+    test: ["FOLDER/set.ron"],
+)"#;
+
+/// Three classes of 24 samples: each fires its own third of the channels more often.
+fn samples(folder: &Path) {
+    let mut entries = String::new();
+    for sample in 0..24u64 {
+        let label = sample % 3;
+        for (name, channels) in [("touch", 12u64), ("sight", 6)] {
+            let mut rows = String::new();
+            for step in 0..40u64 {
+                for channel in 0..channels {
+                    let often = if channel * 3 / channels == label { 0.4 } else { 0.1 };
+                    if nsim::base::rng::unit(sample, channel + 100 * channels, step) < often {
+                        rows += &format!("{step},{channel}\n");
+                    }
+                }
+            }
+            std::fs::write(folder.join(format!("{name}{sample}.csv")), rows).unwrap();
+        }
+        entries +=
+            &format!("(files: {{\"t\": \"touch{sample}.csv\", \"s\": \"sight{sample}.csv\"}}, label: {label}),\n");
+    }
+    let set = format!(
+        "DataSet(name: \"set\", populations: {{\"t\": \"touch\", \"s\": \"sight\"}}, steps: 40, samples: [{entries}])"
+    );
+    std::fs::write(folder.join("set.ron"), set).unwrap();
+    std::fs::write(folder.join("config.ron"), CONFIG.replace("FOLDER", folder.to_str().unwrap())).unwrap();
+}
+
+fn nsim(folder: &Path, arguments: &[&str]) -> Value {
+    let run = Command::new(env!("CARGO_BIN_EXE_nsim"))
+        .current_dir(folder)
+        .args(arguments)
+        .args(["--format", "json"])
+        .output()
+        .unwrap();
+    assert!(
+        run.status.success(),
+        "{arguments:?}: {}{}",
+        String::from_utf8_lossy(&run.stdout),
+        String::from_utf8_lossy(&run.stderr)
+    );
+    serde_json::from_slice(&run.stdout).unwrap()
+}
+
+fn weights(folder: &Path, model: &str) -> Vec<u8> {
+    std::fs::read(folder.join(model).with_extension("safetensors")).unwrap()
+}
+
+#[test]
+fn threads_and_interruptions_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    samples(folder);
+    let one = nsim(folder, &["train", "config.ron", "-o", "one.ron", "--threads", "1", "--log", "one.csv"]);
+    assert_eq!(one["schema"], "nsim.train/1");
+    assert_eq!((one["epochs"].as_u64(), one["model"].as_str()), (Some(12), Some("one.ron")));
+    nsim(folder, &["train", "config.ron", "-o", "three.ron", "--threads", "3"]);
+    assert_eq!(weights(folder, "one.ron"), weights(folder, "three.ron"));
+    assert_eq!(std::fs::read_to_string(folder.join("one.csv")).unwrap().lines().count(), 13);
+
+    // The state after ten epochs is kept; a run that begins with it ends where the others did.
+    nsim(folder, &["train", "config.ron", "-o", "whole.ron", "--checkpoint", "state"]);
+    assert_eq!(weights(folder, "one.ron"), weights(folder, "whole.ron"));
+    let again = nsim(folder, &["train", "config.ron", "-o", "again.ron", "--checkpoint", "state"]);
+    assert_eq!(again["epochs"], 12);
+    assert_eq!(weights(folder, "one.ron"), weights(folder, "again.ron"));
+    let other = Command::new(env!("CARGO_BIN_EXE_nsim"))
+        .current_dir(folder)
+        .args(["train", "config.ron", "--seed", "4", "--checkpoint", "state"])
+        .output()
+        .unwrap();
+    assert_eq!(other.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&other.stderr).contains("other settings"));
+}
+
+#[test]
+fn the_deployed_network_decides_as_the_trained_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    samples(folder);
+    let trained = nsim(folder, &["train", "config.ron", "-o", "m.ron"]);
+    for engine in ["fast", "golden"] {
+        let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
+        assert_eq!(run["accuracy"], trained["test_accuracy"]);
+    }
+    assert!(trained["test_accuracy"].as_f64().unwrap() > 0.8, "{trained}");
+    // Spike by spike.
+    let run = nsim(folder, &["run", "m.ron", "--input", "set.ron"]);
+    assert_eq!(trained["digest"], run["digest"]);
+}
+
+#[test]
+fn a_study_is_taken_up_where_it_was_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    samples(folder);
+    let study = ["train", "config.ron", "--epochs", "3", "--study", "runs", "--seeds", "1..3", "--folds", "2"];
+    let grid = ["--set", "weight_decay=0", "--set", "weight_decay=1"];
+    let first = nsim(folder, &[&study[..], &grid].concat());
+    assert_eq!(first["settings"].as_array().unwrap().len(), 2);
+    assert_eq!(first["settings"][0]["runs"].as_array().unwrap().len(), 4);
+    let files = std::fs::read_dir(folder.join("runs")).unwrap().count();
+    // A result, a model and its weights each.
+    assert_eq!(files, 24);
+    let second = nsim(folder, &[&study[..], &grid].concat());
+    assert_eq!(first, second);
+}
