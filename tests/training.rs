@@ -109,7 +109,7 @@ fn the_deployed_network_decides_as_the_trained_one() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     samples(folder);
-    let trained = nsim(folder, &["train", "config.ron", "-o", "m.ron"]);
+    let trained = nsim(folder, &["train", "config.ron", "--epochs", "40", "-o", "m.ron"]);
     for engine in ["fast", "golden"] {
         let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
         assert_eq!(run["accuracy"], trained["test_accuracy"]);

@@ -19,7 +19,7 @@ use crate::desc::target::Target;
 use crate::ir::quantised::{Connectivity, Parts, Quantised};
 
 /// Synapses above which trying would take longer than thinking.
-const MOST_SYNAPSES: u64 = 5_000_000;
+const MOST_SYNAPSES: u64 = 10_000_000;
 /// Weight bits that are tried.
 const BITS: [i64; 3] = [6, 5, 4];
 

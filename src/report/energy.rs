@@ -345,7 +345,7 @@ impl EnergyReport {
             cells.extend(columns.iter().map(|(figure, ..)| figure(row).map_or_else(unknown, short)));
             cells.push(match row.power_source == row.source {
                 true => row.source.name().to_string(),
-                false => format!("{}, power {}", row.source.name(), row.power_source.name()),
+                false => format!("{}, {} W", row.source.name(), row.power_source.name()),
             });
             rows.push(cells);
         }

@@ -195,9 +195,9 @@ pub fn cases() -> Vec<Case> {
         "m.ron",
         npy("'|u1'", "(1,)", &[1]),
         vec![],
-        "io.utf8",
-        1,
-        "NumPy array",
+        "import.slayer",
+        0,
+        "none of the files of a network",
     );
     add("pointer as a model", Through::Model, "m.ron", lfs_pointer(), vec![], "io.lfs-pointer", 0, "git lfs pull");
     let deep = MODEL.replace("[[2, 2, 2, 2], [4, 4, 4, 4]]", &"[".repeat(200_000));
@@ -272,7 +272,7 @@ pub fn cases() -> Vec<Case> {
         ("word in a row", "s.csv", b"0,1\n1,one\n".to_vec(), "input.csv", 2, "one"),
         ("unknown header", "s.csv", b"x,y,t\n0,1,2\n".to_vec(), "input.csv", 1, "timestep,channel"),
         ("no event", "s.csv", b"\n".to_vec(), "input.empty", 0, "# steps"),
-        ("unknown kind", "s.dat", b"0,1\n".to_vec(), "input.kind", 0, ".csv"),
+        ("unknown kind", "s.xyz", b"0,1\n".to_vec(), "input.kind", 0, ".csv"),
         (
             "manifest without samples",
             "s.ron",

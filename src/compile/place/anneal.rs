@@ -18,12 +18,14 @@ use crate::compile::place::Search;
 use crate::compile::place::nets::{Columns, Nets};
 use crate::ir::placement::{Mesh, Site};
 
-/// Rounds in which several chips are annealed against each other.
+/// Rounds in which chips are annealed against each other; a single one begins anew from its best places.
 const ROUNDS: u64 = 3;
 /// The last temperature as a part of the first.
 const COOLEST: f64 = 1e-3;
 /// Proposals of a core in a round at most.
 const PROPOSALS: u64 = 400;
+/// Proposals that any chip gets: a few cores have so few places that all good ones are found, which costs next to nothing.
+const LEAST_PROPOSALS: u64 = 30_000;
 
 /// Places near what cores talk to.
 #[must_use]
@@ -36,7 +38,7 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
     let cores: Vec<CoreId> = best.ids().collect();
     let chips: Vec<&[CoreId]> = cores.chunks(mesh.cores_per_chip as usize).collect();
     let mut least = cost(&best);
-    let rounds = if chips.len() > 1 { ROUNDS } else { 1 };
+    let rounds = ROUNDS;
     for round in 0..rounds {
         let work = search.work / rounds / chips.len().max(1) as u64;
         let found: Vec<Vec<Site>> = chips
@@ -79,7 +81,7 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
     let touched: usize =
         cores.iter().flat_map(|core| nets.of_core.get(core.0)).map(|&net| 2 + nets.reached.get(net).len()).sum();
     let each = (touched / cores.len()).max(1) as u64 * 4;
-    let proposals = (work / each).min(PROPOSALS * cores.len() as u64);
+    let proposals = (work / each).min((PROPOSALS * cores.len() as u64).max(LEAST_PROPOSALS));
     if cores.len() < 2 && held.len() < 2 || proposals == 0 {
         return own(&sites);
     }

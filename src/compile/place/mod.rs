@@ -87,7 +87,6 @@ pub fn place(
     let annealed = anneal::anneal(&nets, &mesh, start, search);
     let (before, after) = (cost(plain.sites()), cost(&annealed));
     let better = after.multicast <= before.multicast
-        && after.unicast <= before.unicast
         && after.objective(search.objective) < before.objective(search.objective)
         && (search.objective != Objective::Latency || after.longest <= before.longest);
     match Placement::new(mesh, annealed) {

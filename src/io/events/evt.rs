@@ -103,7 +103,12 @@ fn evt3(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> 
                 }
                 base = (base + count) & 0xffff;
             }
-            0x6 => low = i64::from(word & 0xfff),
+            0x6 => {
+                let new = i64::from(word & 0xfff);
+                // Time never goes back: some writers leave a high half out that only counts one more.
+                high += i64::from(timed && new < low);
+                low = new;
+            }
             0x8 => {
                 let new = i64::from(word & 0xfff);
                 if timed && high - new > 1 << 11 {
