@@ -6,6 +6,7 @@
 
 mod common;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use common::{Net, format, neuron};
@@ -15,8 +16,10 @@ use nsim::bench::mapping::{Mapped, map_all};
 use nsim::bench::suite::cases;
 use nsim::compile::rates::Rates;
 use nsim::compile::traffic::traffic;
-use nsim::compile::{Compiled, Objective, Options, Strategy, compile_quantised};
+use nsim::compile::{Compiled, Objective, Options, Strategy, compile_network_with_mapping, compile_quantised};
 use nsim::desc::target::{Limits, Target};
+use nsim::io::mapping::load_mapping;
+use nsim::io::model::load_model;
 use nsim::io::target::load_target;
 use nsim::ir::graph::Shape;
 use nsim::ir::placement::Mesh;
@@ -64,6 +67,16 @@ fn no_mapping_of_the_suite_has_more_hops_or_cores_or_longer_steps_than_the_seque
             }
         }
     }
+}
+
+#[test]
+fn the_saved_mapping_of_32_copies_passes_the_checker_on_32_cores() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("mapping/results/vtsnn-slip-x32-nahuku-32.ron");
+    let file = load_mapping(&path).unwrap();
+    let network = load_model("vtsnn-slip").unwrap();
+    let options = Options { copies: 32, ..Options::default() };
+    let compiled = compile_network_with_mapping(&network, &load_target("nahuku-32").unwrap(), &options, &file).unwrap();
+    assert_eq!((compiled.partition.cores(), compiled.placement.chips_used(), compiled.placed), (32, 1, "saved"));
 }
 
 #[test]

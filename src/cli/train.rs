@@ -6,6 +6,7 @@ use std::time::Instant;
 use serde_json::Value;
 
 use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::folds::stratified_folds;
 use crate::cli::common::SampleRange;
 use crate::cli::{Answer, Context, common, inputs};
 use crate::compile;
@@ -18,7 +19,7 @@ use crate::ir::quantised::Quantised;
 use crate::report::train::{Run, StudyReport, TrainReport, history_csv};
 use crate::train::checkpoint;
 use crate::train::export;
-use crate::train::fit::{Example, Plan, State, stratified_folds};
+use crate::train::fit::{Example, Plan, State};
 use crate::train::network::Weights;
 use crate::train::plan::plan;
 use crate::train::raster::Raster;

@@ -238,20 +238,3 @@ fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
     }
     order
 }
-
-/// For each of `k` folds the samples that it tests on: the samples of each class are dealt out in a seeded order, so that
-/// every fold has as many of each class, give or take one.
-#[must_use]
-pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
-    let mut folds = vec![Vec::new(); k];
-    let mut dealt = 0;
-    for class in 0..labels.iter().max().map_or(0, |&most| most + 1) {
-        let members: Vec<usize> = (0..labels.len()).filter(|&i| labels[i] == class).collect();
-        for at in permutation(members.len(), seed, ORDER + u64::from(class)) {
-            folds[dealt % k].push(members[at]);
-            dealt += 1;
-        }
-    }
-    folds.iter_mut().for_each(|fold| fold.sort_unstable());
-    folds
-}
