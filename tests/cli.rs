@@ -69,7 +69,7 @@ fn every_command_prints_its_object() {
     );
     has_keys(&run["activity"], &["spikes_in", "spikes", "synaptic_events", "compartment_updates", "messages", "hops"]);
     has_keys(&run["overflow"], &["q_wrapped", "u_wrapped", "v_clipped", "first"]);
-    assert_eq!((&run["samples"], &run["timesteps"], &run["seed"]), (&2.into(), &300.into(), &1.into()));
+    assert_eq!((&run["samples"], &run["timesteps"], &run["seed"]), (&2.into(), &300.into(), &3.into()));
 
     let energy = object(&["energy", "--samples", "0..2", "--copies", "2"], 0);
     assert_eq!(energy["schema"], "nsim.energy/1");
@@ -303,7 +303,7 @@ fn errors_have_a_status_a_place_and_an_object() {
     assert_eq!(said(&["run", "--samples", "500..501"]).0, 2);
     assert_eq!(said(&["no-such-command"]).0, 2);
     assert_eq!(said(&["run", "--threads", "0"]).0, 2);
-    assert_eq!(said(&["bench", "pareto"]).0, 2);
+    assert_eq!(said(&["bench", "no-such-bench"]).0, 2);
     assert_eq!(said(&["bench", "step", "--network", "random-2m"]).0, 2);
     assert_eq!(said(&["map", "no-such-model"]).0, 3);
     assert_eq!(said(&["run", "--input", "scene:no-such-scene"]).0, 3);

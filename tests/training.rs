@@ -10,7 +10,7 @@ use serde_json::Value;
 const CONFIG: &str = r#"Training(
     name: "small",
     timestep_ms: 1.0,
-    inputs: [(name: "touch", shape: [12]), (name: "sight", shape: [2, 3])],
+    inputs: [(name: "touch", shape: [12]), (name: "sight", shape: [1, 2, 3])],
     layers: [
         (name: "a", from: ["touch"], size: 8),
         (name: "b", from: ["sight"], size: 4),

@@ -78,6 +78,9 @@ pub struct Args {
     /// A bar chart of the causes
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
+    /// A document whose section `<!-- agree MODEL -->` is replaced; the bar chart goes beside it
+    #[arg(long, value_name = "FILE.md")]
+    update: Option<PathBuf>,
     /// A target file or the name of a shipped target, onto which the deployed network is mapped
     #[arg(long, default_value = "nahuku-32")]
     target: String,
@@ -169,6 +172,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         attribution: attribution.as_ref(),
         attribution_samples: samples.len().min(args.attribution_samples as usize),
     };
+    if let (Some(path), Some(attribution)) = (&args.update, &attribution) {
+        let name = &graph.facts().name;
+        let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));
+        let svg = crate::report::agree::bars(name, attribution);
+        crate::cli::pareto::update(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
+    }
     common::print(context.format, || report.text(), || report.json(), || report.csv())?;
     let exact = outcome.rows.iter().all(|row| row.comparison.first_divergence.is_none());
     let enough =

@@ -103,22 +103,25 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
         io::write::file(path, context.force, |out| out.write_all(report.svg().as_bytes()))?;
     }
     if let Some(path) = &args.update {
-        update(path, name, &report, context)?;
+        let picture = format!("pareto-{name}.svg");
+        update(path, &format!("pareto {name}"), &report.markdown(&picture), &picture, &report.svg(), context)?;
     }
     common::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(if rows.iter().all(|row| row.exact != Some(false)) { Answer::Yes } else { Answer::No })
 }
 
-fn update(path: &Path, name: &str, report: &ParetoReport, context: Context) -> Result<(), Error> {
+/// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section shows.
+///
+/// # Errors
+/// [`Error`] when the document has no such section or cannot be written.
+pub fn update(path: &Path, mark: &str, section: &str, picture: &str, svg: &str, context: Context) -> Result<(), Error> {
     let text = io::text::read_text(path)?;
-    let picture = format!("pareto-{name}.svg");
-    let mark = format!("pareto {name}");
-    let changed = replaced(text.text(), &mark, &report.markdown(&picture)).ok_or_else(|| {
-        Diagnostic::new("pareto.section", format!("there is no section '<!-- {mark} -->'"))
+    let changed = replaced(text.text(), mark, section).ok_or_else(|| {
+        Diagnostic::new("document.section", format!("there is no section '<!-- {mark} -->'"))
             .help(format!("put '<!-- {mark} -->' and '<!-- end {mark} -->' on lines of their own"))
             .in_file(path)
     })?;
-    let beside = path.parent().unwrap_or(Path::new("")).join(&picture);
-    io::write::file(&beside, context.force, |out| out.write_all(report.svg().as_bytes()))?;
+    let beside = path.parent().unwrap_or(Path::new("")).join(picture);
+    io::write::file(&beside, context.force, |out| out.write_all(svg.as_bytes()))?;
     Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
 }

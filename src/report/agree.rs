@@ -278,6 +278,79 @@ impl AgreeReport<'_> {
         format!("\n{}{table}\n", wrapped(&intro))
     }
 
+    /// A section of a document, with a chart under `picture`.
+    #[must_use]
+    pub fn markdown(&self, picture: &str) -> String {
+        let mut out = format!("{}, {} of {}", self.model, count(self.samples as u64, "sample"), self.input.join(" "));
+        out += &self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
+        out += &format!("; a: {}, b: on simulated cores.\n\n", self.against);
+        if let Some(agreement) = self.class_agreement() {
+            out += &format!("Classes agree in {agreement:.4}");
+            out += &self.accuracy.map_or(String::new(), |(a, b)| format!("; accuracy {a:.4} (a), {b:.4} (b)"));
+            out += ".\n\n";
+        }
+        if let Some(found) = self.found {
+            out += &format!(
+                "| on {} | classes agree | coincidence | output counts off by |\n| --- | --- | --- | --- |\n",
+                count(found.samples as u64, "calibration sample")
+            );
+            for (name, score) in [("analytic start", &found.start), ("search", &found.end)] {
+                out += &format!(
+                    "| {name} | {:.4} | {:.4} | {:.2} % |\n",
+                    score.class_agreement,
+                    score.coincidence,
+                    100.0 * score.count_error
+                );
+            }
+            out.push('\n');
+        }
+        if !self.fits.is_empty() {
+            out += "| population | du | dv | refractory | threshold |\n| --- | --- | --- | --- | --- |\n";
+            for (name, fit) in self.fits {
+                out += &format!("| {name} | {} | {} | {} | {:.4} |\n", fit.du, fit.dv, fit.refractory, fit.threshold);
+            }
+            out.push('\n');
+        }
+        out += "| layer | shift | spikes a | spikes b | coincidence | van Rossum | Victor-Purpura | potential rmse |\n";
+        out += "| --- | --- | --- | --- | --- | --- | --- | --- |\n";
+        for row in self.layers {
+            let tally = &row.comparison.tally;
+            out += &format!(
+                "| {} | {} | {} | {} | {:.4} | {:.4} | {:.4} | {} |\n",
+                row.name,
+                row.shift,
+                tally.spikes_a,
+                tally.spikes_b,
+                tally.coincidence(),
+                tally.van_rossum(),
+                tally.victor_purpura(),
+                tally.potential_rmse().map_or(String::new(), |x| format!("{x:.4}"))
+            );
+        }
+        let Some(attribution) = self.attribution else { return out };
+        out += &format!(
+            "\nDisagreement {:.4} over {}:\n\n",
+            attribution.disagreement,
+            count(self.attribution_samples as u64, "sample")
+        );
+        out += &format!("![causes of {}]({picture})\n\n", self.model);
+        out += "| cause | share | forward | reversed | interaction | classes agree | coincidence |\n";
+        out += "| --- | --- | --- | --- | --- | --- | --- |\n";
+        for share in &attribution.shares {
+            out += &format!(
+                "| {} | {:.1} % | {:.4} | {:.4} | {:.4} | {:.4} | {:.4} |\n",
+                share.cause.name(),
+                100.0 * share.share,
+                share.forward,
+                share.reversed,
+                share.interaction(),
+                share.rung.class_agreement,
+                share.rung.coincidence
+            );
+        }
+        out
+    }
+
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
