@@ -20,13 +20,14 @@ EXAMPLES:
   nsim scene slip                                       what 20 scenes hold: labels, densities, onsets
   nsim scene slip --samples 1000 --seed 7 -o scenes     recordings as .npy, and scenes/dataset.ron
   nsim scene 'slip?grip_n=1.5..2.5&pixel_noise_hz=1'    other parameters, which docs/scenes.md lists
+  nsim scene container --samples 100 --format json
   nsim run --input scenes/dataset.ron";
 
 /// Make synthetic visual-tactile recordings
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// slip, with parameters as NAME?key=value&..
+    /// slip or container, with parameters as NAME?key=value&..
     pub name: String,
     /// How many samples
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(crate::scene::MOST_SAMPLES)))]

@@ -4,6 +4,7 @@
 //! any machine. `docs/scenes.md` has the equations, the parameters with their sources, and what the scenes look like.
 
 pub mod camera;
+pub mod container;
 pub mod draw;
 pub mod gripper;
 pub mod noise;
@@ -19,7 +20,11 @@ use crate::ir::quantised::Quantised;
 use crate::ir::spikes::{Sample, Stimulus};
 
 /// The scenes that ship, by name and what they are.
-pub const SCENES: [(&str, &str); 2] = [
+pub const SCENES: [(&str, &str); 3] = [
+    (
+        "container",
+        "a gripper closes on one of four containers with one of five fills, and lifts it (samples, seed, and docs/scenes.md)",
+    ),
     ("noise", "independent spikes at a fixed rate (samples, steps, seed, rate, POPULATION=rate)"),
     ("slip", "a gripper lifts a box, which rotates or does not (samples, seed, and docs/scenes.md)"),
 ];
@@ -63,6 +68,8 @@ pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus, Diagn
 pub enum Recorded {
     /// A box that rotates or does not.
     Slip(slip::Slip),
+    /// Containers and how full they are.
+    Container(container::Containers),
 }
 
 impl Recorded {
@@ -73,6 +80,7 @@ impl Recorded {
     pub fn parse(scene: &SceneArg) -> Result<Self, Diagnostic> {
         match scene.name.as_str() {
             "slip" => Ok(Recorded::Slip(slip::Slip::parse(scene)?)),
+            "container" => Ok(Recorded::Container(container::Containers::parse(scene)?)),
             "noise" => Err(Diagnostic::new("scene.unknown", "scene noise is made for a model, not recorded")
                 .help("give it to a run: nsim run MODEL --input scene:noise")),
             other => {
@@ -88,6 +96,7 @@ impl Recorded {
     pub fn name(&self) -> &'static str {
         match self {
             Recorded::Slip(_) => "slip",
+            Recorded::Container(_) => "container",
         }
     }
 
@@ -96,6 +105,7 @@ impl Recorded {
     pub fn samples(&self) -> u32 {
         match self {
             Recorded::Slip(slip) => slip.samples,
+            Recorded::Container(set) => set.samples,
         }
     }
 
@@ -104,6 +114,7 @@ impl Recorded {
     pub fn seed(&self) -> u64 {
         match self {
             Recorded::Slip(slip) => slip.seed,
+            Recorded::Container(set) => set.seed,
         }
     }
 
@@ -112,6 +123,7 @@ impl Recorded {
     pub fn steps(&self) -> u32 {
         match self {
             Recorded::Slip(_) => slip::STEPS,
+            Recorded::Container(_) => container::STEPS,
         }
     }
 
@@ -120,6 +132,7 @@ impl Recorded {
     pub fn timestep_ms(&self) -> f64 {
         match self {
             Recorded::Slip(_) => 1.0,
+            Recorded::Container(_) => f64::from(container::BIN_MS),
         }
     }
 
@@ -128,6 +141,7 @@ impl Recorded {
     pub fn classes(&self) -> Vec<String> {
         match self {
             Recorded::Slip(_) => slip::CLASSES.map(String::from).to_vec(),
+            Recorded::Container(_) => container::classes(),
         }
     }
 
@@ -136,6 +150,7 @@ impl Recorded {
     pub fn recording(&self, sample: u32) -> Recording {
         match self {
             Recorded::Slip(slip) => slip.recording(sample),
+            Recorded::Container(set) => set.recording(sample),
         }
     }
 }
