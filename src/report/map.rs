@@ -536,7 +536,7 @@ mod tests {
         assert_eq!(compiled.partition.cores(), 62);
         let question = Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[] };
         let spoken = text(question, fits_with(&compiled, &board));
-        assert!(spoken.contains("and 42 more") && spoken.lines().count() < 32, "{spoken}");
+        assert!(spoken.contains("and 42 more") && spoken.lines().count() < 40, "{spoken}");
     }
 
     #[test]
