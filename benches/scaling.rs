@@ -74,12 +74,12 @@ fn whole_samples(c: &mut Criterion, input: &str, program: &Program, samples: &[S
 fn skipping(c: &mut Criterion) {
     let vtsnn = Standard::VtSnn1Pct.build().unwrap();
     let program = map(vtsnn.network, vtsnn.target);
-    let silence = Sample::new(150, Vec::new(), None).unwrap();
+    let silence = Sample::new(150, &Vec::new(), None).unwrap();
     whole_samples(c, "silence", &program, std::slice::from_ref(&silence));
     let noise: Vec<Sample> = (0..20)
         .map(|k| {
             let at = |t: u32| vtsnn.period.at(k * 150 + t).iter().map(move |&channel| (t, channel));
-            Sample::new(150, (0..150).flat_map(at).collect(), None).unwrap()
+            Sample::new(150, &(0..150).flat_map(at).collect::<Vec<_>>(), None).unwrap()
         })
         .collect();
     whole_samples(c, "noise", &program, &noise);
@@ -102,8 +102,8 @@ fn recordings() -> Option<(Program, Vec<Sample>)> {
     let program = compile(&network, &target, &Options::default()).unwrap().program;
     let read = io::stimulus::read_source(&folder, u64::from(program.channels())).unwrap();
     let sample = |spikes: io::stimulus::PopulationSpikes| {
-        let events = spikes.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
-        Sample::new(spikes.steps, events, spikes.label).unwrap()
+        let events: Vec<_> = spikes.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
+        Sample::new(spikes.steps, &events, spikes.label).unwrap()
     };
     Some((program, read.into_iter().map(sample).collect()))
 }

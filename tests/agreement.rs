@@ -82,8 +82,8 @@ fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
             _ => 0.03,
         };
         let all = (0..150).flat_map(|t| (0..30).map(move |c| (t, ChannelId(c))));
-        let events = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
-        Sample::new(150, events, Some((seed % 4) as u32)).unwrap()
+        let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
+        Sample::new(150, &events, Some((seed % 4) as u32)).unwrap()
     };
     seeds.map(one).collect()
 }
@@ -176,7 +176,8 @@ fn with_every_cause_it_is_the_machine_bit_for_bit() {
     let shipped = lower(&nsim::io::model::load_model("vtsnn-slip").unwrap()).unwrap();
     let noise = |seed: u64| {
         let all = (0..150).flat_map(|t| (0..3306).map(move |c| (t, ChannelId(c))));
-        Sample::new(150, all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < 0.03).collect(), None).unwrap()
+        Sample::new(150, &all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < 0.03).collect::<Vec<_>>(), None)
+            .unwrap()
     };
     is_the_machine(&shipped, &convert::starts(&shipped), &[noise(1), noise(2)], 0);
 }

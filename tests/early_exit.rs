@@ -93,8 +93,8 @@ fn certainty_that_comes_in_silence_is_found_in_the_same_step_when_silence_is_ski
     let network = net.build();
     // Output 1 spikes in steps 2 to 5, then nothing happens until step 15 of 20. Output 0 could tie, and so win, with
     // four spikes: that is over when three steps are left, after step 16, in which both stand as they did.
-    let events = (2..6).map(|step| (step, ChannelId(1))).collect();
-    let sample = Sample::new(20, events, None).unwrap();
+    let events: Vec<_> = (2..6).map(|step| (step, ChannelId(1))).collect();
+    let sample = Sample::new(20, &events, None).unwrap();
     for (name, mut engine) in common::engines(&network) {
         let outcome = run_sample(engine.as_mut(), &sample, &keep(&network, Some(Rule::Certain)), |_, _| ());
         assert_eq!((outcome.decided_at, outcome.steps, outcome.steps_saved), (Some(16), 17, 3), "{name}");
@@ -109,8 +109,8 @@ fn recordings(folder: &Path) -> Vec<Sample> {
     let spikes = ["train", "test"].iter().flat_map(|part| read_source(&folder.join(part), 78).unwrap());
     spikes
         .map(|sample| {
-            let events = sample.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
-            Sample::new(sample.steps, events, sample.label).unwrap()
+            let events: Vec<_> = sample.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
+            Sample::new(sample.steps, &events, sample.label).unwrap()
         })
         .collect()
 }
@@ -271,7 +271,7 @@ fn a_compartment_of_another_population_is_no_output() {
     net.dense(input, hidden, 0, &[20]);
     net.dense(hidden, out, 0, &[20]);
     let network = net.build();
-    let sample = Sample::new(12, (0..12).map(|step| (step, ChannelId(0))).collect(), None).unwrap();
+    let sample = Sample::new(12, &(0..12).map(|step| (step, ChannelId(0))).collect::<Vec<_>>(), None).unwrap();
     for (name, mut engine) in common::engines(&network) {
         // v = 20, 40, 60 > 50 in steps 1, 2, 3.
         let outcome = run_sample(engine.as_mut(), &sample, &keep(&network, Some(margin(1))), |engine, _| {

@@ -32,8 +32,9 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
     let (first, count) = (population.first_compartment().unwrap(), population.shape.len());
     let image = Image::new(&compiled.program, 1).unwrap();
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-    let events = inputs.into_iter().filter(|event| event.0 < steps).map(|(step, c)| (step, ChannelId(c))).collect();
-    let sample = Sample::new(steps, events, None).unwrap();
+    let events: Vec<_> =
+        inputs.into_iter().filter(|event| event.0 < steps).map(|(step, c)| (step, ChannelId(c))).collect();
+    let sample = Sample::new(steps, &events, None).unwrap();
     let probes = vec![Probe { first, count, quantity: Quantity::Spikes }];
     let outcome =
         run_sample(&mut machine, &sample, &Keep { output: (first, count), probes, early_exit: None }, |_, _| ());

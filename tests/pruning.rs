@@ -73,7 +73,7 @@ fn sample(network: &Quantised, seed: u64) -> Sample {
     for step in 0..whole.steps() {
         events.extend(whole.at(step).iter().filter(|c| living[c.0 as usize]).map(|&channel| (step, channel)));
     }
-    Sample::new(whole.steps(), events, None).unwrap()
+    Sample::new(whole.steps(), &events, None).unwrap()
 }
 
 fn stimulus(samples: Vec<Sample>) -> Stimulus {
@@ -155,8 +155,8 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
     let whole = network(seed);
     let shown = sample(&whole, seed);
     // What is pruned for any input is shown all channels at once, in every step, too.
-    let all = (0..60).flat_map(|step| (0..whole.channels()).map(move |c| (step, ChannelId(c)))).collect();
-    let loud = Sample::new(60, all, None).unwrap();
+    let all: Vec<_> = (0..60).flat_map(|step| (0..whole.channels()).map(move |c| (step, ChannelId(c)))).collect();
+    let loud = Sample::new(60, &all, None).unwrap();
     let (mut fixed, mut scene) = (Counts::new(), Counts::new());
     let mut golden = Golden::new(&whole);
     let probed = whole.populations().enumerate().find(|(_, p)| p.first_compartment().is_some()).map(|(id, _)| id);
@@ -233,8 +233,8 @@ fn recorded_touch_is_told_apart_the_same() {
     let target = load_target("nahuku-32").unwrap();
     let mut samples = Vec::new();
     for recording in read_source(&data.join("test"), 78).unwrap() {
-        let events = recording.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
-        samples.push(Sample::new(recording.steps, events, recording.label).unwrap());
+        let events: Vec<_> = recording.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
+        samples.push(Sample::new(recording.steps, &events, recording.label).unwrap());
     }
     let digest_of = |network: &Quantised| {
         let compiled = compile_quantised(network.clone(), &target, &Options::default()).unwrap();
@@ -320,9 +320,9 @@ fn worst(network: &Quantised, seed: u64) -> Vec<Sample> {
         pattern.iter().enumerate().flat_map(of_step).collect()
     };
     let mut samples: Vec<Sample> =
-        patterns.iter().map(|pattern| Sample::new(steps as u32, events(pattern), None).unwrap()).collect();
+        patterns.iter().map(|pattern| Sample::new(steps as u32, &events(pattern), None).unwrap()).collect();
     let noise = (0..steps as u32).flat_map(|step| (0..2 * each).map(move |c| (step, ChannelId(c))));
-    samples.push(Sample::new(steps as u32, noise.filter(|_| draw.chance(50)).collect(), None).unwrap());
+    samples.push(Sample::new(steps as u32, &noise.filter(|_| draw.chance(50)).collect::<Vec<_>>(), None).unwrap());
     samples
 }
 

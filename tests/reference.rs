@@ -34,8 +34,8 @@ const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
 
 fn sample(channels: u32, steps: u32, rate: f64, seed: u64) -> Sample {
     let all = (0..steps).flat_map(|t| (0..channels).map(move |c| (t, ChannelId(c))));
-    let events = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate).collect();
-    Sample::new(steps, events, None).unwrap()
+    let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate).collect();
+    Sample::new(steps, &events, None).unwrap()
 }
 
 /// SLAYER's way: a layer at a time over all steps, kernels before weights (`spike(fc(psp(x)))`).

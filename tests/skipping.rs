@@ -49,8 +49,8 @@ fn recordings(folder: &Path) -> Vec<Sample> {
     let spikes = ["train", "test"].iter().flat_map(|part| read_source(&folder.join(part), 78).unwrap());
     spikes
         .map(|sample| {
-            let events = sample.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
-            Sample::new(sample.steps, events, sample.label).unwrap()
+            let events: Vec<_> = sample.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
+            Sample::new(sample.steps, &events, sample.label).unwrap()
         })
         .collect()
 }
@@ -167,7 +167,7 @@ fn agreed(network: &Quantised, sample: &Sample) -> (Outcome, u64) {
 }
 
 fn spikes_at(steps: u32, at: &[u32]) -> Sample {
-    Sample::new(steps, at.iter().map(|&step| (step, ChannelId(0))).collect(), None).unwrap()
+    Sample::new(steps, &at.iter().map(|&step| (step, ChannelId(0))).collect::<Vec<_>>(), None).unwrap()
 }
 
 /// One channel to one compartment, by a weight of 8 over this delay; thresholds are far above unless given.

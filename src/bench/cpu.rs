@@ -290,7 +290,7 @@ mod tests {
     fn sample(steps: u32, seed: u64) -> Sample {
         let draw = |t: u32, c: u32| crate::base::rng::unit(seed, c.into(), t.into()) < 0.4;
         let events = (0..steps).flat_map(|t| (0..5).filter(move |&c| draw(t, c)).map(move |c| (t, ChannelId(c))));
-        Sample::new(steps, events.collect(), None).unwrap()
+        Sample::new(steps, &events.collect::<Vec<_>>(), None).unwrap()
     }
 
     fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {

@@ -55,7 +55,7 @@ pub struct Mapped {
 pub enum Failure {
     /// The network could not be mapped.
     #[error("{0} {1}: {2}")]
-    Compile(&'static str, &'static str, CompileError),
+    Compile(&'static str, &'static str, #[source] Box<CompileError>),
     /// It could not be run or priced.
     #[error("{0}: {1}")]
     Run(&'static str, String),
@@ -97,7 +97,7 @@ pub fn map_all(
     let meant = golden(&bench.network, &bench.period);
     let sample = bench.period.copies(case.copies, bench.network.channels());
     for (strategy, objective, places) in WAYS {
-        let failed = |error| Failure::Compile(case.name, strategy.name(), error);
+        let failed = |error| Failure::Compile(case.name, strategy.name(), Box::new(error));
         let options = Options { copies: case.copies, strategy, objective, effort_s, ..Options::default() };
         reset_peak();
         let begin = Instant::now();

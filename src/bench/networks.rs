@@ -246,7 +246,7 @@ pub(super) fn vtsnn(name: &str, percent: u64) -> Result<Bench, Unbuildable> {
         let spiking = (0..VTSNN_STEPS).filter(|&t| rng::below(100, 5, u64::from(channel), u64::from(t)) < percent);
         events.extend(spiking.map(|t| (t, ChannelId(channel))));
     }
-    Ok(Bench { network, period: Sample::new(VTSNN_STEPS, events, None)?, target: "nahuku-32" })
+    Ok(Bench { network, period: Sample::new(VTSNN_STEPS, &events, None)?, target: "nahuku-32" })
 }
 
 /// Synapses of each compartment of a random network.
@@ -295,8 +295,8 @@ pub fn random(name: &str, sizes: Random) -> Result<Bench, Unbuildable> {
         let channel = move |k| rng::below(u64::from(n), 3, u64::from(t), u64::from(k)) as u32;
         (0..sizes.driven).map(move |k| (t, ChannelId(channel(k))))
     };
-    let events = (0..sizes.period).flat_map(spikes).collect();
-    let period = Sample::new(sizes.period, events, None)?;
+    let events: Vec<_> = (0..sizes.period).flat_map(spikes).collect();
+    let period = Sample::new(sizes.period, &events, None)?;
     let target = if n > 100_000 { "pohoiki-springs" } else { "nahuku-32" };
     Ok(Bench { network: net.build()?, period, target })
 }
@@ -327,10 +327,10 @@ pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<Bench,
     // A stride that shares no factor with the number of channels visits each before any again.
     let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);
     let channel = |k: u64| ChannelId((k * stride % u64::from(compartments)) as u32);
-    let events = (0..u64::from(period) * u64::from(driven))
+    let events: Vec<_> = (0..u64::from(period) * u64::from(driven))
         .map(|k| ((k / u64::from(driven.max(1))) as u32, channel(k)))
         .collect();
-    Ok(Bench { network: net.build()?, period: Sample::new(period, events, None)?, target: "nahuku-32" })
+    Ok(Bench { network: net.build()?, period: Sample::new(period, &events, None)?, target: "nahuku-32" })
 }
 
 fn gcd(a: u64, b: u64) -> u64 {

@@ -428,7 +428,7 @@ fn merge(sample: &Sample, steps: u32) -> Sample {
     }
     let events: Vec<(u32, ChannelId)> =
         (0..sample.steps()).flat_map(|t| sample.at(t).iter().map(move |&channel| (t / steps, channel))).collect();
-    Sample::new(sample.steps().div_ceil(steps), events, sample.label()).unwrap_or_else(|_| sample.clone())
+    Sample::new(sample.steps().div_ceil(steps), &events, sample.label()).unwrap_or_else(|_| sample.clone())
 }
 
 fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, ParetoError> {
@@ -569,7 +569,7 @@ mod tests {
 
     #[test]
     fn merged_steps_hold_every_channel_that_spiked_in_any() {
-        let sample = Sample::new(5, vec![(0, ChannelId(1)), (1, ChannelId(1)), (4, ChannelId(0))], None).unwrap();
+        let sample = Sample::new(5, &[(0, ChannelId(1)), (1, ChannelId(1)), (4, ChannelId(0))], None).unwrap();
         let merged = merge(&sample, 2);
         assert_eq!(
             (merged.steps(), merged.at(0), merged.at(1), merged.at(2)),

@@ -86,7 +86,7 @@ fn bench(net: Builder, target: &'static str) -> Result<Bench, Unbuildable> {
         let spiking = (0..STEPS).filter(|&t| rng::below(RARE, 5, u64::from(channel), u64::from(t)) == 0);
         events.extend(spiking.map(|t| (t, ChannelId(channel))));
     }
-    Ok(Bench { network, period: Sample::new(STEPS, events, None)?, target })
+    Ok(Bench { network, period: Sample::new(STEPS, &events, None)?, target })
 }
 
 fn slip(name: &'static str) -> Result<Bench, Unbuildable> {
@@ -96,7 +96,7 @@ fn slip(name: &'static str) -> Result<Bench, Unbuildable> {
         let spiking = (0..STEPS).filter(|&t| rng::below(RARE, 5, u64::from(channel), u64::from(t)) == 0);
         events.extend(spiking.map(|t| (t, ChannelId(channel))));
     }
-    Ok(Bench { network, period: Sample::new(STEPS, events, None)?, target })
+    Ok(Bench { network, period: Sample::new(STEPS, &events, None)?, target })
 }
 
 fn container(name: &'static str) -> Result<Bench, Unbuildable> {

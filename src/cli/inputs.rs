@@ -156,7 +156,7 @@ fn join(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Result<V
             let first = population.first_channel().map_or(0, |channel| channel.0);
             events.extend(part.events.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));
         }
-        samples.push(Sample::new(steps, events, label).map_err(|e| Diagnostic::new("input.spikes", e.to_string()))?);
+        samples.push(Sample::new(steps, &events, label).map_err(|e| Diagnostic::new("input.spikes", e.to_string()))?);
     }
     Ok(samples)
 }

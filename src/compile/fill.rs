@@ -254,11 +254,11 @@ impl<'a> Filling<'a> {
         self.groups[usize::from(format)][class] += 1;
         self.groups_with_runs[usize::from(format)][class_with_runs] += 1;
         let before = std::mem::replace(&mut entry.words, [plain, fewest]);
-        for way in 0..2 {
+        for (way, before) in before.into_iter().enumerate() {
             // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
-            axon.words[way] = axon.words[way] + entry.words[way] - before[way];
+            axon.words[way] = axon.words[way] + entry.words[way] - before;
             self.widest[way] = self.widest[way].max(axon.words[way]);
-            self.words[way] = self.words[way] + u64::from(entry.words[way]) - u64::from(before[way]);
+            self.words[way] = self.words[way] + u64::from(entry.words[way]) - u64::from(before);
         }
         self.synapses += 1;
     }

@@ -115,15 +115,17 @@ fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment>
         .collect()
 }
 
-/// The formats of a core, its lists by input axon, and the source of each input axon; with run-length lists where that
-/// takes fewer words, if limits are given.
+/// The formats of a core, its lists by input axon, and the source of each input axon.
+type Written = (Vec<CoreFormat>, Lists<Synapse>, Vec<u32>);
+
+/// What a core keeps of its synapses; with run-length lists where that takes fewer words, if limits are given.
 fn write_lists(
     core: CoreId,
     keys: &[Key],
     formats: &Formats,
     widths: Widths,
     runs: Option<&Limits>,
-) -> Result<(Vec<CoreFormat>, Lists<Synapse>, Vec<u32>), String> {
+) -> Result<Written, String> {
     let (mut known, mut sources): (Vec<CoreFormat>, Vec<u32>) = (Vec::new(), Vec::new());
     let mut synapses = Lists::with_capacity(0, keys.len());
     for list in gather::lists(keys) {
@@ -175,9 +177,9 @@ fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages 
         }
         let mut lists = Lists::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
         for (core, (of_core, &(low, high))) in sources.iter().zip(&parts).enumerate() {
-            for axon in low..high {
+            for (axon, &source) in (low..high).zip(&of_core[low..high]) {
                 // Counts now say how many are still to come; cores ascend, so lists do.
-                let source = (of_core[axon] - from) as usize;
+                let source = (source - from) as usize;
                 let place = lists.get(source).len() - counts[source] as usize;
                 lists.get_mut(source)[place] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };
                 counts[source] -= 1;

@@ -204,7 +204,7 @@ impl Baseline {
                 .at(source, row.total_mw.span));
             }
         }
-        for (name, figure) in file.roofline.iter().flat_map(|roofline| roofline.list()) {
+        for (name, figure) in file.roofline.iter().flat_map(super::super::desc::baseline::Roofline::list) {
             if !(figure.value.value > 0.0 && figure.value.value <= 1e15) || figure.source.trim().is_empty() {
                 let message = format!("{name} {} is not within 0..=10^15, or names no source", figure.value.value);
                 return Err(Diagnostic::new("baseline.figure", message).at(source, figure.value.span));

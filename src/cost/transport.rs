@@ -101,7 +101,7 @@ impl Ways {
         }
         let mut spikes = Lists::default();
         let mut seats = Vec::with_capacity(program.seats().len());
-        for seat in program.seats().iter() {
+        for seat in program.seats() {
             let image = &cores[seat.core];
             spikes.push(image.axons_out.get(usize::from(seat.slot)).iter().map(message));
             seats.push((seat.core, u32::from(seat.slot), image.compartments.len() as u32));

@@ -33,21 +33,21 @@ impl Sample {
     ///
     /// # Errors
     /// [`SampleError`] for an event outside the sample.
-    pub fn new(steps: u32, events: Vec<(u32, ChannelId)>, label: Option<u32>) -> Result<Self, SampleError> {
+    pub fn new(steps: u32, events: &[(u32, ChannelId)], label: Option<u32>) -> Result<Self, SampleError> {
         if u32::try_from(events.len()).is_err() {
             return Err(SampleError::TooMany);
         }
         // Recordings come channel by channel or step by step; either way a stable count over steps leaves each step's
         // channels ascending, and little is left to sort.
         let mut next = vec![0u32; steps as usize + 1];
-        for &(step, _) in &events {
+        for &(step, _) in events {
             *next.get_mut(step as usize + 1).ok_or(SampleError::Step { step, steps })? += 1;
         }
         for t in 0..steps as usize {
             next[t + 1] += next[t];
         }
         let mut channels = vec![ChannelId(0); events.len()];
-        for &(step, channel) in &events {
+        for &(step, channel) in events {
             let place = &mut next[step as usize];
             channels[*place as usize] = channel;
             *place += 1;
@@ -167,7 +167,7 @@ mod tests {
     #[test]
     fn events_are_grouped_sorted_and_counted_once() {
         let events = vec![(2, ChannelId(1)), (0, ChannelId(5)), (2, ChannelId(0)), (2, ChannelId(1))];
-        let sample = Sample::new(4, events, None).unwrap();
+        let sample = Sample::new(4, &events, None).unwrap();
         assert_eq!(sample.at(0), [ChannelId(5)]);
         assert_eq!(sample.at(2), [ChannelId(0), ChannelId(1)]);
         assert_eq!((sample.at(3).len(), sample.steps(), sample.spikes()), (0, 4, 3));
@@ -178,14 +178,14 @@ mod tests {
             let draw = |k, entity, n| crate::base::rng::below(n, seed, entity, k) as u32;
             let events: Vec<(u32, ChannelId)> =
                 (0..seed * 4).map(|k| (draw(k, 0, 7), ChannelId(draw(k, 1, 5)))).collect();
-            let sample = Sample::new(7, events.clone(), None).unwrap();
+            let sample = Sample::new(7, &events.clone(), None).unwrap();
             let mut sorted = events;
             sorted.sort_unstable();
             sorted.dedup();
             let listed: Vec<_> = (0..7).flat_map(|t| sample.at(t).iter().map(move |&c| (t, c))).collect();
             assert_eq!(listed, sorted);
         }
-        let late = Sample::new(4, vec![(4, ChannelId(0))], None);
+        let late = Sample::new(4, &[(4, ChannelId(0))], None);
         assert_eq!(late, Err(SampleError::Step { step: 4, steps: 4 }));
     }
 }

@@ -463,12 +463,12 @@ impl State {
         self.active.clear();
         self.active_now = 0;
         let granules = share.granules.len() - 1;
-        for word in 0..self.busy.len() {
+        for (word, arrivals) in arrivals.iter_mut().take(self.busy.len()).enumerate() {
             let mut set = match order.skip {
-                true => self.busy[word] | share.driven[word] | arrivals[word],
+                true => self.busy[word] | share.driven[word] | *arrivals,
                 false => ones(granules - word * 64),
             };
-            arrivals[word] = 0;
+            *arrivals = 0;
             let mut busy = 0;
             while set != 0 {
                 let bit = set.trailing_zeros();

@@ -51,7 +51,8 @@ mod tests {
             prefetch(&data, index);
         }
         prefetch_range(&data, 3..90);
-        prefetch_range(&data, 90..3);
+        let (first, last) = (90, 3);
+        prefetch_range(&data, first..last);
         assert_eq!(data, [1; 100]);
     }
 }

@@ -102,7 +102,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
 fn static_of_paper(options: &Options, target: &Target, score: &Score) -> Option<f64> {
     let paper = Deployment::paper();
     let each = score.static_mw / score.cores_powered.max(1) as f64;
-    (options.copies == paper.copies && target.name() == "nahuku-32").then(|| each * paper.cores_powered as f64)
+    (options.copies == paper.copies && target.name() == "nahuku-32").then_some(each * paper.cores_powered as f64)
 }
 
 /// What a mean step is expected to cost, for people.

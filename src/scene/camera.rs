@@ -156,8 +156,8 @@ impl Camera {
 mod tests {
     use super::*;
 
-    fn camera(pixels: Pixels) -> Camera {
-        Camera::new(&pixels, Draws::new(1, 0), Draws::new(0, 0))
+    fn camera(pixels: &Pixels) -> Camera {
+        Camera::new(pixels, Draws::new(1, 0), Draws::new(0, 0))
     }
 
     const STILL: Pixels = Pixels { contrast: 0.2, mismatch: 0.0, refractory_ms: 2, noise_hz: 0.0, tick_ms: 1 };
@@ -180,7 +180,7 @@ mod tests {
     #[test]
     fn events_follow_the_contrast_threshold_and_the_refractory_time() {
         // A step of 0.7 is three events of 0.2; with 2 ms between them they come in steps 3, 5 and 7.
-        let mut camera = camera(STILL);
+        let mut camera = camera(&STILL);
         let pixel = (13 * WIDTH + 21) as u32;
         let mut spikes = Vec::new();
         for step in 0..20 {
@@ -195,7 +195,7 @@ mod tests {
 
     #[test]
     fn pixels_of_a_unit_make_one_spike_of_either_polarity() {
-        let mut camera = camera(STILL);
+        let mut camera = camera(&STILL);
         let block: Vec<u32> = (0..4).flat_map(|y| (0..4).map(move |x| (y * WIDTH + x) as u32)).collect();
         let mut spikes = Vec::new();
         camera.step(&block, |_, _| 0.0, |x, _| if x % 2 == 0 { 0.3 } else { -0.3 }, |unit| spikes.push(unit));
@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn noise_comes_at_its_rate() {
-        let mut camera = camera(Pixels { noise_hz: 0.5, ..STILL });
+        let mut camera = camera(&Pixels { noise_hz: 0.5, ..STILL });
         let mut spikes = 0;
         for _ in 0..400 {
             camera.step(&[], |_, _| 0.0, |_, _| 0.0, |_| spikes += 1);

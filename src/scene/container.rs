@@ -373,7 +373,7 @@ impl Containers {
             slosh: (
                 0.3 * container.sloshes * 4.0 * fill.min(1.0) * (1.0 - fill.min(1.0)),
                 draw(8, (3.0, 4.0)),
-                draw(9, (0.0, 6.28)),
+                draw(9, (0.0, std::f64::consts::TAU)),
             ),
         }
     }

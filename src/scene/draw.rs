@@ -104,7 +104,7 @@ mod tests {
         let draws = Draws::new(3, 1);
         let moments = |f: &dyn Fn(u32) -> f64| {
             let n = 100_000;
-            let (sum, squares) = (0..n).map(|i| f(i)).fold((0.0, 0.0), |(s, q), x| (s + x, q + x * x));
+            let (sum, squares) = (0..n).map(f).fold((0.0, 0.0), |(s, q), x| (s + x, q + x * x));
             let mean = sum / f64::from(n);
             (mean, squares / f64::from(n) - mean * mean)
         };

@@ -182,7 +182,7 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus, Diagnosti
                     events.extend(sense.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));
                 }
             }
-            Sample::new(recording.steps, events, Some(recording.label))
+            Sample::new(recording.steps, &events, Some(recording.label))
         })
         .collect::<Result<_, _>>()
         .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;

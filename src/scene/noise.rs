@@ -71,7 +71,7 @@ pub fn stimulus(network: &Quantised, noise: &Noise) -> Result<Stimulus, Diagnost
                     events.extend(spiking.map(|t| (t, ChannelId(channel))));
                 }
             }
-            Sample::new(noise.steps, events, None)
+            Sample::new(noise.steps, &events, None)
         })
         .collect::<Result<_, _>>()
         .map_err(|e| Diagnostic::new("scene.too-large", e.to_string()))?;

@@ -239,10 +239,10 @@ impl Srm {
                 }
                 Some((_, kernel)) => {
                     for (k, &nu) in kernel.iter().enumerate().skip(1).take_while(|&(k, _)| k <= t) {
-                        for j in 0..n {
-                            // A spike is known by its state; potentials of the past already hold their refractory part.
-                            if trace.state[(t - k) * n + j] == SPIKED {
-                                now[j] += nu;
+                        // A spike is known by its state; potentials of the past already hold their refractory part.
+                        for (u, &state) in now.iter_mut().zip(&trace.state[(t - k) * n..]) {
+                            if state == SPIKED {
+                                *u += nu;
                             }
                         }
                     }
@@ -370,7 +370,7 @@ impl Loihi {
                 // A spike erases the voltage behind it; while it is held nothing enters it.
                 let (keeps, enters) = match self.credit {
                     CreditDesc::Slayer => (1.0, 1.0),
-                    CreditDesc::UpToReset => ((s[j] == FREE) as u8 as f32, (s[j] != HELD) as u8 as f32),
+                    CreditDesc::UpToReset => (f32::from(u8::from(s[j] == FREE)), f32::from(u8::from(s[j] != HELD))),
                 };
                 voltage[j] = enters * (e[j] + keeps * b * voltage[j]);
                 current[j] = voltage[j] + a * current[j];

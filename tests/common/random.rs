@@ -213,7 +213,7 @@ pub fn sample(network: &Quantised, seed: u64) -> Sample {
         events
             .extend((0..network.channels()).filter(|_| draw.chance(percent)).map(|channel| (step, ChannelId(channel))));
     }
-    Sample::new(steps, events, None).unwrap()
+    Sample::new(steps, &events, None).unwrap()
 }
 
 /// A mapping that deals the compartments out to random cores in random order.

@@ -173,7 +173,8 @@ impl Groups {
             of.iter().enumerate().filter_map(|(id, label)| Some(((*label)?, id as u32))).collect();
         labelled.sort_unstable();
         let (mut members, mut into, mut own) = (Csr::new(), Csr::new(), Csr::new());
-        let (mut pins, mut sends): (Vec<(u32, u32)>, Vec<(u32, u64)>) = (Vec::new(), Vec::new());
+        let mut pins: Vec<(u32, u32)> = Vec::new();
+        let mut sends: Vec<(u32, u64)> = Vec::new();
         for group in labelled.chunk_by(|a, b| a.0 == b.0) {
             members.push(group.iter().map(|&(_, id)| id));
             pins.clear();

@@ -47,7 +47,7 @@ impl Levels {
                 break;
             }
             let (merged, count) = matched(graph, &groups);
-            if count as f64 > 0.97 * groups.len() as f64 {
+            if f64::from(count) > 0.97 * groups.len() as f64 {
                 break;
             }
             labels.push(last.iter().map(|label| label.map(|label| merged[label as usize])).collect());
@@ -85,7 +85,7 @@ fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
         let mut look = |net: u32, weight: f64| {
             let (pins, owners) = (pins.get(net), owners.get(net));
             let all = pins.len() + owners.len();
-            if all > LARGEST_NET || all < 2 {
+            if !(2..=LARGEST_NET).contains(&all) {
                 return;
             }
             for &other in pins.iter().chain(owners) {

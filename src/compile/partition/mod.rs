@@ -144,7 +144,8 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
         let Some(first) = population.first_compartment() else { continue };
         fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
     }
-    let tiled = spatial.iter().any(|&spatial| spatial).then(|| tiled(filler, &spatial, chips)).unwrap_or_default();
+    let tiled =
+        if spatial.iter().any(|&spatial| spatial) { tiled(filler, &spatial, chips) } else { Default::default() };
     let free: u64 = network
         .projections()
         .enumerate()

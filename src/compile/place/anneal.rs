@@ -25,7 +25,7 @@ const COOLEST: f64 = 1e-3;
 /// Proposals of a core in a round at most.
 const PROPOSALS: u64 = 400;
 /// Proposals that any chip gets: a few cores have so few places that all good ones are found, which costs next to nothing.
-const LEAST_PROPOSALS: u64 = 30_000;
+const LEAST_PROPOSALS: u64 = 3_000;
 
 /// Places near what cores talk to.
 #[must_use]

@@ -58,7 +58,7 @@ fn dead_channels_lose_their_synapses_and_silence_what_they_alone_drove() {
     let whole = fan([100; 4]).build();
     let pruned = prune(&whole, &scene(&[1, 3])).unwrap();
     assert_eq!(counts(&pruned), [2, 0, 2, 0, 4]);
-    let at = |step, channel| Sample::new(9, vec![(step, ChannelId(channel))], None).unwrap();
+    let at = |step, channel| Sample::new(9, &[(step, ChannelId(channel))], None).unwrap();
     assert!(check_stimulus(&pruned, &[&at(0, 0), &at(8, 2)], 0).is_ok());
     let refused = check_stimulus(&pruned, &[&at(0, 0), &at(8, 3)], 5).unwrap_err();
     assert_eq!(refused.code, "input.pruned");

@@ -336,7 +336,7 @@ fn dataset(dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Item, Diagnosti
         budget.take(size as u64)?;
         let bytes = dataset.read_native_bytes().map_err(|error| wrong(budget, &error))?;
         let numbers = Numbers { shape, element, bytes };
-        if length != Some(numbers.len()) || numbers.bytes.len() % numbers.size() != 0 {
+        if length != Some(numbers.len()) || !numbers.bytes.len().is_multiple_of(numbers.size()) {
             return Err(wrong(budget, &"its bytes do not fill its shape"));
         }
         return Ok(Item::Numbers(numbers));

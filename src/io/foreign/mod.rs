@@ -168,7 +168,7 @@ fn unknown(path: &Path, bytes: &[u8]) -> Diagnostic {
     let netlist = |line: &&str| {
         matches!(line.split_once(' '), Some(("g" | "n" | "e" | "&" | "@" | "#", _))) || line.starts_with('#')
     };
-    if extension.as_deref() == Some("net") && !lines.is_empty() && lines.iter().all(|line| netlist(line)) {
+    if extension.as_deref() == Some("net") && !lines.is_empty() && lines.iter().all(netlist) {
         return Diagnostic::new("import.sanafe", "this is a text netlist of SANA-FE, not a network of lava-dl")
             .help("its neurons are abstract and carry no weights of a Loihi core; export the trained network with lava-dl or NIR");
     }

@@ -14,6 +14,7 @@
 //!
 //! Left out on purpose: reset by subtraction and resets to other values than zero, for which a core has no circuit.
 
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::{Group, Item, Numbers};
@@ -375,7 +376,7 @@ impl Reader<'_> {
         }
         for name in &order {
             if let Some(neuron) = discrete.remove(name).flatten() {
-                self.incoming(name, neuron)?;
+                self.incoming(name, &neuron)?;
             }
         }
         self.output(&order)?;
@@ -466,7 +467,9 @@ impl Reader<'_> {
         let Some((_, first)) = found.first().cloned() else {
             return Err(ask("the timestep is not in the file, and its nodes do not imply one".to_string()));
         };
-        if let Some((name, other)) = found.iter().find(|(_, dt)| !((dt / first - 1.0).abs() < 1e-3)) {
+        if let Some((name, other)) =
+            found.iter().find(|(_, dt)| (dt / first - 1.0).abs().partial_cmp(&1e-3) != Some(Ordering::Less))
+        {
             return Err(ask(format!(
                 "the nodes do not imply one timestep: {:.6} ms by '{}', {:.6} ms by '{name}'",
                 first * 1e3,
@@ -995,7 +998,7 @@ impl Reader<'_> {
     }
 
     /// Everything that a population hears: projections, and its bias.
-    fn incoming(&mut self, name: &str, neuron: Discrete) -> Result<(), Diagnostic> {
+    fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<(), Diagnostic> {
         let shape = self.shapes[name].clone();
         let units = product(&shape).unwrap_or(0);
         let mut bias: Vec<f64> = (0..units).map(|unit| neuron.bias.get(unit)).collect();
@@ -1231,7 +1234,7 @@ impl Reader<'_> {
         };
         self.notes
             .push(format!("weights lead to '{output}' without a neuron: '{name}' shows their sum of each step as v"));
-        self.incoming(&output, neuron)?;
+        self.incoming(&output, &neuron)?;
         self.draft.output = name;
         Ok(())
     }

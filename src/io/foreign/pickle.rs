@@ -218,7 +218,7 @@ impl<'a> Machine<'a> {
         let dict = self.top()?;
         let pairs = items.chunks_exact(2).map(|pair| (pair[0], pair[1]));
         match &mut self.values[dict.0 as usize] {
-            Value::Dict(dict) if items.len() % 2 == 0 => dict.extend(pairs),
+            Value::Dict(dict) if items.len().is_multiple_of(2) => dict.extend(pairs),
             _ => return self.wrong("a dictionary is missing"),
         }
         Ok(())

@@ -241,7 +241,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported, Diagnostic> 
         path.with_file_name(prefix.map_or_else(|| format!("{part}.npy"), |prefix| format!("{prefix}-{part}.npy")))
     };
     let mut matrices = Vec::new();
-    for part in set.iter() {
+    for part in *set {
         let path = file(part);
         if !path.exists() && part.starts_with("fc") && *part != "fc1" {
             break;
