@@ -21,6 +21,7 @@ pub mod refine;
 pub mod tiles;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::rng;
 use crate::compile::fill::Filling;
 use crate::compile::partition::hyper::{Groups, Hypergraph, State};
 use crate::compile::partition::levels::Levels;
@@ -94,6 +95,12 @@ const PASSES: usize = 3;
 const TILE_ROUNDS: usize = 6;
 /// Hundredths of the synapse words that refinement may count on, in the order of trial: words are estimates there.
 const WORD_MARGINS: [i64; 2] = [100, 85];
+/// Synapses of a network that is refined once more from shaken members; smaller ones are so as many times more often.
+const SHAKEN_SYNAPSES: u64 = 2_000;
+/// Times at most.
+const MOST_SHAKES: u64 = 16;
+/// Where the draws of shaking begin.
+const SHAKE_SEED: u64 = 0x5ba4e;
 
 /// Cores for a network of equal copies; `one` is a single copy and `all` is all of them, copy after copy.
 ///
@@ -185,6 +192,14 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
                 }
             }
         }
+        for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
+            let Some(best) = fewest(filler, &found, search.rates) else { break };
+            let shaken = shaken(best, &fixed, attempt);
+            let refined = refined(graph, &levels, &shaken, target, WORD_MARGINS[0], search.work);
+            if counted(network, refined.clone(), target).is_ok() {
+                found.push(refined);
+            }
+        }
     }
     // Compartments in the order of the file make lists denser; refined cores take newcomers at their end.
     let best = fewest(filler, &found, search.rates);
@@ -209,6 +224,22 @@ fn fewest<'m>(filler: &Filler<'_>, found: &'m [Members], rates: &Rates) -> Optio
     of_these.min_by_key(|members| {
         messages(filler.network, &cores_of(filler.network.compartments(), members), members.len(), rates)
     })
+}
+
+/// Members after some compartments of different cores have changed places, as a start that leads elsewhere.
+fn shaken(members: &Members, fixed: &[bool], attempt: u64) -> Members {
+    let mut shaken = members.clone();
+    let all: usize = members.iter().map(Vec::len).sum();
+    for change in 0..(all as u64 / 6).max(2) {
+        let draw = |k: u64, n: usize| rng::below(n.max(1) as u64, SHAKE_SEED ^ attempt, change, k) as usize;
+        let (a, b) = (CoreId::new(draw(0, members.len())), CoreId::new(draw(1, members.len())));
+        let (i, j) = (draw(2, shaken[a].len()), draw(3, shaken[b].len()));
+        let (Some(&one), Some(&other)) = (shaken[a].get(i), shaken[b].get(j)) else { continue };
+        if a != b && !fixed[one.index()] && !fixed[other.index()] {
+            (shaken[a][i], shaken[b][j]) = (other, one);
+        }
+    }
+    shaken
 }
 
 /// Members in the order of the file, on cores that hold no tile.

@@ -19,13 +19,15 @@ use crate::compile::place::nets::{Columns, Nets};
 use crate::ir::placement::{Mesh, Site};
 
 /// Rounds in which chips are annealed against each other; a single one begins anew from its best places.
-const ROUNDS: u64 = 3;
+const ROUNDS: u64 = 6;
+/// The first temperature as a part of what a proposal changes on average.
+const HOTTEST: f64 = 0.3;
 /// The last temperature as a part of the first.
-const COOLEST: f64 = 1e-3;
+const COOLEST: f64 = 5e-2;
 /// Proposals of a core in a round at most.
-const PROPOSALS: u64 = 400;
+const PROPOSALS: u64 = 200;
 /// Proposals that any chip gets: a few cores have so few places that all good ones are found, which costs next to nothing.
-const LEAST_PROPOSALS: u64 = 3_000;
+const LEAST_PROPOSALS: u64 = 1500;
 
 /// Places near what cores talk to.
 #[must_use]
@@ -88,7 +90,7 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
     let (mut now, mut least, mut best) = (0i64, 0i64, own(&sites));
     let mut affected: Vec<u32> = Vec::new();
     let mut moves: Vec<(usize, Site, Site)> = Vec::new();
-    let mut heat = None::<f64>;
+    let (mut changes, mut tried) = (0.0, 0.0);
     for step in 0..proposals {
         let draw = |k: u64, n: u64| rng::below(n, seed, step, k);
         let core = cores[draw(0, cores.len() as u64) as usize].index();
@@ -134,9 +136,9 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
         let before = sum(&sites, &mut columns);
         moves.iter().for_each(|&(core, _, to)| sites[core] = to);
         let change = sum(&sites, &mut columns) - before;
-        // The first cost is the first temperature.
-        let first_heat = *heat.get_or_insert_with(|| 0.2 * change.unsigned_abs().max(1) as f64);
-        let temperature = first_heat * COOLEST.powf(step as f64 / proposals as f64);
+        // What a proposal changes on average, so far, is what is hot.
+        (changes, tried) = (changes + change.unsigned_abs() as f64, tried + 1.0);
+        let temperature = HOTTEST * changes.max(1.0) / tried * COOLEST.powf(step as f64 / proposals as f64);
         let accepted = change <= 0 || rng::unit(seed, step, 6) < (-(change as f64) / temperature).exp();
         if accepted {
             now += change;
