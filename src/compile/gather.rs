@@ -7,7 +7,7 @@
 //! Sources are enumerated in pieces of a fixed size, on any number of threads; each piece sorts its synapses into ranges
 //! of cores, and each range then reads the pieces in order. So nothing depends on threads, no synapse is allocated by
 //! itself, and memory is read and written in long runs. A synapse takes eight bytes on its way; a network with more than
-//! [`AT_ONCE`] of them is enumerated several times, for some of its cores each time.
+//! `AT_ONCE` of them is enumerated several times, for some of its cores each time.
 
 use rayon::prelude::*;
 

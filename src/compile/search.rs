@@ -2,7 +2,7 @@
 //!
 //! In come a network, a target and an objective; out goes the best of several *candidates*. A candidate is a strategy and
 //! the part of each core that it may fill: cores that hold half as much take half as long and are twice as many. The first
-//! candidate is always the sequential order, placed; another one must be better than it by [`MARGIN`] to be taken for the
+//! candidate is always the sequential order, placed; another one must be better than it by `MARGIN` to be taken for the
 //! time of a step, because the expected step is not the simulated one.
 
 use std::sync::Mutex;

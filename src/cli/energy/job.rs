@@ -18,7 +18,7 @@ pub struct EnergyJob<'a> {
     pub model: &'a str,
     /// Where it ran.
     pub target: &'a Target,
-    /// The preset of the figures, an index into the target's (from [`tables`]).
+    /// The preset of the figures, an index into the target's (from `tables`).
     pub preset: usize,
     /// Counts of the run.
     pub activity: &'a Activity,
