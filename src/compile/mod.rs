@@ -7,6 +7,7 @@
 pub mod check;
 pub mod convert;
 pub mod copies;
+pub mod described;
 pub mod expect;
 pub mod fanin;
 pub mod fill;
@@ -163,7 +164,46 @@ pub struct Compiled {
     pub rates: Rates,
 }
 
+/// Where everything of a network is, whether or not its program was written.
+#[derive(Debug, Clone, Copy)]
+pub struct Layout<'a> {
+    /// The network, one copy.
+    pub one: &'a Quantised,
+    /// The network, all copies.
+    pub quantised: &'a Quantised,
+    /// Compartments on cores.
+    pub partition: &'a Partition,
+    /// Cores on the board.
+    pub placement: &'a Placement,
+    /// Seconds of each stage, in order.
+    pub seconds: &'a [(&'static str, f64)],
+    /// How it was made.
+    pub options: &'a Options,
+    /// Name of the placement.
+    pub placed: &'static str,
+    /// Rates of all sources that it was made for.
+    pub rates: &'a Rates,
+    /// Whether there is a program, checked against the network; otherwise see [`described`].
+    pub written: bool,
+}
+
 impl Compiled {
+    /// Where everything is.
+    #[must_use]
+    pub fn layout(&self) -> Layout<'_> {
+        Layout {
+            one: &self.one,
+            quantised: &self.quantised,
+            partition: &self.partition,
+            placement: &self.placement,
+            seconds: &self.seconds,
+            options: &self.options,
+            placed: self.placed,
+            rates: &self.rates,
+            written: true,
+        }
+    }
+
     /// The mapping as a file.
     #[must_use]
     pub fn mapping_file(&self) -> MappingFile {

@@ -16,7 +16,7 @@ use crate::compile::rates::Rates;
 use crate::compile::remedy::Remedy;
 use crate::compile::search::{Found, front};
 use crate::compile::traffic::{DEFAULT_RATE, Traffic};
-use crate::compile::{Compiled, Options, Reason, place};
+use crate::compile::{Layout, Options, Reason, place};
 use crate::cost::deployment::Deployment;
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
@@ -45,7 +45,7 @@ pub struct Question<'a> {
 #[derive(Debug, Clone, Copy)]
 pub enum Outcome<'a> {
     /// It fits.
-    Fits(&'a Compiled, Traffic, Score),
+    Fits(Layout<'a>, Traffic, Score),
     /// It does not, for all of these reasons.
     DoesNotFit(&'a [Reason]),
 }
@@ -69,6 +69,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "chips_used": null,
         "cores_per_copy": null,
         "checked": false,
+        "described": false,
         "cores": [],
         "limits": target.limits(),
         "traffic": null,
@@ -86,6 +87,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
             object["chips_used"] = compiled.placement.chips_used().into();
             object["cores_per_copy"] = cores_per_copy(compiled).into();
             object["checked"] = true.into();
+            object["described"] = (!compiled.written).into();
             object["cores"] = rows(compiled).map(|row| row.json()).collect();
             object["traffic"] = json!(traffic);
             object["expected"] = json!(score);
@@ -219,7 +221,7 @@ fn pruned_table(rows: &[PrunedRow]) -> String {
     table.trim_fmt() + "\n"
 }
 
-fn cores_per_copy(compiled: &Compiled) -> f64 {
+fn cores_per_copy(compiled: Layout<'_>) -> f64 {
     compiled.partition.cores() as f64 / f64::from(compiled.options.copies)
 }
 
@@ -260,7 +262,7 @@ impl Row {
     }
 }
 
-fn rows(compiled: &Compiled) -> impl Iterator<Item = Row> + '_ {
+fn rows(compiled: Layout<'_>) -> impl Iterator<Item = Row> {
     compiled.partition.usage().enumerate().map(|(core, used)| {
         let site = compiled.placement.site(core);
         Row {
@@ -336,10 +338,14 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
             let _ = writeln!(
                 text,
-                "fits on {} of {}\n{:.4} cores a copy; checked against its network",
+                "fits on {} of {}\n{:.4} cores a copy; {}",
                 count(cores as u64, "core"),
                 count(chips, "chip"),
-                cores_per_copy(compiled)
+                cores_per_copy(compiled),
+                match compiled.written {
+                    true => "checked against its network",
+                    false => "counted from its kernels; a core of each kind checked against its synapses",
+                }
             );
             let _ = writeln!(
                 text,
@@ -387,7 +393,7 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
 }
 
 /// A table of every core's use of its resources, in numbers and in hundredths of what there is.
-fn table(compiled: &Compiled, target: &Target) -> String {
+fn table(compiled: Layout<'_>, target: &Target) -> String {
     let limits = target.limits();
     let mut table = Table::new();
     table.load_style(comfy_table::presets::NOTHING);
@@ -451,7 +457,7 @@ mod tests {
     use crate::compile::{CompileError, compile, compile_quantised};
     use crate::desc::target::Limits;
 
-    const KEYS: [&str; 22] = [
+    const KEYS: [&str; 23] = [
         "schema",
         "model",
         "target",
@@ -466,6 +472,7 @@ mod tests {
         "chips_used",
         "cores_per_copy",
         "checked",
+        "described",
         "cores",
         "limits",
         "traffic",
@@ -476,8 +483,8 @@ mod tests {
         "pareto",
     ];
 
-    fn fits_with<'a>(compiled: &'a Compiled, board: &Target) -> Outcome<'a> {
-        Outcome::Fits(compiled, traffic(&compiled.program, &compiled.rates), score(compiled, board).unwrap())
+    fn fits_with<'a>(compiled: &'a crate::compile::Compiled, board: &Target) -> Outcome<'a> {
+        Outcome::Fits(compiled.layout(), traffic(&compiled.program, &compiled.rates), score(compiled, board).unwrap())
     }
 
     fn keys(value: &Value) -> Vec<&str> {
