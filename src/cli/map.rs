@@ -6,8 +6,8 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::jobs::{self, JobArgs};
 use crate::cli::{Answer, Context, common, inputs};
-use crate::compile::rates::Rates;
 use crate::compile::described::{self, Described};
+use crate::compile::rates::Rates;
 use crate::compile::{CompileError, Compiled, Layout, Objective, Options, Strategy, expect, remedy, traffic};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
@@ -214,16 +214,15 @@ impl Mapped {
 
 /// Refuses what needs more of a network than its description.
 fn not_described(args: &MapArgs, network: &Quantised) -> Result<(), Diagnostic> {
-    let asked = [
-        (args.output.is_some(), "-o"),
-        (args.pareto.is_some(), "--pareto"),
-        (!args.profile.is_empty(), "--profile"),
-    ];
+    let asked =
+        [(args.output.is_some(), "-o"), (args.pareto.is_some(), "--pareto"), (!args.profile.is_empty(), "--profile")];
     match asked.into_iter().find(|(asked, _)| *asked) {
         Some((_, option)) => {
             let synapses = network.synapses();
-            let message = format!("{option} needs the {synapses} synapses of the network written out, which are too many");
-            let help = format!("networks of more than {} synapses are mapped by their kernels alone", described::MOST_WRITTEN);
+            let message =
+                format!("{option} needs the {synapses} synapses of the network written out, which are too many");
+            let help =
+                format!("networks of more than {} synapses are mapped by their kernels alone", described::MOST_WRITTEN);
             Err(Diagnostic::new("map.described", message).help(help))
         }
         None => Ok(()),

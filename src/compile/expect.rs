@@ -40,8 +40,16 @@ pub struct Score {
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
 pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> {
-    let activity = expected(&compiled.program, &compiled.rates);
-    let busiest = traffic(&compiled.program, &compiled.rates).max_link_load;
+    score_at(compiled, &compiled.rates, target)
+}
+
+/// The expected cost of a compiled program whose sources spike at other rates than it was made for.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<Score, Diagnostic> {
+    let activity = expected(&compiled.program, rates);
+    let busiest = traffic(&compiled.program, rates).max_link_load;
     score_of(&activity, busiest, &compiled.placement, target, compiled.options.copies)
 }
 

@@ -138,7 +138,7 @@ pub fn pareto_json(found: &[Found]) -> Value {
     let row = |one: &Found| {
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         json!({
-            "strategy": one.candidate.strategy.name(), "divisor": one.candidate.divisor, "cores": one.score.cores,
+            "strategy": one.candidate.strategy.name(), "divisor": one.candidate.divisor, "placed": one.candidate.placed, "cores": one.score.cores,
             "cores_powered": one.score.cores_powered, "energy_uj": one.score.energy_uj, "step_us": one.score.step_us,
             "static_mw": one.score.static_mw, "on_front": on_front,
         })
@@ -155,12 +155,13 @@ pub fn pareto_text(found: &[Found]) -> String {
     let front = front(found);
     let mut table = Table::new();
     table.load_style(comfy_table::presets::NOTHING);
-    table.set_header(["strategy", "cores filled to", "cores", "powered", "uJ a step", "us a step", "front"]);
+    table.set_header(["strategy", "cores filled to", "placed", "cores", "powered", "uJ a step", "us a step", "front"]);
     for one in found {
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         table.add_row([
             one.candidate.strategy.name().to_string(),
             format!("1/{}", one.candidate.divisor),
+            if one.candidate.placed { "yes" } else { "no" }.to_string(),
             one.score.cores.to_string(),
             one.score.cores_powered.to_string(),
             format!("{:.4}", one.score.energy_uj),

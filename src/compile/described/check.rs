@@ -34,8 +34,7 @@ pub fn check(
     chips: &IdVec<CoreId, u32>,
     limits: &Limits,
 ) -> Result<(), String> {
-    let (counted, meant): (u64, u64) =
-        (partition.usage().iter().map(|used| used.synapses).sum(), network.synapses());
+    let (counted, meant): (u64, u64) = (partition.usage().iter().map(|used| used.synapses).sum(), network.synapses());
     if counted != meant {
         return Err(format!("the cores have {counted} synapses and the network {meant}"));
     }
@@ -45,7 +44,8 @@ pub fn check(
         .map_init(
             || Filling::new(network, &fan_in, limits),
             |filling, &core| {
-                let (told, found) = (partition.usage()[core], enumerated(network, partition, filling, core, chips, limits));
+                let (told, found) =
+                    (partition.usage()[core], enumerated(network, partition, filling, core, chips, limits));
                 (told != found).then(|| format!("{core} was counted to use {told:?} and uses {found:?}"))
             },
         )

@@ -68,15 +68,8 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
                 let source = (network.populations()[projection.source].shape.len(), 1, 1);
                 let once = (1, 1);
                 let target = (*targets, 1, 1);
-                let window = Window {
-                    source,
-                    target,
-                    kernel: once,
-                    stride: once,
-                    padding: (0, 0),
-                    dilation: once,
-                    groups: 1,
-                };
+                let window =
+                    Window { source, target, kernel: once, stride: once, padding: (0, 0), dilation: once, groups: 1 };
                 (window, true)
             }
             _ => return None,
@@ -85,10 +78,17 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
             return None;
         }
         let format = formats.by_projection()[id.index()];
-        layer.incoming.push(Incoming { source: projection.source, window, all_to_all, format, delay: projection.delay });
+        layer.incoming.push(Incoming {
+            source: projection.source,
+            window,
+            all_to_all,
+            format,
+            delay: projection.delay,
+        });
     }
     for layer in layers.iter_mut() {
-        let own = |incoming: &Incoming| incoming.window.groups == incoming.window.source.0 && incoming.window.groups > 1;
+        let own =
+            |incoming: &Incoming| incoming.window.groups == incoming.window.source.0 && incoming.window.groups > 1;
         layer.own_only = !layer.incoming.is_empty() && layer.incoming.iter().all(own);
     }
     Some(layers)
@@ -218,7 +218,9 @@ fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, 
                     } else {
                         for &y in reached_rows {
                             let starts = reached_columns.iter().map(|&x| u32::from(y) * columns.size + u32::from(x));
-                            slots.extend(starts.flat_map(|at| (0..reached).map(move |c| (at * channels.size + c) as u16)));
+                            slots.extend(
+                                starts.flat_map(|at| (0..reached).map(move |c| (at * channels.size + c) as u16)),
+                            );
                         }
                     }
                     let group = Group {

@@ -82,7 +82,8 @@ pub fn applies(one: &Quantised, options: &Options) -> bool {
 pub fn describe(one: Quantised, target: &Target, options: &Options) -> Result<Described, CompileError> {
     let mut clock = Clock::default();
     if options.strategy == Strategy::Sequential {
-        let message = "a network that is described by its kernels is cut into boxes; there is no sequential mapping of it";
+        let message =
+            "a network that is described by its kernels is cut into boxes; there is no sequential mapping of it";
         return Err(CompileError::Input(Diagnostic::new("map.strategy", message)));
     }
     within_compartments(&one, target, options)?;
@@ -101,14 +102,16 @@ pub fn describe(one: Quantised, target: &Target, options: &Options) -> Result<De
     let uses: Vec<BoxUse> = of_cores().map(|(placed, at)| placed.cut.used(at)).collect();
     let usage = clock.stage("usage", || usage(network, &members, &sends, &uses, &chips, limits));
     let fault = |error: &dyn std::fmt::Display| CompileError::Fault(error.to_string());
-    let partition =
-        clock.stage("seats", || Partition::new(network.compartments(), members, usage, limits)).map_err(|e| fault(&e))?;
+    let partition = clock
+        .stage("seats", || Partition::new(network.compartments(), members, usage, limits))
+        .map_err(|e| fault(&e))?;
     let (placement, name) = clock
         .stage("place", || {
             if !options.place {
                 return Ok((place::sequential(&partition, target)?, place::SEQUENTIAL));
             }
-            let nets = Nets::of(partition.cores(), told(&sends).map(|(own, sends)| (own, sends.weight, sends.to.clone())));
+            let nets =
+                Nets::of(partition.cores(), told(&sends).map(|(own, sends)| (own, sends.weight, sends.to.clone())));
             let work = u64::from(options.effort_s) * PLACED_PER_SECOND;
             let search = place::Search { objective: options.objective, rates: &rates, seed: options.seed, work };
             place::place_nets(&nets, &partition, target, search)
@@ -159,9 +162,12 @@ fn boxes(
             }
             match Cut::of(&layers[id], &formats, limits, most[id]) {
                 Ok(cut) => cuts[id] = Some(cut),
-                Err(alone) => reasons.extend(alone.usage.excesses(limits).map(|(resource, need, limit)| {
-                    Reason::of_population(&population.name, resource, need, limit)
-                })),
+                Err(alone) => reasons.extend(
+                    alone
+                        .usage
+                        .excesses(limits)
+                        .map(|(resource, need, limit)| Reason::of_population(&population.name, resource, need, limit)),
+                ),
             }
         }
         if !reasons.is_empty() {
@@ -274,7 +280,8 @@ fn profiles_of(network: &Quantised, held: &[CompartmentId]) -> (u32, u32) {
 
 /// What is sent, with the core that sends it; none for inputs.
 fn told(sends: &AllSends) -> impl Iterator<Item = (Option<u32>, &Sends)> {
-    let cores = sends.cores.iter().enumerate().flat_map(|(core, of)| of.iter().map(move |sends| (Some(core as u32), sends)));
+    let cores =
+        sends.cores.iter().enumerate().flat_map(|(core, of)| of.iter().map(move |sends| (Some(core as u32), sends)));
     sends.inputs.iter().map(|sends| (None, sends)).chain(cores)
 }
 

@@ -110,9 +110,7 @@ impl<'a> Outgoing<'a> {
         one % plane == other % plane
             && self.ways.iter().all(|way| match way {
                 Way::All(_) => true,
-                Way::Window { channels, .. } => {
-                    channels[(one / plane) as usize] == channels[(other / plane) as usize]
-                }
+                Way::Window { channels, .. } => channels[(one / plane) as usize] == channels[(other / plane) as usize],
             })
     }
 
@@ -208,9 +206,8 @@ pub fn sends(
 pub fn axons(core: usize, sends: &[Sends], chips: &IdVec<crate::base::id::CoreId, u32>, limits: &Limits) -> (u64, u32) {
     let chip = |core: u32| chips.as_slice()[core as usize];
     let own = chip(core as u32);
-    let slots = |to: &u32| {
-        u64::from(if chip(*to) == own { limits.axon_out_slots } else { limits.axon_out_slots_off_chip })
-    };
+    let slots =
+        |to: &u32| u64::from(if chip(*to) == own { limits.axon_out_slots } else { limits.axon_out_slots_off_chip });
     let all = sends.iter().map(|sends| sends.sources * sends.to.iter().map(slots).sum::<u64>()).sum();
     (all, sends.iter().map(|sends| sends.to.len() as u32).max().unwrap_or(0))
 }

@@ -107,7 +107,7 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
 
 #[test]
 fn output_axons_make_boxes_smaller() {
-    let few = Limits { axons_out: 90, ..small(1) };
+    let few = Limits { axons_out: 24, ..small(1) };
     let options = Options { effort_s: 0, ..Options::default() };
     let (many, plain) = (target(8, 8, few), target(8, 8, Limits { axons_out: 4096, ..few }));
     let cores = |board: &Target| describe(layered(3), board, &options).unwrap().partition.cores();
