@@ -536,3 +536,38 @@ fn folds_of_a_data_set_are_sources() {
     let (code, _, stderr) = said(&["run", &model, "--input", &format!("{set}?test=1")]);
     assert!(code == 3 && stderr.contains("test_80_20_1.txt:2:1") && stderr.contains("trained on"), "{stderr}");
 }
+#[test]
+fn every_shipped_model_maps_and_runs() {
+    // The names that scripts rely on.
+    let names = [
+        "vtsnn-slip",
+        "vtsnn-slip-srm",
+        "slip-tactile",
+        "slip-vision",
+        "vtsnn-container",
+        "container-tactile",
+        "container-tactile-srm",
+    ];
+    let mut shipped: Vec<&str> = nsim::io::shipped::MODELS.iter().map(|model| model.name).collect();
+    shipped.sort_unstable();
+    assert_eq!(shipped, {
+        let mut names = names;
+        names.sort_unstable();
+        names
+    });
+    for name in names {
+        let map = object(&["map", name], 0);
+        assert_eq!((&map["model"], &map["cores_per_copy"]), (&name.into(), &1.0.into()));
+        let run = object(&["run", name, "--samples", "0..2"], 0);
+        let steps = if name.contains("slip") { 300 } else { 650 };
+        assert_eq!((&run["model"], &run["timesteps"]), (&name.into(), &steps.into()));
+        let spikes: u64 = run["output_counts"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .flat_map(|counts| counts.as_array().unwrap())
+            .map(|count| count.as_u64().unwrap())
+            .sum();
+        assert!(spikes > 0, "{name} is silent");
+    }
+}
