@@ -258,7 +258,7 @@ pub struct Cut {
     /// Channels, rows and columns of a box; those at the end may be smaller.
     pub size: (u32, u32, u32),
     /// Boxes along channels, rows and columns.
-    pub boxes: (u32, u32, u32),
+    along: (u32, u32, u32),
     kinds: [Vec<u32>; 3],
     uses: HashMap<(u32, u32, u32), BoxUse>,
 }
@@ -305,8 +305,8 @@ impl Cut {
                 }
             }
         }
-        let boxes = (of_channels.len() as u32, of_rows.len() as u32, of_columns.len() as u32);
-        Cut { size, boxes, kinds: [of_channels, of_rows, of_columns], uses }
+        let along = (of_channels.len() as u32, of_rows.len() as u32, of_columns.len() as u32);
+        Cut { size, along, kinds: [of_channels, of_rows, of_columns], uses }
     }
 
     /// The first grid, in the order of boxes and then of messages, of which every box fits a core with at most so many
@@ -353,13 +353,13 @@ impl Cut {
 
     /// Number of boxes.
     #[must_use]
-    pub fn len(&self) -> u32 {
-        self.boxes.0 * self.boxes.1 * self.boxes.2
+    pub fn boxes(&self) -> u32 {
+        self.along.0 * self.along.1 * self.along.2
     }
 
     /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
     pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> {
-        let (channels, rows, columns) = self.boxes;
+        let (channels, rows, columns) = self.along;
         (0..rows).flat_map(move |y| {
             let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
             (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
@@ -369,8 +369,8 @@ impl Cut {
     /// The place of a box in that order.
     #[must_use]
     pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
-        let x = if y.is_multiple_of(2) { x } else { self.boxes.2 - 1 - x };
-        (y * self.boxes.2 + x) * self.boxes.0 + c
+        let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
+        (y * self.along.2 + x) * self.along.0 + c
     }
 
     /// The kind of a box: boxes of one kind use the same.

@@ -177,7 +177,7 @@ fn boxes(
         let mut placed: IdVec<PopulationId, Option<Placed>> = IdVec::new();
         for cut in &cuts {
             placed.push(cut.as_ref().map(|cut| Placed { cut: cut.clone(), first: first as u32 }));
-            first += cut.as_ref().map_or(0, |cut| u64::from(cut.len()));
+            first += cut.as_ref().map_or(0, |cut| u64::from(cut.boxes()));
         }
         if first > u64::from(target.cores()) {
             return Err(super::does_not_fit(Reason::of_cores(target, options.copies, first)));
@@ -188,7 +188,7 @@ fn boxes(
         for (id, placed) in placed.enumerate() {
             let Some(Placed { cut, first }) = placed else { continue };
             let name = &network.populations()[id].name;
-            for core in *first as usize..(first + cut.len()) as usize {
+            for core in *first as usize..(first + cut.boxes()) as usize {
                 let (slots, axons) = sends::axons(core, &sends.cores[core], &chips, limits);
                 let held = members.as_slice()[core].len() as u32;
                 if axons > limits.axons_out_per_compartment {

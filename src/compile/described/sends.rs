@@ -75,7 +75,7 @@ impl<'a> Outgoing<'a> {
             let Some(to) = &placed[target] else { continue };
             for incoming in layer.incoming.iter().filter(|incoming| incoming.source == source) {
                 if incoming.all_to_all {
-                    ways.push(Way::All(to.first..to.first + to.cut.len()));
+                    ways.push(Way::All(to.first..to.first + to.cut.boxes()));
                     continue;
                 }
                 let window = &incoming.window;
@@ -189,7 +189,7 @@ pub fn sends(
                 }
             }
             Some(Placed { cut, first: core }) => {
-                let held = &members.as_slice()[*core as usize..(core + cut.len()) as usize];
+                let held = &members.as_slice()[*core as usize..(core + cut.boxes()) as usize];
                 let own = population.first_compartment().map_or(0, |first| first.0);
                 let of = |held: &Vec<crate::base::id::CompartmentId>| {
                     listed(out.sends(held.iter().map(|id| id.0 - own), |index| rates.of(first + index)))
