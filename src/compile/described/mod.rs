@@ -3,8 +3,8 @@
 //! In comes a network in which every projection is a window (convolution, pooling) or all to all, a target and options; out
 //! goes a [`Described`] mapping: compartments on cores, what every core uses, places, traffic and expected cost. Kernels
 //! stay kernels: a layer is cut into boxes, a core each, and synapses, input axons and words of a box are counted from the
-//! geometry of its windows ([`layer`]), destinations from positions ([`sends`]). [`check()`] then compares one core of each
-//! kind with its synapses, one by one.
+//! geometry of its windows ([`layer`]), destinations from positions ([`sends`]). [`check::check`] then compares one
+//! core of each kind with its synapses, one by one.
 //!
 //! What it leaves out: there is no program, so such a mapping cannot be run; cores hold boxes of one layer only; rates are
 //! assumed; and there is one candidate, the fewest boxes, whatever the objective of the partition (places follow it).
