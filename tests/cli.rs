@@ -571,3 +571,17 @@ fn every_shipped_model_maps_and_runs() {
         assert!(spikes > 0, "{name} is silent");
     }
 }
+
+#[test]
+fn a_scene_is_drawn_with_its_onset() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("slip.svg");
+    let name = path.display().to_string();
+    let scene = object(&["scene", "slip", "--samples", "4", "--plot", &name], 0);
+    assert_eq!(scene["samples"], 4);
+    let svg = std::fs::read_to_string(&path).unwrap();
+    // The first sample with an onset is one that slips.
+    assert!(svg.starts_with("<svg") && svg.contains("onset ") && svg.contains(": slip<"));
+    assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name]).0, 3);
+    assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name, "--force", "--plot-sample", "4"]).0, 2);
+}
