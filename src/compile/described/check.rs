@@ -2,7 +2,7 @@
 //!
 //! No program is written of such a network, so there is none to compare with it. Instead:
 //!
-//! 1. every compartment has exactly one seat (the constructor of [`Partition`](crate::ir::partition::Partition));
+//! 1. every compartment has exactly one seat (the constructor of [`Partition`]);
 //! 2. the synapses of all cores add up to the network's;
 //! 3. of each kind of box one core is filled with its compartments' synapses one by one, and uses what was counted;
 //! 4. the spikes of that core's compartments, followed synapse by synapse to the seats of their targets, take the output
