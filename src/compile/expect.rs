@@ -10,7 +10,7 @@ use std::cmp::Ordering;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::units::Picoseconds;
 use crate::compile::rates::{Rates, UNIT};
-use crate::compile::traffic::traffic;
+use crate::compile::traffic::{Traffic, traffic};
 use crate::compile::{Compiled, Objective};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
@@ -49,17 +49,17 @@ pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> 
 /// As [`score`].
 pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<Score, Diagnostic> {
     let activity = expected(&compiled.program, rates);
-    let busiest = traffic(&compiled.program, rates).max_link_load;
-    score_of(&activity, busiest, &compiled.placement, target, compiled.options.copies)
+    let traffic = traffic(&compiled.program, rates);
+    score_of(&activity, &traffic, &compiled.placement, target, compiled.options.copies)
 }
 
-/// The expected cost of what happens in as many steps as rates count, and of so many messages over the busiest link in one.
+/// The expected cost of what happens in as many steps as rates count, and of the traffic of one.
 ///
 /// # Errors
 /// As [`score`].
 pub fn score_of(
     activity: &StepActivity,
-    busiest: f64,
+    traffic: &Traffic,
     placement: &Placement,
     target: &Target,
     copies: u32,
@@ -71,8 +71,9 @@ pub fn score_of(
     let injection = table.injection.microseconds() * activity.spikes_in as f64;
     let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used)];
     let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
-    // Messages of a step wait for each other at the busiest link.
-    let wait = busiest * table.link.microseconds();
+    // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
+    let wait = (traffic.max_link_load * table.link.microseconds())
+        .max(traffic.max_chip_link_load * table.link_chip.microseconds());
     let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
     let events = step_energy(activity, &table, 0).total().microjoules() / UNIT;
     let powered = (table.core_step * deployment.cores_powered).microjoules();

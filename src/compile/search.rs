@@ -5,9 +5,9 @@
 //! candidates are always the sequential order, unplaced as the public tools leave it and placed.
 //!
 //! The expected step of mean rates is not the simulated one: spikes come together, and more cores mean more messages over
-//! the busiest link when they do. For the time of a step a candidate must therefore also be no slower than the unplaced
-//! sequential one when every source spikes at once, and when all sources of one population do; and, unless it holds the
-//! same compartments on the same cores, shorter by `MARGIN` at the rates that it is made for.
+//! the busiest link when they do. For the time of a step a candidate must therefore be faster than the unplaced sequential
+//! one at the rates that it is made for, and no slower when every source spikes at once, and when all sources of one
+//! population do; all of it by `MARGIN`, unless it holds the same compartments on the same cores.
 
 use std::sync::Mutex;
 
@@ -147,7 +147,8 @@ pub fn best(one: &Quantised, target: &Target, options: &Options, rates: &Rates) 
         };
         let least = if others.is_empty() { Vec::new() } else { times(&plain)? };
         for other in others {
-            if times(&other)?.iter().zip(&least).all(|(time, plain)| time <= plain) {
+            let margin = margin(&other);
+            if times(&other)?.iter().zip(&least).all(|(time, plain)| *time <= margin * plain) {
                 best = Some(other);
                 break;
             }
@@ -162,10 +163,14 @@ pub fn best(one: &Quantised, target: &Target, options: &Options, rates: &Rates) 
 
 /// Whether a candidate is better than the unplaced sequential one by enough to be looked at.
 fn better(other: &Found, plain: &Found, objective: Objective) -> bool {
-    let same_cores = other.candidate.strategy == Strategy::Sequential && other.candidate.divisor == 1;
-    let margin = if same_cores { 1.0 } else { MARGIN };
     other.score.better(&plain.score, objective).is_lt()
-        && (objective != Objective::Latency || other.score.step_us < margin * plain.score.step_us)
+        && (objective != Objective::Latency || other.score.step_us < margin(other) * plain.score.step_us)
+}
+
+/// The part of the unplaced sequential mapping's time that a candidate may take.
+fn margin(other: &Found) -> f64 {
+    let same_cores = other.candidate.strategy == Strategy::Sequential && other.candidate.divisor == 1;
+    if same_cores { 1.0 } else { MARGIN }
 }
 
 /// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.

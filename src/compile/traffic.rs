@@ -31,6 +31,8 @@ pub struct Traffic {
     pub mean_link_load: f64,
     /// Messages over the busiest link.
     pub max_link_load: f64,
+    /// Messages over the busiest link between two chips, which takes longer for each.
+    pub max_chip_link_load: f64,
 }
 
 /// Loads of the links of one direction: lines of tiles, each with a link between neighbours.
@@ -65,18 +67,21 @@ impl Lines {
         loads
     }
 
-    /// The greatest load and the sum of loads.
-    fn loads(&self) -> (u64, u64) {
-        let (mut most, mut sum) = (0, 0);
+    /// The greatest load, the greatest after every so many tiles, where a chip ends, and the sum of loads.
+    fn loads(&self, of_chip: u32) -> [u64; 3] {
+        let (mut most, mut between, mut sum) = (0, 0, 0);
         for line in self.differences.chunks(self.length.max(1)) {
             let mut load = 0i64;
-            for difference in line {
+            for (tile, difference) in (1..).zip(line) {
                 load += difference;
                 most = most.max(load as u64);
                 sum += load as u64;
+                if tile % of_chip.max(1) == 0 {
+                    between = between.max(load as u64);
+                }
             }
         }
-        (most, sum)
+        [most, between, sum]
     }
 }
 
@@ -230,8 +235,10 @@ impl<'a> Counts<'a> {
 
     fn traffic(&self) -> Traffic {
         let (columns, rows) = (self.mesh.chips_x * self.mesh.width, self.mesh.chips_y * self.mesh.height);
-        let loads = self.lines.iter().map(Lines::loads);
-        let (most, hops) = loads.fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
+        let of_chips = [self.mesh.width, self.mesh.width, self.mesh.height, self.mesh.height];
+        let loads = self.lines.iter().zip(of_chips).map(|(lines, of_chip)| lines.loads(of_chip));
+        let [most, between, hops] = loads
+            .fold([0, 0, 0], |[most, between, sum], load| [load[0].max(most), load[1].max(between), load[2] + sum]);
         let (columns, rows) = (u64::from(columns), u64::from(rows));
         let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
         let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
@@ -241,6 +248,7 @@ impl<'a> Counts<'a> {
             hops_multicast_per_step: self.multicast as f64 / UNIT,
             mean_link_load: mean,
             max_link_load: most as f64 / UNIT,
+            max_chip_link_load: between as f64 / UNIT,
         }
     }
 

@@ -352,7 +352,6 @@ impl Described {
                 sum.add_routes(route, weight);
             }
         }
-        let busiest = self.traffic().max_link_load;
-        expect::score_of(&sum, busiest, &self.placement, target, self.options.copies)
+        expect::score_of(&sum, &self.traffic(), &self.placement, target, self.options.copies)
     }
 }
