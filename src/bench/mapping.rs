@@ -2,7 +2,8 @@
 //!
 //! Comes in: a network and how to map it. Goes out: a [`Mapped`] for each way: what it uses, how far spikes go at an
 //! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
-//! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row.
+//! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row. A
+//! network that stays described by its kernels is not run, and its energy and time are the expected ones.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -12,7 +13,7 @@ use crate::bench::networks::Bench;
 use crate::bench::suite::{Case, STEPS};
 use crate::compile::rates::Rates;
 use crate::compile::traffic::{DEFAULT_RATE, Traffic, traffic};
-use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, partitioned};
+use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, described, partitioned};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{Metered, StepMeter};
@@ -40,9 +41,11 @@ pub struct Mapped {
     pub chips: u32,
     /// Expected traffic at [`DEFAULT_RATE`].
     pub traffic: Traffic,
-    /// Mean energy of a simulated step: events and static power of powered cores, in microjoules.
+    /// Whether energy and time are of simulated steps; of a network that is too large to run they are the expected ones.
+    pub simulated: bool,
+    /// Mean energy of a step: events and static power of powered cores, in microjoules.
     pub energy_uj: f64,
-    /// Mean time of a simulated step in microseconds.
+    /// Mean time of a step in microseconds.
     pub step_us: f64,
     /// Seconds of all stages, the network itself not included.
     pub seconds: f64,
@@ -94,6 +97,9 @@ pub fn map_all(
     effort_s: u32,
     mut row: impl FnMut(Mapped),
 ) -> Result<(), Failure> {
+    if described::applies(&bench.network, &Options { copies: case.copies, ..Options::default() }) {
+        return by_kernels(case, bench, target, effort_s, row);
+    }
     let meant = golden(&bench.network, &bench.period);
     let sample = bench.period.copies(case.copies, bench.network.channels());
     for (strategy, objective, places) in WAYS {
@@ -124,12 +130,48 @@ pub fn map_all(
                 cores: compiled.partition.cores() as u32,
                 chips: compiled.placement.chips_used(),
                 traffic: traffic(&compiled.program, &compiled.rates),
+                simulated: true,
                 energy_uj,
                 step_us,
                 seconds,
                 peak_mib,
             });
         }
+    }
+    Ok(())
+}
+
+/// The ways of mapping a network that stays described: in boxes, placed and unplaced.
+fn by_kernels(
+    case: &Case,
+    bench: &Bench,
+    target: &Target,
+    effort_s: u32,
+    mut row: impl FnMut(Mapped),
+) -> Result<(), Failure> {
+    for place in [false, true] {
+        let options = Options { copies: case.copies, effort_s, place, ..Options::default() };
+        reset_peak();
+        let begin = Instant::now();
+        let strategy = options.strategy;
+        let described = described::describe(bench.network.clone(), target, &options)
+            .map_err(|error| Failure::Compile(case.name, strategy.name(), Box::new(error)))?;
+        let seconds = begin.elapsed().as_secs_f64();
+        let score = described.score(target).map_err(|error| Failure::Run(case.name, error.to_string()))?;
+        row(Mapped {
+            network: case.name,
+            strategy,
+            placed: place,
+            objective: options.objective,
+            cores: described.partition.cores() as u32,
+            chips: described.placement.chips_used(),
+            traffic: described.traffic(),
+            simulated: false,
+            energy_uj: score.energy_uj,
+            step_us: score.step_us,
+            seconds,
+            peak_mib: peak_mib(),
+        });
     }
     Ok(())
 }

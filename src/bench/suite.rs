@@ -10,6 +10,9 @@
 //! - `dvs-gesture`: SANA-FE `snn/dvs.yaml`: 32 x 32, 16 @ 15 x 15, 32 @ 13 x 13, 64 @ 11 x 11, 11 @ 9 x 9, 11.
 //! - `lenet`: LeCun et al. 1998: 28 x 28, 6 @ 28 x 28, pooled, 16 @ 10 x 10, pooled, 120, 84, 10.
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
+//! - `conv-10m`: 2 @ 512 x 512, convolutions 3 x 3 to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32 @ 256 x 256, 64 @ 128 x
+//!   128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x 16, 11: 11,012,107 compartments, whose 2.2
+//!   thousand million synapses are never written out ([`crate::compile::described`]); made up, to be as large.
 //! - `random-N`: N compartments, each with a driving channel and 64 random synapses ([`crate::bench::networks::random`]).
 //! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
 //!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between
@@ -76,6 +79,7 @@ pub fn cases() -> Vec<Case> {
         Case { large: true, ..case("random-1m", |name| recurrent(name, 1_000_000)) },
         Case { large: true, ..case("small-world-1m", |name| small_world(name, 1_000)) },
         Case { large: true, ..case("scale-free-1m", |name| scale_free(name, 1_000_000)) },
+        Case { large: true, ..case("conv-10m", convolutions) },
     ]
 }
 
@@ -161,8 +165,8 @@ impl Layers {
         Ok(())
     }
 
-    fn pool(&mut self) -> Result<(), OutOfRange> {
-        let window = self.window(self.size.0, 2, 2, 0, self.size.0);
+    fn pool(&mut self, side: u32) -> Result<(), OutOfRange> {
+        let window = self.window(self.size.0, side, side, 0, self.size.0);
         let to = self.next(window.target)?;
         self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::SumPool2d { window, weight: 80 })?;
         (self.last, self.size) = (to, window.target);
@@ -180,9 +184,9 @@ impl Layers {
 fn lenet(name: &'static str) -> Result<Bench, Unbuildable> {
     let mut layers = Layers::new(name, (1, 28, 28));
     layers.convolve(6, 5, 1, 2)?;
-    layers.pool()?;
+    layers.pool(2)?;
     layers.convolve(16, 5, 1, 0)?;
-    layers.pool()?;
+    layers.pool(2)?;
     for units in [120, 84, 10] {
         layers.dense(units)?;
     }
@@ -210,6 +214,16 @@ fn pilotnet(name: &'static str) -> Result<Bench, Unbuildable> {
     for units in [100, 50, 10, 1] {
         layers.dense(units)?;
     }
+    bench(layers.net, "pohoiki-springs")
+}
+
+fn convolutions(name: &'static str) -> Result<Bench, Unbuildable> {
+    let mut layers = Layers::new(name, (2, 512, 512));
+    for (channels, stride) in [(16, 1), (32, 2), (32, 1), (64, 2), (64, 1), (128, 2)] {
+        layers.convolve(channels, 3, stride, 1)?;
+    }
+    layers.pool(16)?;
+    layers.dense(11)?;
     bench(layers.net, "pohoiki-springs")
 }
 

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::jobs::{self, JobArgs};
 use crate::cli::{Answer, Context, common, inputs};
+use crate::compile::described::{self, Described};
 use crate::compile::rates::Rates;
-use crate::compile::{CompileError, Objective, Options, Strategy, expect, remedy, traffic};
+use crate::compile::{CompileError, Compiled, Layout, Objective, Options, Strategy, expect, remedy, traffic};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::error::Error;
@@ -100,11 +102,18 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let options = options(args, mapping.as_ref());
     let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
     let (compiled, pruned) = match mapping.as_ref() {
-        Some(file) => jobs::compiled(&args.job, &network, &target, &options, Some(file), &[])?,
+        Some(file) => {
+            let (compiled, pruned) = jobs::compiled(&args.job, &network, &target, &options, Some(file), &[])?;
+            (compiled.map(Mapped::written), pruned)
+        }
         None => {
             args.job.prune.not_with_mapping(false)?;
             let front = jobs::front(&args.job, &network, &[])?;
             let pruned = front.quantised().pruned().cloned();
+            let described = described::applies(front.quantised(), &options);
+            if described {
+                not_described(args, front.quantised())?;
+            }
             let rates = match args.profile.as_slice() {
                 [] => Rates::assumed(traffic::DEFAULT_RATE),
                 inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
@@ -115,30 +124,32 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
                 candidates = found;
             }
             let one = front.quantised().clone();
-            let compiled = front.map_for(&target, &options, &rates);
-            if let Err(CompileError::DoesNotFit(_)) = &compiled {
+            let compiled = match described {
+                true => described::describe(one.clone(), &target, &options).map(Box::new).map(Mapped::Described),
+                false => front.map_for(&target, &options, &rates).map(Mapped::written),
+            };
+            if let Err(CompileError::DoesNotFit(_)) = &compiled
+                && !described
+            {
                 remedies = remedy::remedies(&one, &target, &options, &larger(&target)?);
             }
             (compiled, pruned)
         }
     };
-    let compiled = match compiled {
-        Ok(compiled) => Ok(compiled),
+    let mapped = match compiled {
+        Ok(mapped) => Ok(mapped),
         Err(CompileError::DoesNotFit(reasons)) => Err(reasons),
         Err(other) => return Err(other.into()),
     };
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
     let model = &network.file().name;
     let question = Question { model, target: &target, options: &options, pruned, remedies: &remedies };
-    let outcome = match &compiled {
-        Ok(compiled) => {
-            let score = expect::score(compiled, &target)?;
-            Outcome::Fits(compiled, traffic::traffic(&compiled.program, &compiled.rates), score)
-        }
+    let outcome = match &mapped {
+        Ok(mapped) => Outcome::Fits(mapped.layout(), mapped.traffic(), mapped.score(&target)?),
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
     // A mapping that goes to stdout goes there alone.
-    if args.output.as_deref() != Some(Path::new("-")) || compiled.is_err() {
+    if args.output.as_deref() != Some(Path::new("-")) || mapped.is_err() {
         let text = || report::text(question, outcome) + &report::pareto_text(&candidates);
         let json = || {
             let mut object = report::json(question, outcome);
@@ -147,19 +158,75 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
         };
         common::print(context.format, text, json, || Ok(report::csv(outcome)))?;
     }
-    if let Ok(compiled) = &compiled {
-        if let Some(output) = &args.output {
+    if let Ok(mapped) = &mapped {
+        if let (Some(output), Mapped::Written(compiled)) = (&args.output, mapped) {
             io::write::text(output, context.force, &io::mapping::mapping_text(&compiled.mapping_file())?)?;
         }
         if let Some(path) = &args.svg {
-            let links = traffic::links(&compiled.program, &compiled.rates);
-            io::write::text(path, context.force, &map_svg::svg(compiled, &target, &links))?;
+            io::write::text(path, context.force, &map_svg::svg(mapped.layout(), &target, &mapped.links()))?;
         }
         if let Some(path) = &args.pareto {
             io::write::text(path, context.force, &report::pareto_svg(model, &candidates))?;
         }
     }
-    Ok(if compiled.is_ok() { Answer::Yes } else { Answer::No })
+    Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
+}
+
+/// A mapping with its program, or of a network that is too large for one.
+enum Mapped {
+    Written(Box<Compiled>),
+    Described(Box<Described>),
+}
+
+impl Mapped {
+    fn written(compiled: Compiled) -> Self {
+        Mapped::Written(Box::new(compiled))
+    }
+
+    fn layout(&self) -> Layout<'_> {
+        match self {
+            Mapped::Written(compiled) => compiled.layout(),
+            Mapped::Described(described) => described.layout(),
+        }
+    }
+
+    fn traffic(&self) -> traffic::Traffic {
+        match self {
+            Mapped::Written(compiled) => traffic::traffic(&compiled.program, &compiled.rates),
+            Mapped::Described(described) => described.traffic(),
+        }
+    }
+
+    fn links(&self) -> traffic::Links {
+        match self {
+            Mapped::Written(compiled) => traffic::links(&compiled.program, &compiled.rates),
+            Mapped::Described(described) => described.links(),
+        }
+    }
+
+    fn score(&self, target: &Target) -> Result<expect::Score, Diagnostic> {
+        match self {
+            Mapped::Written(compiled) => expect::score(compiled, target),
+            Mapped::Described(described) => described.score(target),
+        }
+    }
+}
+
+/// Refuses what needs more of a network than its description.
+fn not_described(args: &MapArgs, network: &Quantised) -> Result<(), Diagnostic> {
+    let asked =
+        [(args.output.is_some(), "-o"), (args.pareto.is_some(), "--pareto"), (!args.profile.is_empty(), "--profile")];
+    match asked.into_iter().find(|(asked, _)| *asked) {
+        Some((_, option)) => {
+            let synapses = network.synapses();
+            let message =
+                format!("{option} needs the {synapses} synapses of the network written out, which are too many");
+            let help =
+                format!("networks of more than {} synapses are mapped by their kernels alone", described::MOST_WRITTEN);
+            Err(Diagnostic::new("map.described", message).help(help))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Samples of a profile run at most.

@@ -17,6 +17,7 @@ use crate::cost::deployment::Deployment;
 use crate::cost::model::{core_time, route_time, step_energy};
 use crate::desc::target::Target;
 use crate::ir::activity::StepActivity;
+use crate::ir::placement::Placement;
 use crate::ir::program::{AxonTarget, Program};
 
 /// What a mapping is expected to be worth.
@@ -39,18 +40,41 @@ pub struct Score {
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
 pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> {
+    score_at(compiled, &compiled.rates, target)
+}
+
+/// The expected cost of a compiled program whose sources spike at other rates than it was made for.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<Score, Diagnostic> {
+    let activity = expected(&compiled.program, rates);
+    let busiest = traffic(&compiled.program, rates).max_link_load;
+    score_of(&activity, busiest, &compiled.placement, target, compiled.options.copies)
+}
+
+/// The expected cost of what happens in as many steps as rates count, and of so many messages over the busiest link in one.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_of(
+    activity: &StepActivity,
+    busiest: f64,
+    placement: &Placement,
+    target: &Target,
+    copies: u32,
+) -> Result<Score, Diagnostic> {
     let none = || Diagnostic::new("target.constants", format!("target {} has no constants", target.name()));
     let table = CostTable::new(target.constants().first().ok_or_else(none)?)?;
-    let deployment = Deployment::of("packed", &compiled.placement, target.chip(), compiled.options.copies);
-    let activity = expected(&compiled.program, &compiled.rates);
+    let deployment = Deployment::of("packed", placement, target.chip(), copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
     let injection = table.injection.microseconds() * activity.spikes_in as f64;
     let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used)];
     let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
     // Messages of a step wait for each other at the busiest link.
-    let wait = traffic(&compiled.program, &compiled.rates).max_link_load * table.link.microseconds();
+    let wait = busiest * table.link.microseconds();
     let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
-    let events = step_energy(&activity, &table, 0).total().microjoules() / UNIT;
+    let events = step_energy(activity, &table, 0).total().microjoules() / UNIT;
     let powered = (table.core_step * deployment.cores_powered).microjoules();
     let static_mw = table.core_static.milliwatts() * deployment.cores_powered as f64;
     Ok(Score {

@@ -7,6 +7,7 @@
 pub mod check;
 pub mod convert;
 pub mod copies;
+pub mod described;
 pub mod expect;
 pub mod fanin;
 pub mod fill;
@@ -163,7 +164,46 @@ pub struct Compiled {
     pub rates: Rates,
 }
 
+/// Where everything of a network is, whether or not its program was written.
+#[derive(Debug, Clone, Copy)]
+pub struct Layout<'a> {
+    /// The network, one copy.
+    pub one: &'a Quantised,
+    /// The network, all copies.
+    pub quantised: &'a Quantised,
+    /// Compartments on cores.
+    pub partition: &'a Partition,
+    /// Cores on the board.
+    pub placement: &'a Placement,
+    /// Seconds of each stage, in order.
+    pub seconds: &'a [(&'static str, f64)],
+    /// How it was made.
+    pub options: &'a Options,
+    /// Name of the placement.
+    pub placed: &'static str,
+    /// Rates of all sources that it was made for.
+    pub rates: &'a Rates,
+    /// Whether there is a program, checked against the network; otherwise see [`described`].
+    pub written: bool,
+}
+
 impl Compiled {
+    /// Where everything is.
+    #[must_use]
+    pub fn layout(&self) -> Layout<'_> {
+        Layout {
+            one: &self.one,
+            quantised: &self.quantised,
+            partition: &self.partition,
+            placement: &self.placement,
+            seconds: &self.seconds,
+            options: &self.options,
+            placed: self.placed,
+            rates: &self.rates,
+            written: true,
+        }
+    }
+
     /// The mapping as a file.
     #[must_use]
     pub fn mapping_file(&self) -> MappingFile {
@@ -406,10 +446,15 @@ impl Partitioned {
     /// # Errors
     /// [`CompileError`].
     pub fn placed(&self, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
+        self.routed(target, options)?.proved(target)
+    }
+
+    /// Places it and writes its program, which is still to be verified and checked.
+    fn routed(&self, target: &Target, options: &Options) -> Result<Routed, CompileError> {
         let Partitioned { one, all, partition, rates, mut clock } = self.clone();
         let placed = clock.stage("place", || placed(&all, &partition, target, options, &rates));
         let (placement, name) = placed.map_err(does_not_fit)?;
-        finished(one, all, partition, placement, name, target, options, rates, clock)
+        routed(one, all, partition, placement, name, target, options, rates, clock)
     }
 }
 
@@ -478,15 +523,48 @@ fn finished(
     target: &Target,
     options: &Options,
     rates: Rates,
-    mut clock: Clock,
+    clock: Clock,
 ) -> Result<Compiled, CompileError> {
+    routed(one, quantised, partition, placement, placed, target, options, rates, clock)?.proved(target)
+}
+
+/// From places to a program that is still to be verified and checked.
+#[allow(clippy::too_many_arguments)]
+fn routed(
+    one: Quantised,
+    quantised: Quantised,
+    partition: Partition,
+    placement: Placement,
+    placed: &'static str,
+    target: &Target,
+    options: &Options,
+    rates: Rates,
+    mut clock: Clock,
+) -> Result<Routed, CompileError> {
     let limits = target.limits();
-    let fault = CompileError::Fault;
-    let program = clock.stage("route", || route::route(&quantised, &partition, &placement, limits)).map_err(fault)?;
-    clock.stage("verify", || verify::verify(&program, target)).map_err(|e| fault(e.to_string()))?;
-    clock.stage("check", || check::check(&quantised, &program)).map_err(|e| fault(e.to_string()))?;
+    let routed = clock.stage("route", || route::route(&quantised, &partition, &placement, limits));
+    let program = routed.map_err(CompileError::Fault)?;
     let (seconds, target) = (clock.0, target.name().to_string());
-    Ok(Compiled { one, quantised, partition, placement, program, seconds, target, options: *options, placed, rates })
+    let options = *options;
+    Ok(Routed(Compiled { one, quantised, partition, placement, program, seconds, target, options, placed, rates }))
+}
+
+/// A program that has not been verified and checked, for comparing what mappings cost.
+#[derive(Debug, Clone)]
+struct Routed(Compiled);
+
+impl Routed {
+    /// The program once it is known to be right.
+    fn proved(self, target: &Target) -> Result<Compiled, CompileError> {
+        let Routed(mut compiled) = self;
+        let mut clock = Clock(std::mem::take(&mut compiled.seconds));
+        let (network, program) = (&compiled.quantised, &compiled.program);
+        let fault = CompileError::Fault;
+        clock.stage("verify", || verify::verify(program, target)).map_err(|e| fault(e.to_string()))?;
+        clock.stage("check", || check::check(network, program)).map_err(|e| fault(e.to_string()))?;
+        compiled.seconds = clock.0;
+        Ok(compiled)
+    }
 }
 
 fn does_not_fit(reason: Reason) -> CompileError {

@@ -12,8 +12,8 @@ use serde::Serialize;
 use crate::base::id::CoreId;
 use crate::compile::place::nets::Columns;
 use crate::compile::rates::{Rates, UNIT};
-use crate::ir::placement::Mesh;
-use crate::ir::program::Program;
+use crate::ir::placement::{Mesh, Placement, Site};
+use crate::ir::program::{AxonTarget, Program};
 
 /// Spikes of a source in a step, when nothing is known: one in 100 steps.
 pub const DEFAULT_RATE: f64 = 0.01;
@@ -114,47 +114,82 @@ impl Links {
 /// The expected messages over each link.
 #[must_use]
 pub fn links(program: &Program, rates: &Rates) -> Links {
-    let ([east, west, south, north], _, _) = counted(program, rates);
-    let together = |a: &Lines, b: &Lines| -> Vec<f64> {
-        let sums = a.each().into_iter().zip(b.each());
-        sums.map(|(a, b)| (a + b) as f64 / UNIT).collect()
-    };
-    let mesh = program.mesh();
-    Links {
-        columns: (mesh.chips_x * mesh.width) as usize,
-        rows: (mesh.chips_y * mesh.height) as usize,
-        east_west: together(&east, &west),
-        north_south: together(&south, &north),
-    }
+    of_program(program, rates).links()
+}
+
+/// The expected messages over each link, of flows as [`of_flows`] has them.
+#[must_use]
+pub fn links_of_flows<T: Iterator<Item = CoreId> + Clone>(
+    placement: &Placement,
+    flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
+) -> Links {
+    counted(placement, flows).links()
 }
 
 /// The expected traffic of a program whose sources spike at these rates.
 #[must_use]
 pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
-    let mesh = program.mesh();
-    let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
-    let ([east, west, south, north], cut, multicast) = counted(program, rates);
-    let loads = [east.loads(), west.loads(), south.loads(), north.loads()];
-    let (most, hops) = loads.iter().fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
-    let (columns, rows) = (u64::from(columns), u64::from(rows));
-    let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
-    let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
-    Traffic {
-        cut_spikes_per_step: cut as f64 / UNIT,
-        hops_per_step: hops as f64 / UNIT,
-        hops_multicast_per_step: multicast as f64 / UNIT,
-        mean_link_load: mean,
-        max_link_load: most as f64 / UNIT,
-    }
+    of_program(program, rates).traffic()
+}
+
+/// The expected traffic of flows: the core that sends, none for inputs; the cores reached; spikes in as many steps as rates
+/// count.
+#[must_use]
+pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
+    placement: &Placement,
+    flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
+) -> Traffic {
+    counted(placement, flows).traffic()
 }
 
 /// Loads eastwards, westwards, southwards and northwards; messages between cores; links of multicast trees.
-fn counted(program: &Program, rates: &Rates) -> ([Lines; 4], u64, u64) {
-    let mesh = program.mesh();
-    let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
-    let (mut east, mut west) = (Lines::new(rows, columns), Lines::new(rows, columns));
-    let (mut south, mut north) = (Lines::new(columns, rows), Lines::new(columns, rows));
-    let mut add = |(fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64| {
+struct Counts<'a> {
+    mesh: &'a Mesh,
+    lines: [Lines; 4],
+    cut: u64,
+    multicast: u64,
+    tree: Columns,
+    of_chip: Vec<(u32, (u32, u32))>,
+}
+
+fn counted<T: Iterator<Item = CoreId> + Clone>(
+    placement: &Placement,
+    flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
+) -> Counts<'_> {
+    let mut counts = Counts::new(placement.mesh());
+    let site = |core: CoreId| placement.site(core);
+    flows.for_each(|(source, to, weight)| match source {
+        Some(core) => counts.spikes(core, site(core), to.map(|to| (to, site(to))), weight),
+        None => counts.inputs(to.map(site), weight),
+    });
+    counts
+}
+
+fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
+    let mut counts = Counts::new(program.mesh());
+    let site = |message: &AxonTarget| program.cores()[message.core].site;
+    for (core, image) in program.cores().enumerate() {
+        for (slot, messages) in image.axons_out.iter().enumerate() {
+            let weight = rates.of(program.channels() + image.ids[slot].0);
+            counts.spikes(core, image.site, messages.iter().map(|m| (m.core, site(m))), weight);
+        }
+    }
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        counts.inputs(messages.iter().map(site), rates.of(channel as u32));
+    }
+    counts
+}
+
+impl<'a> Counts<'a> {
+    fn new(mesh: &'a Mesh) -> Self {
+        let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
+        let (of_rows, of_columns) = (|| Lines::new(rows, columns), || Lines::new(columns, rows));
+        let lines = [of_rows(), of_rows(), of_columns(), of_columns()];
+        Counts { mesh, lines, cut: 0, multicast: 0, tree: Columns::new(mesh), of_chip: Vec::new() }
+    }
+
+    fn add(&mut self, (fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64) {
+        let [east, west, south, north] = &mut self.lines;
         match fx <= tx {
             true => east.add(fy, fx, tx, weight),
             false => west.add(fy, tx, fx, weight),
@@ -163,35 +198,65 @@ fn counted(program: &Program, rates: &Rates) -> ([Lines; 4], u64, u64) {
             true => south.add(tx, fy, ty, weight),
             false => north.add(tx, ty, fy, weight),
         }
-    };
-    let tile = |core: CoreId| mesh.tile(program.cores()[core].site);
-    let mut tree = Columns::new(mesh);
-    let (mut cut, mut multicast) = (0u64, 0u64);
-    for (core, image) in program.cores().enumerate() {
-        for (slot, messages) in image.axons_out.iter().enumerate() {
-            let weight = rates.of(program.channels() + image.ids[slot].0);
-            for message in messages {
-                cut += u64::from(message.core != core) * weight;
-                add(tile(core), tile(message.core), weight as i64);
-            }
-            multicast += weight * tree.links(tile(core), messages.iter().map(|m| tile(m.core))).0;
-        }
     }
-    for (channel, messages) in program.parts().channels.iter().enumerate() {
-        let weight = rates.of(channel as u32);
-        cut += weight * messages.len() as u64;
-        for message in messages {
-            add(corner(mesh, tile(message.core)), tile(message.core), weight as i64);
+
+    /// Spikes of a core's compartments.
+    fn spikes(&mut self, core: CoreId, site: Site, to: impl Iterator<Item = (CoreId, Site)> + Clone, weight: u64) {
+        let (mesh, from) = (self.mesh, self.mesh.tile(site));
+        for (other, site) in to.clone() {
+            self.cut += u64::from(other != core) * weight;
+            self.add(from, mesh.tile(site), weight as i64);
         }
-        // Inputs enter each chip at its corner; chips of a list are not in order when chips were exchanged.
-        let mut of_chip: Vec<(u32, (u32, u32))> =
-            messages.iter().map(|m| (program.cores()[m.core].site.chip, tile(m.core))).collect();
+        self.multicast += weight * self.tree.links(from, to.map(|(_, site)| mesh.tile(site))).0;
+    }
+
+    /// Spikes of input channels, which enter each chip at its corner.
+    fn inputs(&mut self, to: impl Iterator<Item = Site>, weight: u64) {
+        let mesh = self.mesh;
+        // Chips of a list are not in order when chips were exchanged.
+        let mut of_chip = std::mem::take(&mut self.of_chip);
+        of_chip.clear();
+        of_chip.extend(to.map(|site| (site.chip, mesh.tile(site))));
         of_chip.sort_unstable();
+        self.cut += weight * of_chip.len() as u64;
+        for &(_, tile) in &of_chip {
+            self.add(corner(mesh, tile), tile, weight as i64);
+        }
         for same in of_chip.chunk_by(|a, b| a.0 == b.0) {
-            multicast += weight * tree.links(corner(mesh, same[0].1), same.iter().map(|&(_, tile)| tile)).0;
+            self.multicast += weight * self.tree.links(corner(mesh, same[0].1), same.iter().map(|&(_, tile)| tile)).0;
+        }
+        self.of_chip = of_chip;
+    }
+
+    fn traffic(&self) -> Traffic {
+        let (columns, rows) = (self.mesh.chips_x * self.mesh.width, self.mesh.chips_y * self.mesh.height);
+        let loads = self.lines.iter().map(Lines::loads);
+        let (most, hops) = loads.fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
+        let (columns, rows) = (u64::from(columns), u64::from(rows));
+        let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
+        let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
+        Traffic {
+            cut_spikes_per_step: self.cut as f64 / UNIT,
+            hops_per_step: hops as f64 / UNIT,
+            hops_multicast_per_step: self.multicast as f64 / UNIT,
+            mean_link_load: mean,
+            max_link_load: most as f64 / UNIT,
         }
     }
-    ([east, west, south, north], cut, multicast)
+
+    fn links(&self) -> Links {
+        let [east, west, south, north] = &self.lines;
+        let together = |a: &Lines, b: &Lines| -> Vec<f64> {
+            let sums = a.each().into_iter().zip(b.each());
+            sums.map(|(a, b)| (a + b) as f64 / UNIT).collect()
+        };
+        Links {
+            columns: (self.mesh.chips_x * self.mesh.width) as usize,
+            rows: (self.mesh.chips_y * self.mesh.height) as usize,
+            east_west: together(east, west),
+            north_south: together(south, north),
+        }
+    }
 }
 
 /// The tile at the north-west corner of a tile's chip, where inputs enter.

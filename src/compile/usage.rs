@@ -150,6 +150,20 @@ impl Tallies {
         tallies
     }
 
+    /// Counts so many lists of one such group each.
+    pub fn lists(&mut self, format: u16, group: Group, lists: u64, widths: Widths, limits: &Limits) {
+        let plain = packing::words(group, widths, limits);
+        let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
+        self.plain.formats.insert((format, group.delayed, compression));
+        let (compression, fewest) = packing::best(group, widths, limits);
+        self.with_runs.formats.insert((format, group.delayed, compression));
+        self.axons = self.axons.saturating_add(u32::try_from(lists).unwrap_or(u32::MAX));
+        for (tally, words) in [(&mut self.plain, plain), (&mut self.with_runs, fewest)] {
+            tally.words += lists * u64::from(words);
+            tally.widest = tally.widest.max(words);
+        }
+    }
+
     /// Whether the core stores runs: where that takes fewer words and its formats suffice.
     #[must_use]
     pub fn runs(&self, limits: &Limits) -> bool {

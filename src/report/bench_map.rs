@@ -31,6 +31,11 @@ pub struct Comparison {
     pub worse: usize,
 }
 
+/// A figure of a step; an expected one is marked.
+fn of_step(value: f64, simulated: bool) -> String {
+    format!("{}{}", if simulated { "" } else { "~" }, significant(value))
+}
+
 impl MapReport<'_> {
     /// The placed mappings of a strategy and an objective against unplaced sequential ones.
     #[must_use]
@@ -69,6 +74,7 @@ impl MapReport<'_> {
                 "hops_multicast": rounded(row.traffic.hops_multicast_per_step),
                 "mean_link_load": rounded(row.traffic.mean_link_load),
                 "max_link_load": rounded(row.traffic.max_link_load),
+                "simulated": row.simulated,
                 "energy_uj": rounded(row.energy_uj),
                 "step_us": rounded(row.step_us),
                 "seconds": rounded(row.seconds),
@@ -141,8 +147,8 @@ impl MapReport<'_> {
                 significant(traffic.hops_per_step),
                 significant(traffic.hops_multicast_per_step),
                 significant(traffic.max_link_load),
-                significant(row.energy_uj),
-                significant(row.step_us),
+                of_step(row.energy_uj, row.simulated),
+                of_step(row.step_us, row.simulated),
                 significant(row.seconds),
                 row.peak_mib.map_or(String::new(), |mib| format!("{mib:.0}")),
             ]);
@@ -182,6 +188,7 @@ mod tests {
             cores,
             chips: 1,
             traffic,
+            simulated: true,
             energy_uj: 1.0,
             step_us: 2.0,
             seconds: 0.5,
@@ -216,6 +223,7 @@ mod tests {
             "hops_multicast",
             "mean_link_load",
             "max_link_load",
+            "simulated",
             "energy_uj",
             "step_us",
             "seconds",

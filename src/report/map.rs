@@ -16,7 +16,7 @@ use crate::compile::rates::Rates;
 use crate::compile::remedy::Remedy;
 use crate::compile::search::{Found, front};
 use crate::compile::traffic::{DEFAULT_RATE, Traffic};
-use crate::compile::{Compiled, Options, Reason, place};
+use crate::compile::{Layout, Options, Reason, place};
 use crate::cost::deployment::Deployment;
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
@@ -45,7 +45,7 @@ pub struct Question<'a> {
 #[derive(Debug, Clone, Copy)]
 pub enum Outcome<'a> {
     /// It fits.
-    Fits(&'a Compiled, Traffic, Score),
+    Fits(Layout<'a>, Traffic, Score),
     /// It does not, for all of these reasons.
     DoesNotFit(&'a [Reason]),
 }
@@ -69,6 +69,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "chips_used": null,
         "cores_per_copy": null,
         "checked": false,
+        "described": false,
         "cores": [],
         "limits": target.limits(),
         "traffic": null,
@@ -86,6 +87,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
             object["chips_used"] = compiled.placement.chips_used().into();
             object["cores_per_copy"] = cores_per_copy(compiled).into();
             object["checked"] = true.into();
+            object["described"] = (!compiled.written).into();
             object["cores"] = rows(compiled).map(|row| row.json()).collect();
             object["traffic"] = json!(traffic);
             object["expected"] = json!(score);
@@ -136,7 +138,7 @@ pub fn pareto_json(found: &[Found]) -> Value {
     let row = |one: &Found| {
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         json!({
-            "strategy": one.candidate.strategy.name(), "divisor": one.candidate.divisor, "cores": one.score.cores,
+            "strategy": one.candidate.strategy.name(), "divisor": one.candidate.divisor, "placed": one.candidate.placed, "cores": one.score.cores,
             "cores_powered": one.score.cores_powered, "energy_uj": one.score.energy_uj, "step_us": one.score.step_us,
             "static_mw": one.score.static_mw, "on_front": on_front,
         })
@@ -153,12 +155,13 @@ pub fn pareto_text(found: &[Found]) -> String {
     let front = front(found);
     let mut table = Table::new();
     table.load_style(comfy_table::presets::NOTHING);
-    table.set_header(["strategy", "cores filled to", "cores", "powered", "uJ a step", "us a step", "front"]);
+    table.set_header(["strategy", "cores filled to", "placed", "cores", "powered", "uJ a step", "us a step", "front"]);
     for one in found {
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         table.add_row([
             one.candidate.strategy.name().to_string(),
             format!("1/{}", one.candidate.divisor),
+            if one.candidate.placed { "yes" } else { "no" }.to_string(),
             one.score.cores.to_string(),
             one.score.cores_powered.to_string(),
             format!("{:.4}", one.score.energy_uj),
@@ -219,7 +222,7 @@ fn pruned_table(rows: &[PrunedRow]) -> String {
     table.trim_fmt() + "\n"
 }
 
-fn cores_per_copy(compiled: &Compiled) -> f64 {
+fn cores_per_copy(compiled: Layout<'_>) -> f64 {
     compiled.partition.cores() as f64 / f64::from(compiled.options.copies)
 }
 
@@ -260,7 +263,7 @@ impl Row {
     }
 }
 
-fn rows(compiled: &Compiled) -> impl Iterator<Item = Row> + '_ {
+fn rows(compiled: Layout<'_>) -> impl Iterator<Item = Row> {
     compiled.partition.usage().enumerate().map(|(core, used)| {
         let site = compiled.placement.site(core);
         Row {
@@ -336,10 +339,14 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
             let _ = writeln!(
                 text,
-                "fits on {} of {}\n{:.4} cores a copy; checked against its network",
+                "fits on {} of {}\n{:.4} cores a copy; {}",
                 count(cores as u64, "core"),
                 count(chips, "chip"),
-                cores_per_copy(compiled)
+                cores_per_copy(compiled),
+                match compiled.written {
+                    true => "checked against its network",
+                    false => "counted from its kernels; a core of each kind checked against its synapses",
+                }
             );
             let _ = writeln!(
                 text,
@@ -387,7 +394,7 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
 }
 
 /// A table of every core's use of its resources, in numbers and in hundredths of what there is.
-fn table(compiled: &Compiled, target: &Target) -> String {
+fn table(compiled: Layout<'_>, target: &Target) -> String {
     let limits = target.limits();
     let mut table = Table::new();
     table.load_style(comfy_table::presets::NOTHING);
@@ -451,7 +458,7 @@ mod tests {
     use crate::compile::{CompileError, compile, compile_quantised};
     use crate::desc::target::Limits;
 
-    const KEYS: [&str; 22] = [
+    const KEYS: [&str; 23] = [
         "schema",
         "model",
         "target",
@@ -466,6 +473,7 @@ mod tests {
         "chips_used",
         "cores_per_copy",
         "checked",
+        "described",
         "cores",
         "limits",
         "traffic",
@@ -476,8 +484,8 @@ mod tests {
         "pareto",
     ];
 
-    fn fits_with<'a>(compiled: &'a Compiled, board: &Target) -> Outcome<'a> {
-        Outcome::Fits(compiled, traffic(&compiled.program, &compiled.rates), score(compiled, board).unwrap())
+    fn fits_with<'a>(compiled: &'a crate::compile::Compiled, board: &Target) -> Outcome<'a> {
+        Outcome::Fits(compiled.layout(), traffic(&compiled.program, &compiled.rates), score(compiled, board).unwrap())
     }
 
     fn keys(value: &Value) -> Vec<&str> {

@@ -140,9 +140,9 @@ fn counted(network: &Quantised, members: Members, target: &Target) -> Result<Par
 /// The members that a strategy finds for one copy.
 fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Members, Failure> {
     let (network, target) = (filler.network, filler.target);
-    let sequential = filler.fewest_cores(&file_order(network), chips);
-    if search.strategy == Strategy::Sequential || matches!(&sequential, Ok(members) if members.len() == 1) {
-        return sequential;
+    let sequential = || filler.fewest_cores(&file_order(network), chips);
+    if search.strategy == Strategy::Sequential {
+        return sequential();
     }
     let spatial: IdVec<PopulationId, bool> =
         network.populations().ids().map(|population| tiles::is_spatial(network, population)).collect();
@@ -151,8 +151,12 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
         let Some(first) = population.first_compartment() else { continue };
         fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
     }
-    let tiled =
-        if spatial.iter().any(|&spatial| spatial) { tiled(filler, &spatial, chips) } else { Default::default() };
+    let any_spatial = spatial.iter().any(|&spatial| spatial);
+    let in_tiles = || if any_spatial { tiled(filler, &spatial, chips) } else { Default::default() };
+    let (sequential, tiled) = rayon::join(sequential, in_tiles);
+    if matches!(&sequential, Ok(members) if members.len() == 1) {
+        return sequential;
+    }
     let free: u64 = network
         .projections()
         .enumerate()

@@ -158,11 +158,12 @@ impl<'a> Filler<'a> {
     /// # Errors
     /// [`Failure::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
     pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Members, Failure> {
-        let whole = self.settled(order, chips, true)?;
-        if order.len() < 2 || whole.len() < 2 {
-            return Ok(whole);
+        if order.len() < 2 {
+            return self.settled(order, chips, true);
         }
-        match self.settled(order, chips, false) {
+        let (whole, full) = rayon::join(|| self.settled(order, chips, true), || self.settled(order, chips, false));
+        let whole = whole?;
+        match full {
             Ok(full) if full.len() < whole.len() => Ok(full),
             _ => Ok(whole),
         }

@@ -57,14 +57,16 @@ fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64
 
 /// A grid of tiles: (channels, height, width) of one, how many, and the messages that a spike everywhere would cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Grid {
+pub struct Grid {
     tiles: u64,
     messages: u64,
-    size: (u32, u32, u32),
+    /// Channels, height and width of a tile; those at the end may be smaller.
+    pub size: (u32, u32, u32),
 }
 
 /// Grids that may fit a core of so many compartments, the best first.
-fn grids(windows: &[Window], (c, h, w): (u32, u32, u32), limits: &Limits, most: u32) -> Vec<Grid> {
+#[must_use]
+pub fn grids(windows: &[Window], (c, h, w): (u32, u32, u32), limits: &Limits, most: u32) -> Vec<Grid> {
     let mut grids = Vec::new();
     for (nc, tc) in cuts(c) {
         for (nh, th) in cuts(h) {
@@ -118,14 +120,22 @@ pub fn tiles(
         fits
     };
     let all = grids(&windows, shape, limits, most.min(limits.compartments));
+    let found = first_that_fits(&all, TRIALS, |grid| {
+        fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only))
+    });
+    found.map(|grid| segments(population, shape, grid.size, own_only))
+}
+
+/// The first of these grids that fits, as far as trials tell.
+pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
     // A grid that failed for its synapses says that others with as many compartments of as many sources fail too; so the
     // trials thin out as they go on.
     let mut tried = 0;
     let mut at = 0;
-    while at < all.len() && tried < TRIALS {
+    while at < all.len() && tried < trials {
         let grid = all[at];
-        if fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only)) {
-            return Some(segments(population, shape, grid.size, own_only));
+        if fits(&grid) {
+            return Some(grid);
         }
         tried += 1;
         // Skip ahead to grids with more tiles, the faster the more have failed.
@@ -138,13 +148,15 @@ pub fn tiles(
 }
 
 /// The tile in the middle of a grid, whose windows are whole.
-fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
+#[must_use]
+pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
     let of = |length: u32, size: u32| (length.div_ceil(size) - 1) / 2;
     (of(shape.0, size.0), of(shape.1, size.1), of(shape.2, size.2))
 }
 
-/// Indices of one tile.
-fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), own_only: bool) -> Vec<u32> {
+/// Indices of one tile, in the order in which they stand on its core.
+#[must_use]
+pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), own_only: bool) -> Vec<u32> {
     let range = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
     let (c, y, x) = (range(shape.0, size.0, at.0), range(shape.1, size.1, at.1), range(shape.2, size.2, at.2));
     let index = |c: u32, y: u32, x: u32| (c * shape.1 + y) * shape.2 + x;

@@ -78,13 +78,26 @@ pub fn place(
     {
         return Ok((plain, SEQUENTIAL));
     }
-    let nets = Nets::new(network, partition, search.rates);
-    let starts = [plain.sites().clone(), hilbert(&plain, &nets)];
+    place_nets(&Nets::new(network, partition, search.rates), partition, target, search)
+}
+
+/// A place for every core, near what it talks to, when that is known; and the name of how it was found.
+///
+/// # Errors
+/// As [`sequential`].
+pub fn place_nets(
+    nets: &Nets,
+    partition: &Partition,
+    target: &Target,
+    search: Search<'_>,
+) -> Result<(Placement, &'static str), Reason> {
+    let plain = sequential(partition, target)?;
+    let starts = [plain.sites().clone(), hilbert(&plain, nets)];
     let mesh = *plain.mesh();
     let cost = |sites: &IdVec<CoreId, Site>| nets.costs(&mesh, sites);
     let best = starts.into_iter().min_by_key(|sites| cost(sites).objective(search.objective));
     let Some(start) = best else { return Ok((plain, SEQUENTIAL)) };
-    let annealed = anneal::anneal(&nets, &mesh, start, search);
+    let annealed = anneal::anneal(nets, &mesh, start, search);
     let (before, after) = (cost(plain.sites()), cost(&annealed));
     let better = after.multicast <= before.multicast
         && after.objective(search.objective) < before.objective(search.objective)

@@ -95,6 +95,12 @@ impl Nets {
                 reached.sort_unstable();
                 (own.map(|core| core.0), rates.of(source), reached)
             });
+        Nets::of(partition.cores(), told.into_iter())
+    }
+
+    /// The nets of so many cores that are told as (core, none for inputs; rate; cores reached, ascending).
+    #[must_use]
+    pub fn of(all_cores: usize, told: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
         let mut known: HashMap<(Option<u32>, Vec<u32>), usize> = HashMap::new();
         let (mut nets, mut reached): (Vec<Net>, Csr<u32>) = (Vec::new(), Csr::new());
         for (source, weight, cores) in told {
@@ -110,7 +116,7 @@ impl Nets {
             nets[at].weight += weight;
         }
         drop(known);
-        let mut of_core: Vec<Vec<u32>> = vec![Vec::new(); partition.cores()];
+        let mut of_core: Vec<Vec<u32>> = vec![Vec::new(); all_cores];
         for (net, Net { source, .. }) in nets.iter().enumerate() {
             let net = net as u32;
             let cores = reached.get(net);
