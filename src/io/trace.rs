@@ -4,7 +4,6 @@
 //! spike or each number, or NIR data (spikes as events, other registers on a grid of time). NumPy arrays are written in
 //! [`super::npy`].
 
-use std::io::Write;
 use std::path::Path;
 
 use super::events::nir_data;

@@ -290,19 +290,18 @@ mod tests {
         }
     }
 
-    /// With the compiler's vectors, and with those that the machine takes, on the same block.
-    fn run<S: Sum>(arch: pulp::Arch, block: Block<'_, S>, shared: &Shared) -> Effects {
+    /// With the vectors that the machine takes; they do to the block what the compiler's do.
+    fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &Shared) -> Effects {
         let (mut u, mut v, mut sums) = (block.u.to_vec(), block.v.to_vec(), block.sums.to_vec());
-        let again = Block { u: &mut u, v: &mut v, sums: &mut sums };
-        let plain = arch.dispatch(Run(again, shared, Portable));
-        let (all_u, all_v, all_sums) = (&mut *block.u, &mut *block.v, &mut *block.sums);
-        let block = Block { u: all_u, v: all_v, sums: all_sums };
+        let plain = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums }, shared, Portable));
+        let same = Block { u: &mut *block.u, v: &mut *block.v, sums: &mut *block.sums };
         let effects = match arch {
             #[cfg(target_arch = "x86_64")]
-            pulp::Arch::V4(simd) => simd.vectorize(Run(block, shared, simd)),
-            _ => arch.dispatch(Run(block, shared, Portable)),
+            pulp::Arch::V4(simd) => simd.vectorize(Run(same, shared, simd)),
+            _ => arch.dispatch(Run(same, shared, Portable)),
         };
         assert_eq!(effects, plain);
+        assert_eq!((&*block.u, &*block.v, &*block.sums), (&u[..], &v[..], &sums[..]));
         effects
     }
 
@@ -326,7 +325,7 @@ mod tests {
         let mut v = registers.map(|r| store(r.v, r.hold));
         let (before_u, before_v) = (u, v);
         let mut sums = arrived;
-        let effects = run(arch, Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f));
+        let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f));
         let mut expected = Effects::default();
         for chunk in 0..3 {
             let lanes = chunk * LANES..(chunk + 1) * LANES;

@@ -457,14 +457,7 @@ impl State {
     }
 
     #[inline(always)]
-    fn step<S: Sum>(
-        &mut self,
-        ring: &mut Ring<S>,
-        image: &Image,
-        share: &Share,
-        order: Order,
-        vectors: impl Vectors,
-    ) {
+    fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
         let cursor = order.step as usize % ring.sums.len();
         let channels = Sources { ids: order.channels, first: 0 };
         let carried = Sources { ids: order.carried, first: image.channels as usize };
