@@ -59,6 +59,9 @@ pub enum ProbeFormat {
     Csv,
     /// NIR data: spikes as events, other registers on a grid of time.
     Nir,
+    /// Parquet, with CSV's columns; in builds with the feature `parquet`.
+    #[cfg(feature = "parquet")]
+    Parquet,
 }
 
 /// On or off.
@@ -132,7 +135,7 @@ pub struct Args {
     /// How probes are written
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "npy")]
     probe_format: ProbeFormat,
-    /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T]
+    /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T], or with the ending of --probe-format
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
 }
@@ -308,6 +311,8 @@ fn probe_path(args: &Args, named: &NamedProbe) -> PathBuf {
         ProbeFormat::Npy => "npy",
         ProbeFormat::Csv => "csv",
         ProbeFormat::Nir => "nir",
+        #[cfg(feature = "parquet")]
+        ProbeFormat::Parquet => "parquet",
     };
     folder.join(format!("{}.{extension}", named.name))
 }
@@ -328,6 +333,8 @@ fn write_other(
         ProbeFormat::Npy => return Ok(false),
         ProbeFormat::Csv => trace.csv(&path, force, numbers)?,
         ProbeFormat::Nir => trace.nir(&path, force, numbers)?,
+        #[cfg(feature = "parquet")]
+        ProbeFormat::Parquet => trace.parquet(&path, force, numbers)?,
     }
     Ok(true)
 }
