@@ -510,3 +510,29 @@ fn an_overflow_is_warned_of_with_its_first_place() {
     );
     assert!(said(&arguments).2.contains("first at 'hidden' compartment 0, sample 0, step 2"));
 }
+
+#[test]
+fn folds_of_a_data_set_are_sources() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "m.ron", MODEL);
+    for sample in 0..3 {
+        write(folder.path(), &format!("{sample}.csv"), &format!("# steps: 5\n0,{sample}\n1,0\n"));
+    }
+    let samples: String = (0..3).map(|i| format!("(files: {{\"in\": \"{i}.csv\"}}),")).collect();
+    let lists = "splits: [(train: \"train_80_20_1.txt\", test: \"test_80_20_1.txt\")]";
+    let set = format!("DataSet(name: \"d\", populations: {{\"in\": \"in\"}}, samples: [{samples}], {lists})");
+    let set = write(folder.path(), "d.ron", &set);
+    write(folder.path(), "train_80_20_1.txt", "2 1\n0 0\n");
+    write(folder.path(), "test_80_20_1.txt", "1 1\n");
+    let labels = |part: &str| object(&["run", &model, "--input", &format!("{set}{part}")], 0)["labels"].clone();
+    assert_eq!(labels("?train=1"), serde_json::json!([1, 0]));
+    assert_eq!(labels("?test=1"), serde_json::json!([1]));
+    assert_eq!(labels(""), serde_json::json!([0, 1, 1]));
+    for part in ["?test=2", "?test=0", "?fold=1"] {
+        let error = object(&["run", &model, "--input", &format!("{set}{part}")], 3);
+        assert_eq!(error["code"], "input.option", "{part}");
+    }
+    write(folder.path(), "test_80_20_1.txt", "1 1\n2 0\n");
+    let (code, _, stderr) = said(&["run", &model, "--input", &format!("{set}?test=1")]);
+    assert!(code == 3 && stderr.contains("test_80_20_1.txt:2:1") && stderr.contains("trained on"), "{stderr}");
+}

@@ -9,9 +9,9 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
-use crate::io::dataset;
+use crate::io::dataset::{self, Manifest};
 use crate::io::events::{EventOptions, Expected};
-use crate::io::stimulus::{PopulationSpikes, holds_events, read_events, read_source};
+use crate::io::stimulus::{PopulationSpikes, read_spikes};
 use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Sample, Stimulus};
 use crate::scene;
@@ -39,9 +39,9 @@ pub fn stimulus(
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
     let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
     for argument in &parsed {
-        let (path, options) = match &argument.source {
-            InputSource::Path(path) => (path, None),
-            InputSource::Events(path, pairs) => (path, Some(EventOptions::parse(pairs)?)),
+        let (path, pairs) = match &argument.source {
+            InputSource::Path(path) => (path, [].as_slice()),
+            InputSource::Events(path, pairs) => (path, pairs.as_slice()),
             InputSource::Scene(_) => {
                 return Err(Error::Usage("a scene drives all input populations and stands alone".to_string()));
             }
@@ -59,21 +59,17 @@ pub fn stimulus(
                 )));
             }
         };
-        let manifest = match path.extension().is_some_and(|e| e == "ron") {
-            true => Some(dataset::read_manifest(path)?),
-            false => None,
+        let (manifest, options) = match path.extension().is_some_and(|e| e == "ron") {
+            true => (Some(Part::of(dataset::read_manifest(path)?, pairs)?), EventOptions::default()),
+            false => (None, EventOptions::parse(pairs)?),
         };
         for index in wanted {
             let population = inputs[index];
-            let units = u64::from(population.shape.len());
+            let dt_ms = network.parts().timestep_ms;
+            let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms };
             let spikes = match &manifest {
-                Some(manifest) => manifest.read(&population.name, units)?,
-                None if options.is_some() || holds_events(path) => {
-                    let dt_ms = network.parts().timestep_ms;
-                    let expected = Expected { units, volume: population.shape.volume(), dt_ms };
-                    read_events(path, &population.name, &expected, &options.clone().unwrap_or_default())?
-                }
-                None => read_source(path, units)?,
+                Some(part) => part.read(&population.name, &expected)?,
+                None => read_spikes(path, &population.name, &expected, &options)?,
             };
             if sources[index].replace(spikes).is_some() {
                 return Err(Error::Usage(format!("population '{}' has two inputs", population.name)));
@@ -90,6 +86,42 @@ pub fn stimulus(
         })?);
     }
     Ok(Stimulus { samples: join(&inputs, filled)?, origin: arguments, seed: None })
+}
+
+/// A data set, or what a fold of it trains or tests on.
+struct Part {
+    manifest: Manifest,
+    /// Whether what it tests on is wanted, and the fold from 0; none for all samples.
+    fold: Option<(bool, usize)>,
+}
+
+impl Part {
+    /// With what stands after the `?`: nothing, `train=K` or `test=K` for fold K from 1.
+    fn of(manifest: Manifest, pairs: &[(String, String)]) -> Result<Part, Error> {
+        let (key, value) = match pairs {
+            [] => return Ok(Part { manifest, fold: None }),
+            [(key, value)] if key == "train" || key == "test" => (key, value),
+            _ => {
+                let message = "a data set takes train=K or test=K, the samples that fold K trains or tests on";
+                return Err(Diagnostic::new("input.option", message).in_file(manifest.source().path()).into());
+            }
+        };
+        let folds = manifest.folds();
+        let Some(fold) = value.parse().ok().filter(|fold| (1..=folds).contains(fold)) else {
+            let message = format!("{key}={value}: the data set has {folds} folds, counted from 1");
+            return Err(Diagnostic::new("input.option", message).in_file(manifest.source().path()).into());
+        };
+        Ok(Part { manifest, fold: Some((key == "test", fold - 1)) })
+    }
+
+    fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+        let all = self.manifest.read(population, expected)?;
+        let Some((test, fold)) = self.fold else { return Ok(all) };
+        let split = self.manifest.splits(all.len())?.swap_remove(fold);
+        let samples = if test { split.test } else { split.train };
+        let mut all: Vec<_> = all.into_iter().map(Some).collect();
+        Ok(samples.into_iter().filter_map(|sample| all.get_mut(sample as usize)?.take()).collect())
+    }
 }
 
 /// One `--input`. What stands before `=` is a population, unless there is none of this name and a file of the whole name.

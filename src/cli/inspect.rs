@@ -457,7 +457,9 @@ fn of_dataset(manifest: &dataset::Manifest) -> Findings {
             ("steps", json!(set.steps)),
             ("populations", json!(set.populations.values().collect::<Vec<_>>())),
             ("classes", json!(set.classes)),
+            ("recordings", json!(set.recordings.values().map(|file| &file.value).collect::<Vec<_>>())),
             ("fold_sizes", json!(folds)),
+            ("splits", json!(set.splits.len())),
             ("seed", json!(set.seed)),
             ("provenance", json!(set.provenance)),
         ],
@@ -526,7 +528,9 @@ fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
     let listed = stimulus::list_folder(path)?;
     let (mut spikes, mut places) = (0u64, 0u64);
     let mut shapes: Vec<Vec<usize>> = Vec::new();
-    for (_, _, file) in &listed {
+    // How many spikes a recording of events has is for the options of a run to say.
+    let is_array = |file: &Path| file.extension().is_some_and(|extension| extension == "npy");
+    for (_, _, file) in listed.iter().filter(|(_, _, file)| is_array(file)) {
         let array = npy::open(file)?;
         array.each_non_zero(|_| {
             spikes += 1;
@@ -549,7 +553,7 @@ fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
             ("spikes", json!(spikes)),
             ("density", json!((places > 0).then(|| spikes as f64 / places as f64))),
         ],
-        tables: vec![labels_table(listed.iter().map(|(_, label, _)| Some(*label)), &[])],
+        tables: vec![labels_table(listed.iter().map(|(_, label, _)| *label), &[])],
     })
 }
 

@@ -1,5 +1,6 @@
 //! `nsim scene`: makes synthetic recordings, writes them as a data set, and says what they hold.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -125,6 +126,9 @@ fn data_set(scene: &Recorded, argument: &SceneArg, entries: Vec<SampleEntry>) ->
         name: scene.name().to_string(),
         populations: [TOUCH.0, VISION.0].map(|name| (name.to_string(), name.to_string())).into(),
         steps: Some(scene.steps()),
+        options: BTreeMap::new(),
+        recordings: BTreeMap::new(),
+        splits: Vec::new(),
         classes: scene.classes(),
         samples: entries.into_iter().map(Spanned::from).collect(),
         folds: folds

@@ -1,5 +1,5 @@
-//! The mirror of a data-set manifest (`dataset.ron`): which files hold the recordings of which sample, and what is known
-//! about each.
+//! The mirror of a data-set manifest (`dataset.ron`): which files hold the recordings of which sample, or of all samples
+//! together, and what is known about each.
 //!
 //! It names files and never reads them; `io::dataset` does, and checks that labels, folds and files agree.
 
@@ -23,6 +23,16 @@ pub struct SampleEntry {
     pub onset_ms: Option<f64>,
 }
 
+/// Two lists of samples in text files: rows `sample label`.
+#[derive(Debug, Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SplitEntry {
+    /// The samples to train on.
+    pub train: String,
+    /// The samples to test on.
+    pub test: String,
+}
+
 /// A data-set manifest as it is written.
 #[derive(Debug, Clone, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename = "DataSet")]
@@ -37,11 +47,21 @@ pub struct DataSet {
     /// Names of the classes, by label.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub classes: Vec<String>,
+    /// How recordings are read, `key=value&..` as after an input's `?`, by the names that `populations` lists.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub options: BTreeMap<String, Spanned<String>>,
+    /// The recordings of all samples together, in place of `samples`: an array or a folder for each population.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub recordings: BTreeMap<String, Spanned<String>>,
     /// The samples, in run order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub samples: Vec<Spanned<SampleEntry>>,
     /// For each fold of a cross-validation, the samples that it tests on.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub folds: Vec<Spanned<Vec<u32>>>,
+    /// For each fold of a cross-validation, text files that list its samples with their labels; in place of `folds`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub splits: Vec<Spanned<SplitEntry>>,
     /// The seed that made the data, when it is synthetic.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,

@@ -20,7 +20,7 @@ pub struct InputArg {
 pub enum InputSource {
     /// A file or folder; its kind is found out by reading it. `-` is stdin.
     Path(PathBuf),
-    /// A recording of events with options, `FILE?key=value&..`.
+    /// A file or folder with options, `FILE?key=value&..`.
     Events(PathBuf, Vec<(String, String)>),
     /// `scene:NAME?key=value&..`
     Scene(SceneArg),
@@ -35,6 +35,22 @@ pub struct SceneArg {
     pub parameters: Vec<(String, String)>,
 }
 
+/// `key=value` pairs joined by `&`.
+///
+/// # Errors
+/// `input.scene-syntax` for a pair without `=`.
+pub fn pairs(query: &str) -> Result<Vec<(String, String)>, Diagnostic> {
+    query
+        .split('&')
+        .filter(|pair| !pair.is_empty())
+        .map(|pair| match pair.split_once('=') {
+            Some((key, value)) => Ok((key.to_string(), value.to_string())),
+            None => Err(Diagnostic::new("input.scene-syntax", format!("parameter '{pair}' has no value"))
+                .help("write scene:NAME?samples=20&seed=1")),
+        })
+        .collect()
+}
+
 impl SceneArg {
     /// Parses `NAME?key=value&key=value`.
     ///
@@ -42,15 +58,7 @@ impl SceneArg {
     /// A diagnostic for a parameter without `=`.
     pub fn parse(text: &str) -> Result<Self, Diagnostic> {
         let (name, query) = text.split_once('?').unwrap_or((text, ""));
-        let parameters = query
-            .split('&')
-            .filter(|pair| !pair.is_empty())
-            .map(|pair| match pair.split_once('=') {
-                Some((key, value)) => Ok((key.to_string(), value.to_string())),
-                None => Err(Diagnostic::new("input.scene-syntax", format!("scene parameter '{pair}' has no value"))
-                    .help("write scene:NAME?samples=20&seed=1")),
-            })
-            .collect::<Result<_, _>>()?;
+        let parameters = pairs(query)?;
         Ok(SceneArg { name: name.to_string(), parameters })
     }
 

@@ -1,30 +1,50 @@
 //! Data-set manifests and the recordings that they name.
 //!
 //! Comes in: a `.ron` with a [`DataSet`]. Goes out: a [`Manifest`] whose labels, folds and files agree with each other,
-//! and from it the spikes of one population, sample by sample or all at once.
+//! and from it the spikes of one population, sample by sample or all at once, and which samples each fold trains and tests
+//! on. Lists of samples in text files are those that clear-nus/VT_SNN leaves behind, `train_80_20_k.txt` and
+//! `test_80_20_k.txt`: rows of a sample's number, from 0, and its label.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::events::{EventOptions, Expected};
 use super::model::beside;
-use super::stimulus::{PopulationSpikes, one_sample};
+use super::stimulus::{PopulationSpikes, one_sample, read_spikes};
 use super::text::read_text;
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::desc::dataset::DataSet;
-use crate::desc::spanned::parse;
+use crate::desc::spanned::{Spanned, parse};
+use crate::desc::stimulus::pairs;
 
 /// A manifest that agrees with itself.
 #[derive(Debug, Clone)]
 pub struct Manifest {
     set: DataSet,
     source: SourceText,
+    /// By the names of the recordings.
+    options: BTreeMap<String, EventOptions>,
 }
+
+/// The samples that a fold of a cross-validation trains and tests on.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Split {
+    /// Samples to train on.
+    pub train: Vec<u32>,
+    /// Samples to test on; none of them is trained on.
+    pub test: Vec<u32>,
+}
+
+/// Numbers of samples, and the labels that the lists give them.
+type Listed = (Vec<Split>, BTreeMap<u32, u32>);
 
 /// Reads a manifest; the recordings stay where they are.
 ///
 /// # Errors
-/// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`, `dataset.fold`; `io.*`.
+/// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`, `dataset.fold`, `input.option`;
+/// `io.*`.
 pub fn read_manifest(path: &Path) -> Result<Manifest, Diagnostic> {
     manifest(read_text(path)?)
 }
@@ -36,11 +56,38 @@ pub fn read_manifest(path: &Path) -> Result<Manifest, Diagnostic> {
 pub fn manifest(source: SourceText) -> Result<Manifest, Diagnostic> {
     let set: DataSet = parse(&source, "dataset.syntax")?;
     let whole = |code, message: String| Diagnostic::new(code, message).in_file(source.path());
-    if set.samples.is_empty() {
-        return Err(whole("dataset.samples", "the data set has no sample".into()));
-    }
     if set.populations.is_empty() {
         return Err(whole("dataset.files", "the data set has no population".into()));
+    }
+    match (set.samples.first(), set.recordings.values().next()) {
+        (None, None) => return Err(whole("dataset.samples", "the data set has no sample".into())),
+        (Some(sample), Some(_)) => {
+            let message = "recordings of all samples together leave no place for samples with files of their own";
+            return Err(Diagnostic::new("dataset.samples", message).at(&source, sample.span));
+        }
+        (None, Some(_)) => {
+            if let Some(name) = set.populations.keys().find(|name| !set.recordings.contains_key(*name)) {
+                return Err(whole("dataset.files", format!("there is no recording for '{name}'")));
+            }
+        }
+        (Some(_), None) => {}
+    }
+    if let (Some(fold), Some(_)) = (set.folds.first(), set.splits.first()) {
+        let message = "the samples of folds are listed here or in the text files of splits, not in both";
+        return Err(Diagnostic::new("dataset.fold", message).at(&source, fold.span));
+    }
+    let named = |(name, value): (&String, &Spanned<String>)| {
+        Diagnostic::new("dataset.files", format!("'{name}' is not listed among the populations"))
+            .at(&source, value.span)
+    };
+    let mut others = set.recordings.iter().chain(&set.options).filter(|(name, _)| !set.populations.contains_key(*name));
+    if let Some(other) = others.next() {
+        return Err(named(other));
+    }
+    let mut options = BTreeMap::new();
+    for (name, text) in &set.options {
+        let parsed = pairs(text).and_then(|pairs| EventOptions::parse(&pairs));
+        options.insert(name.clone(), parsed.map_err(|problem| problem.at(&source, text.span))?);
     }
     for (index, sample) in set.samples.iter().enumerate() {
         let at = |code, message: String| Diagnostic::new(code, message).at(&source, sample.span);
@@ -73,6 +120,8 @@ pub fn manifest(source: SourceText) -> Result<Manifest, Diagnostic> {
                     return Err(Diagnostic::new("dataset.fold", format!("fold {index} names sample {sample} twice"))
                         .at(&source, fold.span));
                 }
+                // How many there are is not known before the recordings are read.
+                None if set.samples.is_empty() => {}
                 None => {
                     let message = format!("fold {index} names sample {sample} of {}", set.samples.len());
                     return Err(Diagnostic::new("dataset.fold", message).at(&source, fold.span));
@@ -80,7 +129,7 @@ pub fn manifest(source: SourceText) -> Result<Manifest, Diagnostic> {
             }
         }
     }
-    Ok(Manifest { set, source })
+    Ok(Manifest { set, source, options })
 }
 
 impl Manifest {
@@ -115,21 +164,80 @@ impl Manifest {
         )
     }
 
-    /// The spikes of one sample for a population of `units` channels.
+    /// The samples of each fold, and what the lists say of labels.
+    fn listed(&self, samples: usize) -> Result<Listed, Diagnostic> {
+        let mut labels = BTreeMap::new();
+        if self.set.splits.is_empty() {
+            let all = 0..samples as u32;
+            let split = |fold: &Spanned<Vec<u32>>| {
+                let tested: BTreeSet<u32> = fold.value.iter().copied().collect();
+                Split {
+                    train: all.clone().filter(|sample| !tested.contains(sample)).collect(),
+                    test: fold.value.clone(),
+                }
+            };
+            return Ok((self.set.folds.iter().map(split).collect(), labels));
+        }
+        let mut splits = Vec::new();
+        for entry in &self.set.splits {
+            let mut read = |name: &str, other: &BTreeSet<u32>| {
+                let text =
+                    read_text(&beside(self.source.path(), name)).map_err(|p| self.point_at(entry.span, name, p))?;
+                samples_of(&text, other, &mut labels)
+            };
+            let train = read(&entry.train, &BTreeSet::new())?;
+            let test = read(&entry.test, &train.iter().copied().collect())?;
+            splits.push(Split { train, test });
+        }
+        Ok((splits, labels))
+    }
+
+    /// How many folds there are.
+    #[must_use]
+    pub fn folds(&self) -> usize {
+        self.set.folds.len().max(self.set.splits.len())
+    }
+
+    /// Which of so many samples each fold trains and tests on.
+    ///
+    /// # Errors
+    /// `dataset.split` for a row of a list, `dataset.label` where two lists disagree; `io.*`.
+    pub fn splits(&self, samples: usize) -> Result<Vec<Split>, Diagnostic> {
+        Ok(self.listed(samples)?.0)
+    }
+
+    /// What the recordings of a population are read with.
+    fn options_of(&self, name: &str) -> EventOptions {
+        self.options.get(name).cloned().unwrap_or_default()
+    }
+
+    /// The spikes of one sample for a population, when samples have files of their own.
     ///
     /// # Errors
     /// `dataset.population`, `dataset.samples` for a sample that does not exist, `dataset.steps`; problems with the file
     /// at the place that names it.
-    pub fn read_sample(&self, population: &str, units: u64, sample: usize) -> Result<PopulationSpikes, Diagnostic> {
+    pub fn read_sample(
+        &self,
+        population: &str,
+        expected: &Expected,
+        sample: usize,
+    ) -> Result<PopulationSpikes, Diagnostic> {
         let name = self.recording_of(population)?;
         let Some(entry) = self.set.samples.get(sample) else {
             let message = format!("there is no sample {sample}; the data set has {}", self.set.samples.len());
             return Err(Diagnostic::new("dataset.samples", message).in_file(self.source.path()));
         };
         let file = &entry.value.files[name];
-        let mut spikes = one_sample(&beside(self.source.path(), &file.value), units)
+        let path = beside(self.source.path(), &file.value);
+        let mut spikes = one_sample(&path, population, expected, &self.options_of(name))
             .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
-        spikes.label = entry.label;
+        spikes.label = entry.label.or(spikes.label);
+        self.hold_to_steps(&mut spikes, file)?;
+        Ok(spikes)
+    }
+
+    /// Every sample has as many timesteps as the manifest says.
+    fn hold_to_steps(&self, spikes: &mut PopulationSpikes, file: &Spanned<String>) -> Result<(), Diagnostic> {
         match self.set.steps {
             // Rows of a .csv cannot say that silence follows them; the manifest can.
             Some(steps) if spikes.units.is_none() && spikes.steps < steps => spikes.steps = steps,
@@ -139,30 +247,68 @@ impl Manifest {
             }
             _ => {}
         }
-        Ok(spikes)
+        Ok(())
     }
 
-    /// The spikes of every sample for a population of `units` channels.
+    /// The recordings of all samples that lie together.
+    fn read_together(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+        let name = self.recording_of(population)?;
+        let file = &self.set.recordings[name];
+        let path = beside(self.source.path(), &file.value);
+        let mut all = read_spikes(&path, population, expected, &self.options_of(name))
+            .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
+        for spikes in &mut all {
+            self.hold_to_steps(spikes, file)?;
+        }
+        Ok(all)
+    }
+
+    /// The spikes of every sample for a population.
     ///
     /// # Errors
-    /// As [`Manifest::read_sample`].
-    pub fn read(&self, population: &str, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-        let read: Vec<_> = (0..self.set.samples.len())
-            .into_par_iter()
-            .map(|sample| self.read_sample(population, units, sample))
-            .collect();
-        // The first problem in order of the samples, whichever thread met one first.
-        read.into_iter().collect()
+    /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list of samples that are not there.
+    pub fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+        let mut all = if self.set.recordings.is_empty() {
+            let read: Vec<_> = (0..self.set.samples.len())
+                .into_par_iter()
+                .map(|sample| self.read_sample(population, expected, sample))
+                .collect();
+            // The first problem in order of the samples, whichever thread met one first.
+            read.into_iter().collect::<Result<Vec<_>, _>>()?
+        } else {
+            self.read_together(population, expected)?
+        };
+        let (splits, labels) = self.listed(all.len())?;
+        let most = splits.iter().flat_map(|split| split.train.iter().chain(&split.test)).max();
+        if let Some(sample) = most.filter(|&&sample| sample as usize >= all.len()) {
+            let message = format!("a fold names sample {sample}; there are {}", all.len());
+            return Err(Diagnostic::new("dataset.samples", message).in_file(self.source.path()));
+        }
+        for (sample, label) in labels {
+            let known = &mut all[sample as usize].label;
+            if known.is_some_and(|known| known != label) {
+                let message = format!("sample {sample} has label {label} in a list of a split and another elsewhere");
+                return Err(Diagnostic::new("dataset.label", message).in_file(self.source.path()));
+            }
+            *known = Some(label);
+        }
+        let classes = self.set.classes.len();
+        let beyond = |spikes: &PopulationSpikes| spikes.label.is_some_and(|label| label as usize >= classes);
+        if let Some(sample) = all.iter().position(beyond).filter(|_| classes > 0) {
+            let message = format!("the label of sample {sample} is outside the {classes} classes");
+            return Err(Diagnostic::new("dataset.label", message).in_file(self.source.path()));
+        }
+        Ok(all)
     }
 
     /// The spikes of every sample, when the data set has one population only.
     ///
     /// # Errors
     /// As [`Manifest::read`]; `dataset.population` when there are several.
-    pub fn read_only(&self, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    pub fn read_only(&self, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
         let mut populations = self.set.populations.values();
         match (populations.next(), populations.next()) {
-            (Some(population), None) => self.read(population, units),
+            (Some(population), None) => self.read(population, expected),
             _ => Err(Diagnostic::new("dataset.population", "the data set has recordings for several populations")
                 .in_file(self.source.path())),
         }
@@ -175,6 +321,52 @@ impl Manifest {
         pointed.help = problem.help;
         pointed
     }
+}
+
+/// The samples of a list, rows `sample label`; `other` are those of the list that is not to share any with it.
+fn samples_of(
+    source: &SourceText,
+    other: &BTreeSet<u32>,
+    labels: &mut BTreeMap<u32, u32>,
+) -> Result<Vec<u32>, Diagnostic> {
+    let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
+    let mut start = 0;
+    for line in source.text().split_inclusive('\n') {
+        let row = line.split('#').next().unwrap_or_default();
+        let span = Span { start: start + row.len() - row.trim_start().len(), end: start + row.trim_end().len() };
+        start += line.len();
+        let fields: Vec<&str> = row.split_whitespace().collect();
+        if fields.is_empty() {
+            continue;
+        }
+        let wrong = |code, message: String| {
+            Err(Diagnostic::new(code, message)
+                .help("a row is the number of a sample, from 0, and its label")
+                .at(source, span))
+        };
+        // Tables that NumPy wrote have whole numbers as 1.000e+00.
+        let whole = |text: &str| {
+            let value: f64 = text.parse().ok()?;
+            (value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value)).then_some(value as u32)
+        };
+        let [Some(sample), Some(label)] = *fields.iter().map(|field| whole(field)).collect::<Vec<_>>() else {
+            return wrong("dataset.split", format!("'{}' is not a sample and a label", row.trim()));
+        };
+        if !seen.insert(sample) {
+            return wrong("dataset.split", format!("sample {sample} is listed twice"));
+        }
+        if other.contains(&sample) {
+            return wrong("dataset.split", format!("sample {sample} is trained on too"));
+        }
+        if let Some(before) = labels.insert(sample, label).filter(|before| *before != label) {
+            return wrong("dataset.label", format!("sample {sample} has label {label} here and {before} before"));
+        }
+        samples.push(sample);
+    }
+    if samples.is_empty() {
+        return Err(Diagnostic::new("dataset.split", "the list names no sample").in_file(source.path()));
+    }
+    Ok(samples)
 }
 
 #[cfg(test)]
@@ -196,6 +388,10 @@ mod tests {
     seed: 5,
 )"#;
 
+    fn of(units: u64) -> Expected {
+        Expected { units, volume: None, dt_ms: 1.0 }
+    }
+
     fn load(text: &str) -> Result<Manifest, Diagnostic> {
         manifest(SourceText::new("d.ron", text))
     }
@@ -210,18 +406,18 @@ mod tests {
         let path = folder.path().join("d.ron");
         std::fs::write(&path, SET).unwrap();
         let manifest = read_manifest(&path).unwrap();
-        let touch = manifest.read("skin", 2).unwrap();
+        let touch = manifest.read("skin", &of(2)).unwrap();
         assert_eq!(touch.iter().map(|s| s.label).collect::<Vec<_>>(), [Some(1), None]);
         assert_eq!(touch[1].events, [(2, 0), (1, 1)]);
-        let sight = manifest.read_sample("eye", 5, 0).unwrap();
+        let sight = manifest.read_sample("eye", &of(5), 0).unwrap();
         assert_eq!((sight.steps, sight.events.clone()), (3, vec![(0, 4)]));
-        let error = manifest.read_sample("eye", 4, 0).unwrap_err();
+        let error = manifest.read_sample("eye", &of(4), 0).unwrap_err();
         assert_eq!((error.code, error.position().unwrap().line), ("input.channel", 7));
         assert!(error.message.contains("s0.csv:1:1: channel 4"), "{error}");
-        assert_eq!(manifest.read("hand", 2).unwrap_err().code, "dataset.population");
-        assert_eq!(manifest.read_only(2).unwrap_err().code, "dataset.population");
+        assert_eq!(manifest.read("hand", &of(2)).unwrap_err().code, "dataset.population");
+        assert_eq!(manifest.read_only(&of(2)).unwrap_err().code, "dataset.population");
         std::fs::write(&path, SET.replace("steps: 3", "steps: 4")).unwrap();
-        assert_eq!(read_manifest(&path).unwrap().read("skin", 2).unwrap_err().code, "dataset.steps");
+        assert_eq!(read_manifest(&path).unwrap().read("skin", &of(2)).unwrap_err().code, "dataset.steps");
     }
 
     #[test]
@@ -252,5 +448,82 @@ mod tests {
         let again = load(&text).unwrap();
         assert_eq!(pretty(again.set(), 2).unwrap(), text);
         assert_eq!(again.set().samples[0].files["sight"].value, "s0.csv");
+    }
+
+    /// What the authors' pipeline leaves behind: one array for each sense, and lists of samples.
+    #[test]
+    fn arrays_of_all_samples_are_read_with_lists_of_samples() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let array = |name: &str, shape: &[u64], numbers: &[u8]| {
+            write_u8(std::fs::File::create(at(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
+        };
+        // Four samples of 3 taxels x 2 polarities x 1 step and of 2 polarities x 1 x 3 pixels x 1 step.
+        let bits = |row: u32| (0..6).map(move |bit| (row >> bit & 1) as u8);
+        array("tact.npy", &[4, 3, 2, 1], &[1, 2, 4, 63].into_iter().flat_map(bits).collect::<Vec<_>>());
+        array("vis.npy", &[4, 2, 1, 3, 1], &[1, 9, 16, 0].into_iter().flat_map(bits).collect::<Vec<_>>());
+        let list = |name: &str, rows: &str| std::fs::write(at(name), rows).unwrap();
+        list("train_80_20_1.txt", "0 1\n2 0\n");
+        list("test_80_20_1.txt", "3.000e+00 1.0\n");
+        list("train_80_20_2.txt", "2 0\n3 1 # the last\n");
+        list("test_80_20_2.txt", "0 1\n\n");
+        let set = r#"DataSet(
+    name: "both",
+    populations: {"touch": "skin", "sight": "eye"},
+    options: {"sight": "polarity=merge"},
+    recordings: {"touch": "tact.npy", "sight": "vis.npy"},
+    classes: ["a", "b"],
+    splits: [
+        (train: "train_80_20_1.txt", test: "test_80_20_1.txt"),
+        (train: "train_80_20_2.txt", test: "test_80_20_2.txt"),
+    ],
+)"#;
+        let manifest = |text: &str| {
+            std::fs::write(at("d.ron"), text).unwrap();
+            read_manifest(&at("d.ron"))
+        };
+        let good = manifest(set).unwrap();
+        let skin = good.read("skin", &of(6)).unwrap();
+        assert_eq!(skin.iter().map(|s| s.label).collect::<Vec<_>>(), [Some(1), None, Some(0), Some(1)]);
+        assert_eq!((&skin[2].events[..], skin[3].events.len()), (&[(0, 2)][..], 6));
+        let eye = good.read("eye", &of(3)).unwrap();
+        assert_eq!((&eye[1].events[..], &eye[2].events[..]), (&[(0, 0)][..], &[(0, 1)][..]));
+        let split = |train: &[u32], test: &[u32]| Split { train: train.to_vec(), test: test.to_vec() };
+        assert_eq!(good.splits(4).unwrap(), [split(&[0, 2], &[3]), split(&[2, 3], &[0])]);
+
+        let wrong = |rows: &str| {
+            list("test_80_20_2.txt", rows);
+            let error = good.read("skin", &of(6)).unwrap_err();
+            (error.code, error.position().map(|at| (at.line, at.column)))
+        };
+        assert_eq!(wrong("0 1\n 1 x\n"), ("dataset.split", Some((2, 2))));
+        assert_eq!(wrong("0 1\n0 1\n"), ("dataset.split", Some((2, 1))));
+        assert_eq!(wrong("0 1 2\n"), ("dataset.split", Some((1, 1))));
+        assert_eq!(wrong("3 1\n"), ("dataset.split", Some((1, 1))));
+        assert_eq!(wrong("1 1\n0 0\n"), ("dataset.label", Some((2, 1))));
+        assert_eq!(wrong("-1 1\n"), ("dataset.split", Some((1, 1))));
+        assert_eq!(wrong(""), ("dataset.split", None));
+        assert_eq!(wrong("9 1\n"), ("dataset.samples", None));
+        assert_eq!(wrong("1 2\n"), ("dataset.label", None));
+        std::fs::remove_file(at("test_80_20_2.txt")).unwrap();
+        let error = good.read("skin", &of(6)).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("io.missing", 9));
+
+        let cases = [
+            ("\"touch\": \"tact.npy\", ", "", "dataset.files"),
+            ("\"sight\": \"polarity=merge\"", "\"sigh\": \"\"", "dataset.files"),
+            ("polarity=merge", "polarity=both&x=1", "input.option"),
+            ("polarity=merge", "polarity", "input.scene-syntax"),
+            ("splits", "folds: [[0]], splits", "dataset.fold"),
+            ("splits", "samples: [(files: {})], splits", "dataset.samples"),
+        ];
+        for (from, to, code) in cases {
+            assert_eq!(manifest(&set.replace(from, to)).unwrap_err().code, code, "{to}");
+        }
+        let lists = set.find("    splits").unwrap();
+        let folds = manifest(&format!("{}    folds: [[1, 3]])", &set[..lists])).unwrap();
+        assert_eq!(folds.splits(4).unwrap(), [split(&[0, 2], &[1, 3])]);
+        let beyond = manifest(&format!("{}    folds: [[4]])", &set[..lists])).unwrap();
+        assert_eq!(beyond.read("skin", &of(6)).unwrap_err().code, "dataset.samples");
     }
 }

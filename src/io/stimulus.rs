@@ -3,14 +3,14 @@
 //! Comes in: a path and how many channels the population has. Goes out: the spikes of each sample as plain
 //! (step, channel) pairs with the label that the source gives. Which population a source is for, and whether all have as
 //! many samples, is for those who put a stimulus together. Folders and `.npy` are read here, `.csv` in
-//! [`super::event_csv`], manifests in [`super::dataset`].
+//! [`super::event_csv`], recordings of events in [`super::events`], manifests in [`super::dataset`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::events::{self, EventFormat, EventOptions, Expected, nir_data};
+use super::events::{self, EventFormat, EventOptions, Expected, Polarity, nir_data};
 use super::foreign::hdf5;
 use super::text::{MOST_ARRAY, is_standard_stream, read_bytes};
 use super::{dataset, event_csv, npy};
@@ -41,25 +41,44 @@ pub struct PopulationSpikes {
 /// # Errors
 /// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for what is wrong with a known one.
 pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &EventOptions::default())
+}
+
+/// Reads a source for a population, with the options that stand after its `?`. Options other than `polarity` are for
+/// recordings of events; an array takes `polarity` along the one axis of length 2 before time.
+///
+/// # Errors
+/// As [`read_source`]; `input.option` for an option that the source does not take.
+pub fn read_spikes(
+    path: &Path,
+    population: &str,
+    expected: &Expected,
+    options: &EventOptions,
+) -> Result<Vec<PopulationSpikes>, Diagnostic> {
     if path.is_dir() {
-        return read_folder(path, units);
+        return read_folder(path, population, expected, options);
     }
+    if holds_events(path) {
+        return read_events(path, population, expected, options);
+    }
+    let units = expected.units;
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    if extension.as_deref() == Some("npy") {
+        return of_array(&npy::open(path)?, units, polarity_of(path, options)?);
+    }
+    if *options != EventOptions::default() {
+        return Err(no_options(path));
+    }
     match extension.as_deref() {
-        Some("npy") => read_npy(path, units),
         Some("csv") => event_csv::read(path, units),
-        Some("ron") => dataset::read_manifest(path)?.read_only(units),
+        Some("ron") => dataset::read_manifest(path)?.read_only(expected),
         // What comes through a pipe has no name to go by, but arrays say what they are.
         None if is_standard_stream(path) => {
             let bytes = read_bytes(path, MOST_ARRAY)?;
             match bytes.starts_with(npy::MAGIC) {
-                true => of_array(&npy::Array::from_bytes(path, bytes)?, units),
+                true => of_array(&npy::Array::from_bytes(path, bytes)?, units, Polarity::Both),
                 false => event_csv::of_bytes(path, bytes, units),
             }
-        }
-        _ if EventFormat::of(path).is_some() || is_nir(path) => {
-            let expected = Expected { units, volume: None, dt_ms: 1.0 };
-            read_events(path, "", &expected, &EventOptions::default())
         }
         _ if !path.exists() => Err(Diagnostic::new("io.missing", "there is no such file").in_file(path)),
         other => Err(Diagnostic::new(
@@ -72,7 +91,7 @@ pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Dia
         .help(
             "read are: .npy ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), recordings (.bin, .bs1, \
              .bs2, .dat, .raw, .aedat4, .tact, NIR data), a .ron data-set manifest, and a folder of \
-             sample_<i>_label_<c>.npy",
+             sample_<i>_label_<c>.npy or of recordings",
         )
         .in_file(path)),
     }
@@ -105,9 +124,7 @@ pub fn read_events(
         return Ok(vec![spikes]);
     }
     if !is_nir(path) {
-        return Err(Diagnostic::new("input.kind", "options after '?' are for recordings of events and for scenes")
-            .help("recordings are .bin, .bs1, .bs2, .dat, .raw, .aedat4, .tact and NIR data (.nir)")
-            .in_file(path));
+        return Err(no_options(path));
     }
     let bytes = read_bytes(path, MOST_ARRAY)?;
     let tree = hdf5::tree(path, bytes)?;
@@ -124,35 +141,96 @@ fn product(axes: &[usize]) -> Option<u64> {
     axes.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis as u64))
 }
 
-/// Reads an array `[channels.., T]` or `[samples, channels.., T]`; a number other than zero is a spike.
-///
-/// # Errors
-/// `input.shape` when neither reading gives `units` channels; `input.too-long`, `input.too-many`, `npy.*`, `io.*`.
-pub fn read_npy(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-    of_array(&npy::open(path)?, units)
+fn no_options(path: &Path) -> Diagnostic {
+    Diagnostic::new(
+        "input.kind",
+        "options after '?' are for recordings of events, for arrays (polarity) and for scenes",
+    )
+    .help("recordings are .bin, .bs1, .bs2, .dat, .raw, .aedat4, .tact and NIR data (.nir)")
+    .in_file(path)
 }
 
-fn of_array(array: &npy::Array, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+/// The only option that an array takes.
+fn polarity_of(path: &Path, options: &EventOptions) -> Result<Polarity, Diagnostic> {
+    let polarity = options.polarity;
+    if *options == (EventOptions { polarity, ..EventOptions::default() }) {
+        return Ok(polarity);
+    }
+    Err(Diagnostic::new("input.option", "an array has timesteps already: polarity is the only option that it takes")
+        .in_file(path))
+}
+
+/// The axes that a polarity leaves, and how an index along the channel axes becomes one along what is left.
+#[derive(Clone, Copy)]
+struct Merging {
+    polarity: Polarity,
+    /// Channels behind the axis of polarities.
+    inner: usize,
+}
+
+impl Merging {
+    /// The channel, or none for a polarity that is left out. Index 1 of the axis is a rise.
+    fn channel(self, flat: usize) -> Option<usize> {
+        let on = (flat / self.inner) % 2 == 1;
+        let kept = match self.polarity {
+            Polarity::Both => return Some(flat),
+            Polarity::Merge => true,
+            Polarity::On => on,
+            Polarity::Off => !on,
+        };
+        kept.then(|| flat / (2 * self.inner) * self.inner + flat % self.inner)
+    }
+
+    /// For channel axes that hold `units` channels once the polarity is done with; none when they do not.
+    ///
+    /// # Errors
+    /// What is wrong, when there are several axes that could be the polarity's.
+    fn of(polarity: Polarity, axes: &[usize], units: u64) -> Result<Option<Merging>, String> {
+        let channels = product(axes);
+        if polarity == Polarity::Both {
+            return Ok((channels == Some(units)).then_some(Merging { polarity, inner: 1 }));
+        }
+        if channels != units.checked_mul(2) {
+            return Ok(None);
+        }
+        let mut pairs = (0..axes.len()).filter(|&axis| axes[axis] == 2);
+        match (pairs.next(), pairs.next()) {
+            (Some(axis), None) => Ok(Some(Merging { polarity, inner: axes[axis + 1..].iter().product() })),
+            (None, _) => Ok(None),
+            _ => Err(format!("several of the axes {axes:?} before time have length 2: which is the polarity?")),
+        }
+    }
+}
+
+/// An array `[channels.., T]` or `[samples, channels.., T]`; a number other than zero is a spike.
+fn of_array(array: &npy::Array, units: u64, polarity: Polarity) -> Result<Vec<PopulationSpikes>, Diagnostic> {
     let (path, shape) = (array.path(), array.shape());
     let wrong = |message: String| Diagnostic::new("input.shape", message).in_file(path);
     let Some((&steps, leading)) = shape.split_last() else {
         return Err(wrong("a single number is not a recording; [channels.., T] is".to_string()));
     };
-    let one = product(leading);
-    let each = leading.split_first().and_then(|(_, channels)| product(channels));
-    let samples = if one == Some(units) {
-        1
-    } else if each == Some(units) {
-        leading[0]
-    } else {
-        let mut message = format!(
-            "shape {shape:?} does not fit a population of {units} channels: read as one sample it has {}",
-            one.unwrap_or(u64::MAX)
-        );
-        if let Some(each) = each {
-            message.push_str(&format!(", read as {} samples {each} in each", leading[0]));
+    let one = Merging::of(polarity, leading, units).map_err(wrong)?;
+    let each = match leading.split_first() {
+        Some((_, channels)) if one.is_none() => Merging::of(polarity, channels, units).map_err(wrong)?,
+        _ => None,
+    };
+    let (samples, merging) = match (one, each) {
+        (Some(merging), _) => (1, merging),
+        (None, Some(merging)) => (leading[0], merging),
+        (None, None) => {
+            let one = product(leading).unwrap_or(u64::MAX);
+            let mut message = format!(
+                "shape {shape:?} does not fit a population of {units} channels: read as one sample it has {one}"
+            );
+            if let Some(each) = leading.split_first().and_then(|(_, channels)| product(channels)) {
+                message.push_str(&format!(", read as {} samples {each} in each", leading[0]));
+            }
+            let help = match polarity {
+                Polarity::Both => "the last axis is time; the axes before it, in C order, are the channel",
+                _ => "one polarity is left of two: before time there is one axis of length 2, and twice the channels",
+            };
+            return Err(wrong(message).help(help));
         }
-        return Err(wrong(message).help("the last axis is time; the axes before it, in C order, are the channel"));
     };
     if samples == 0 || steps == 0 {
         return Err(wrong(format!("shape {shape:?} holds no timestep")));
@@ -165,14 +243,17 @@ fn of_array(array: &npy::Array, units: u64) -> Result<Vec<PopulationSpikes>, Dia
                 .in_file(path));
         }
     };
-    let channels = u32::try_from(units).map_err(|_| wrong(format!("{units} channels cannot be numbered")))?;
+    u32::try_from(units).map_err(|_| wrong(format!("{units} channels cannot be numbered")))?;
+    let rows = units as usize * if polarity == Polarity::Both { 1 } else { 2 };
     let name = path.display().to_string();
     let mut recordings: Vec<PopulationSpikes> = (0..samples)
         .map(|_| PopulationSpikes { units: Some(units), steps, label: None, events: Vec::new(), name: name.clone() })
         .collect();
     array.each_non_zero(|index| {
         let (row, step) = (index / steps as usize, index % steps as usize);
-        let (sample, channel) = (row / channels as usize, row % channels as usize);
+        let (sample, Some(channel)) = (row / rows, merging.channel(row % rows)) else {
+            return Ok(());
+        };
         let events = &mut recordings[sample].events;
         if events.len() == MOST_EVENTS {
             return Err(too_many(path));
@@ -180,6 +261,12 @@ fn of_array(array: &npy::Array, units: u64) -> Result<Vec<PopulationSpikes>, Dia
         events.push((step as u32, channel as u32));
         Ok(())
     })?;
+    if polarity == Polarity::Merge {
+        for recording in &mut recordings {
+            recording.events.sort_unstable();
+            recording.events.dedup();
+        }
+    }
     Ok(recordings)
 }
 
@@ -187,18 +274,32 @@ pub(super) fn too_many(path: &Path) -> Diagnostic {
     Diagnostic::new("input.too-many", format!("a sample has more than {MOST_EVENTS} spikes")).in_file(path)
 }
 
-/// `sample_<i>_label_<c>.npy`
+/// Sample and label of `sample_<i>_label_<c>.npy`, or of a recording of events that is named so.
 pub(super) fn sample_name(name: &str) -> Option<(u64, u32)> {
-    let (index, label) = name.strip_prefix("sample_")?.strip_suffix(".npy")?.split_once("_label_")?;
+    let (stem, extension) = name.rsplit_once('.')?;
+    let known = extension == "npy" || EventFormat::of(Path::new(name)).is_some();
+    let (index, label) = stem.strip_prefix("sample_").filter(|_| known)?.split_once("_label_")?;
     let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
     (plain(index) && plain(label)).then(|| Some((index.parse().ok()?, label.parse().ok()?)))?
 }
 
-/// Sample number, label and path of each recording of a folder, in order of their numbers.
+/// A name as people sort them: numbers in it by their value.
+fn by_numbers(name: &str) -> Vec<(Option<u128>, String)> {
+    let mut parts: Vec<(Option<u128>, String)> = Vec::new();
+    for run in name.chars().collect::<Vec<_>>().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit()) {
+        let text: String = run.iter().collect();
+        parts.push((text.parse().ok(), text));
+    }
+    parts
+}
+
+/// Sample number, label and path of each recording of a folder, in order of their numbers. Recordings of events under
+/// other names are samples too when no name has a number and a label: they come in order of their names (numbers in them
+/// by value), without labels.
 ///
 /// # Errors
 /// `input.folder` when there is none, or two have the same number; `io.*`.
-pub fn list_folder(folder: &Path) -> Result<Vec<(u64, u32, std::path::PathBuf)>, Diagnostic> {
+pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, std::path::PathBuf)>, Diagnostic> {
     let unreadable =
         |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
     let mut found = BTreeMap::new();
@@ -208,21 +309,28 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, u32, std::path::PathBuf)>,
         let name = entry.file_name().to_string_lossy().into_owned();
         match sample_name(&name) {
             Some((index, label)) => {
-                if found.insert(index, (label, entry.path())).is_some() {
+                if found.insert(index, (Some(label), entry.path())).is_some() {
                     return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
                         .help("each sample has one file, sample_<i>_label_<c>.npy")
                         .in_file(folder));
                 }
             }
-            None => others.push((name, entry.path().is_dir())),
+            None => others.push((name, entry.path())),
         }
+    }
+    if found.is_empty() {
+        let mut events: Vec<_> =
+            others.iter().filter(|(_, path)| EventFormat::of(path).is_some() && path.is_file()).collect();
+        events.sort_by_cached_key(|(name, _)| by_numbers(name));
+        found = events.iter().zip(0..).map(|((_, path), index)| (index, (None, path.clone()))).collect();
     }
     if found.is_empty() {
         others.sort();
         let mut missing =
-            Diagnostic::new("input.folder", "the folder holds no sample_<i>_label_<c>.npy").in_file(folder);
+            Diagnostic::new("input.folder", "the folder holds no sample_<i>_label_<c>.npy and no recording of events")
+                .in_file(folder);
         let inner: Vec<&str> =
-            others.iter().filter(|(_, folder)| *folder).map(|(name, _)| name.as_str()).take(8).collect();
+            others.iter().filter(|(_, path)| path.is_dir()).map(|(name, _)| name.as_str()).take(8).collect();
         missing.help = if others.iter().any(|(name, _)| name == "dataset.ron") {
             Some(format!("it holds a manifest: give {}", folder.join("dataset.ron").display()))
         } else if inner.is_empty() {
@@ -235,16 +343,18 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, u32, std::path::PathBuf)>,
     Ok(found.into_iter().map(|(index, (label, path))| (index, label, path)).collect())
 }
 
-/// Reads a folder of `sample_<i>_label_<c>.npy`, in order of the numbers; other files are left alone.
-///
-/// # Errors
-/// As [`list_folder`] and [`read_npy`]; `input.shape` for a file with several samples.
-pub fn read_folder(folder: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+/// Reads a folder of `sample_<i>_label_<c>.npy` or of recordings of events; other files are left alone.
+fn read_folder(
+    folder: &Path,
+    population: &str,
+    expected: &Expected,
+    options: &EventOptions,
+) -> Result<Vec<PopulationSpikes>, Diagnostic> {
     let read: Vec<_> = list_folder(folder)?
         .into_par_iter()
         .map(|(_, label, path)| {
-            let mut recording = one_sample(&path, units)?;
-            recording.label = Some(label);
+            let mut recording = one_sample(&path, population, expected, options)?;
+            recording.label = label;
             Ok(recording)
         })
         .collect();
@@ -253,20 +363,21 @@ pub fn read_folder(folder: &Path, units: u64) -> Result<Vec<PopulationSpikes>, D
 }
 
 /// Reads a source that holds exactly one sample.
-pub(super) fn one_sample(path: &Path, units: u64) -> Result<PopulationSpikes, Diagnostic> {
+pub(super) fn one_sample(
+    path: &Path,
+    population: &str,
+    expected: &Expected,
+    options: &EventOptions,
+) -> Result<PopulationSpikes, Diagnostic> {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-    let mut recordings = match extension.as_deref() {
-        Some("npy") => read_npy(path, units)?,
-        Some("csv") => event_csv::read(path, units)?,
-        _ if holds_events(path) => read_source(path, units)?,
-        _ => {
-            return Err(Diagnostic::new(
-                "input.kind",
-                "a sample of a data set is a .npy or a .csv file, or a recording of events",
-            )
-            .in_file(path));
-        }
-    };
+    if !(matches!(extension.as_deref(), Some("npy" | "csv")) || holds_events(path)) {
+        return Err(Diagnostic::new(
+            "input.kind",
+            "a sample of a data set is a .npy or a .csv file, or a recording of events",
+        )
+        .in_file(path));
+    }
+    let mut recordings = read_spikes(path, population, expected, options)?;
     match (recordings.pop(), recordings.len()) {
         (Some(recording), 0) => Ok(recording),
         (_, rest) => {
@@ -325,6 +436,78 @@ mod tests {
         std::fs::create_dir(outer.path().join("train")).unwrap();
         let error = read_source(outer.path(), 1).unwrap_err();
         assert!(error.code == "input.folder" && error.help.unwrap().contains("train"), "{}", error.message);
+    }
+
+    fn read_as(path: &Path, units: u64, options: &str) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+        let options = EventOptions::parse(&crate::desc::stimulus::pairs(options)?)?;
+        read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &options)
+    }
+
+    /// [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN leaves them behind, against loops over all axes.
+    #[test]
+    fn the_polarities_of_an_array_merge_wherever_their_axis_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let (n, outer, inner, steps) = (3u32, 5u32, 4u32, 6u32);
+        // Either of the two, by the sizes before and behind the polarity.
+        for (shape, before, behind) in
+            [(vec![n, outer, 2, steps], outer, 1), (vec![n, 2, outer, inner, steps], 1, outer * inner)]
+        {
+            let size = shape.iter().product::<u32>();
+            let numbers: Vec<u8> =
+                (0..size).map(|i| u8::from(crate::base::rng::unit(3, 0, u64::from(i)) < 0.3)).collect();
+            let shape: Vec<u64> = shape.into_iter().map(u64::from).collect();
+            let path = array(folder.path(), &format!("{behind}.npy"), &shape, &numbers);
+            for (options, wanted) in
+                [("polarity=merge", [true, true]), ("polarity=on", [false, true]), ("polarity=off", [true, false])]
+            {
+                let read = read_as(&path, u64::from(before * behind), options).unwrap();
+                assert_eq!(read.len(), n as usize);
+                for (sample, read) in (0..n).zip(read) {
+                    let mut events = Vec::new();
+                    for (a, b, t) in
+                        (0..before).flat_map(|a| (0..behind).flat_map(move |b| (0..steps).map(move |t| (a, b, t))))
+                    {
+                        let spike = |p: u32| {
+                            numbers[((((sample * before + a) * 2 + p) * behind + b) * steps + t) as usize] != 0
+                        };
+                        if (0..2).any(|p| wanted[p as usize] && spike(p)) {
+                            events.push((t, a * behind + b));
+                        }
+                    }
+                    let mut got = read.events;
+                    got.sort_unstable();
+                    events.sort_unstable();
+                    assert_eq!(got, events, "{options}");
+                }
+            }
+            assert_eq!(read_as(&path, u64::from(2 * before * behind), "").unwrap().len(), n as usize);
+            assert_eq!(read_as(&path, 7, "polarity=merge").unwrap_err().code, "input.shape");
+            assert_eq!(read_as(&path, 20, "polarity=merge&least=2").unwrap_err().code, "input.option");
+        }
+        let twice = array(folder.path(), "t.npy", &[2, 2, 3, 1], &[0; 12]);
+        assert!(read_as(&twice, 6, "polarity=merge").unwrap_err().message.contains("which is the polarity"));
+    }
+
+    #[test]
+    fn a_folder_of_recordings_is_read_by_label_or_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let named = folder.path().join("named");
+        std::fs::create_dir(&named).unwrap();
+        for (name, rows) in [("cup_10_2.tact", "1 1 0.0005\n"), ("cup_2_10.tact", "0 18 0.0010\n1 80 0.0031\n")] {
+            std::fs::write(named.join(name), rows).unwrap();
+        }
+        let read = read_as(&named, 156, "steps=4").unwrap();
+        // cup_2 comes before cup_10; cell 18 is taxel 16, cell 80 taxel 77.
+        assert_eq!(read.iter().map(|s| s.label).collect::<Vec<_>>(), [None, None]);
+        assert_eq!((&read[0].events[..], &read[1].events[..]), (&[(1, 32), (3, 155)][..], &[(0, 1)][..]));
+        let merged = read_as(&named, 78, "steps=2&bin_ms=2&polarity=merge").unwrap();
+        assert_eq!((merged[0].steps, &merged[0].events[..]), (2, &[(0, 16), (1, 77)][..]));
+        std::fs::write(named.join("sample_3_label_1.tact"), "1 1 0.001\n").unwrap();
+        let read = read_as(&named, 156, "steps=4").unwrap();
+        assert_eq!((read.len(), read[0].label), (1, Some(1)));
+        std::fs::write(named.join("sample_4_label_1.tact"), "1 1 0.001\n2 1 0.001\n").unwrap();
+        let error = read_as(&named, 156, "steps=4").unwrap_err();
+        assert!(error.message.contains("row 2") && error.file().unwrap().ends_with("sample_4_label_1.tact"), "{error}");
     }
 
     #[test]
