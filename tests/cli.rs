@@ -536,3 +536,52 @@ fn folds_of_a_data_set_are_sources() {
     let (code, _, stderr) = said(&["run", &model, "--input", &format!("{set}?test=1")]);
     assert!(code == 3 && stderr.contains("test_80_20_1.txt:2:1") && stderr.contains("trained on"), "{stderr}");
 }
+#[test]
+fn every_shipped_model_maps_and_runs() {
+    // The names that scripts rely on.
+    let names = [
+        "vtsnn-slip",
+        "vtsnn-slip-srm",
+        "slip-tactile",
+        "slip-vision",
+        "vtsnn-container",
+        "container-tactile",
+        "container-tactile-srm",
+    ];
+    let mut shipped: Vec<&str> = nsim::io::shipped::MODELS.iter().map(|model| model.name).collect();
+    shipped.sort_unstable();
+    assert_eq!(shipped, {
+        let mut names = names;
+        names.sort_unstable();
+        names
+    });
+    for name in names {
+        let map = object(&["map", name], 0);
+        assert_eq!((&map["model"], &map["cores_per_copy"]), (&name.into(), &1.0.into()));
+        let run = object(&["run", name, "--samples", "0..2"], 0);
+        let steps = if name.contains("slip") { 300 } else { 650 };
+        assert_eq!((&run["model"], &run["timesteps"]), (&name.into(), &steps.into()));
+        let spikes: u64 = run["output_counts"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .flat_map(|counts| counts.as_array().unwrap())
+            .map(|count| count.as_u64().unwrap())
+            .sum();
+        assert!(spikes > 0, "{name} is silent");
+    }
+}
+
+#[test]
+fn a_scene_is_drawn_with_its_onset() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("slip.svg");
+    let name = path.display().to_string();
+    let scene = object(&["scene", "slip", "--samples", "4", "--plot", &name], 0);
+    assert_eq!(scene["samples"], 4);
+    let svg = std::fs::read_to_string(&path).unwrap();
+    // The first sample with an onset is one that slips.
+    assert!(svg.starts_with("<svg") && svg.contains("onset ") && svg.contains(": slip<"));
+    assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name]).0, 3);
+    assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name, "--force", "--plot-sample", "4"]).0, 2);
+}

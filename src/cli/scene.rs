@@ -13,6 +13,7 @@ use crate::desc::spanned::Spanned;
 use crate::desc::stimulus::SceneArg;
 use crate::error::Error;
 use crate::io::{mapping, npy, write};
+use crate::report::raster::{Panel, Raster};
 use crate::report::scene::{Class, SceneReport};
 use crate::scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
 
@@ -22,6 +23,7 @@ EXAMPLES:
   nsim scene slip --samples 1000 --seed 7 -o scenes     recordings as .npy, and scenes/dataset.ron
   nsim scene 'slip?grip_n=1.5..2.5&pixel_noise_hz=1'    other parameters, which docs/scenes.md lists
   nsim scene container --samples 100 --format json
+  nsim scene slip --plot slip.svg                       a picture of one sample
   nsim run --input scenes/dataset.ron";
 
 /// Make synthetic visual-tactile recordings
@@ -39,6 +41,12 @@ pub struct Args {
     /// Folder for the recordings and their dataset.ron
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
+    /// Draw the spikes of one sample here: taxels and pixels over time, the onset marked
+    #[arg(long, value_name = "FILE.svg")]
+    pub plot: Option<PathBuf>,
+    /// The sample to draw [default: the first with an onset]
+    #[arg(long, value_name = "N", requires = "plot")]
+    pub plot_sample: Option<u32>,
 }
 
 /// Folds of the manifest's cross-validation, as the paper has them.
@@ -59,6 +67,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(folder) = &args.output {
         write::check_free(&folder.join("dataset.ron"), context.force)?;
     }
+    if let Some(path) = &args.plot {
+        write::check_free(path, context.force)?;
+        if let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples()) {
+            return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
+        }
+    }
     let bar = common::progress(context, u64::from(scene.samples()), "scenes");
     let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> = (0..scene.samples())
         .into_par_iter()
@@ -78,6 +92,11 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     bar.finish_and_clear();
     let (facts, entries): (Vec<Facts>, Vec<SampleEntry>) =
         made.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
+    if let Some(path) = &args.plot {
+        let with_onset = || facts.iter().position(|fact| fact.onset_ms.is_some()).unwrap_or(0) as u32;
+        let sample = args.plot_sample.unwrap_or_else(with_onset);
+        write::text(path, context.force, &raster(&scene, &argument, sample).svg())?;
+    }
     let manifest = args.output.as_ref().map(|folder| folder.join("dataset.ron"));
     if let Some(path) = &manifest {
         let text = mapping::pretty(&data_set(&scene, &argument, entries), 2)?;
@@ -86,6 +105,33 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let report = report(&scene, &argument, &facts, manifest);
     common::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
+}
+
+/// A sample as a picture.
+fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Raster {
+    let recording = scene.recording(sample);
+    let class = scene.classes().into_iter().nth(recording.label as usize).unwrap_or_default();
+    let (rises, falls) = recording.touch.iter().copied().partition(|&(_, channel)| channel % 2 == 1);
+    Raster {
+        title: format!("{}, sample {sample}: {class}", argument.spelled()),
+        steps: recording.steps,
+        timestep_ms: scene.timestep_ms(),
+        onset_ms: recording.onset_ms,
+        panels: vec![
+            Panel {
+                label: "touch channel".to_string(),
+                channels: TOUCH.1,
+                share: 0.45,
+                kinds: vec![("taxel, rise".to_string(), rises), ("taxel, fall".to_string(), falls)],
+            },
+            Panel {
+                label: "pooled pixel".to_string(),
+                channels: VISION.1,
+                share: 0.55,
+                kinds: vec![("pixel".to_string(), recording.vision)],
+            },
+        ],
+    }
 }
 
 /// What the report needs of a recording.

@@ -39,7 +39,7 @@ macro_rules! weights {
 }
 
 /// Shipped models.
-pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "container-tactile-srm", "slip-tactile", "slip-vision", "vtsnn-slip", "vtsnn-slip-srm");
+pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "container-tactile-srm", "slip-tactile", "slip-vision", "vtsnn-container", "vtsnn-slip", "vtsnn-slip-srm");
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
     shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");
@@ -56,6 +56,7 @@ pub const ARRAYS: &[(&str, &[u8])] = weights!(
     "container-tactile-srm",
     "slip-tactile",
     "slip-vision",
+    "vtsnn-container",
     "vtsnn-slip",
     "vtsnn-slip-srm"
 );

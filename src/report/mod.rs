@@ -15,6 +15,7 @@ pub mod map;
 pub mod map_svg;
 pub mod pareto;
 pub mod plot;
+pub mod raster;
 pub mod run;
 pub mod sanafe;
 pub mod scene;

@@ -6,13 +6,13 @@
 
 use std::fmt::Write as _;
 
-const WIDTH: f64 = 760.0;
-const HEIGHT: f64 = 440.0;
-const LEFT: f64 = 76.0;
-const RIGHT: f64 = 190.0;
-const TOP: f64 = 44.0;
-const BOTTOM: f64 = 64.0;
-const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
+pub(super) const WIDTH: f64 = 760.0;
+pub(super) const HEIGHT: f64 = 440.0;
+pub(super) const LEFT: f64 = 76.0;
+pub(super) const RIGHT: f64 = 190.0;
+pub(super) const TOP: f64 = 44.0;
+pub(super) const BOTTOM: f64 = 64.0;
+pub(super) const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
 const DASHES: [&str; 4] = ["", "7 3", "2 3", "9 3 2 3"];
 
 /// One axis of a chart.
@@ -218,7 +218,7 @@ fn extent(series: &Series) -> Vec<(f64, f64)> {
 }
 
 /// Numbers to places on the paper.
-struct Scale {
+pub(super) struct Scale {
     log: bool,
     low: f64,
     high: f64,
@@ -227,7 +227,7 @@ struct Scale {
 }
 
 impl Scale {
-    fn new(axis: &Axis, numbers: impl Iterator<Item = f64>, from: f64, to: f64) -> Scale {
+    pub(super) fn new(axis: &Axis, numbers: impl Iterator<Item = f64>, from: f64, to: f64) -> Scale {
         let shown = numbers.filter(|n| n.is_finite() && (!axis.log || *n > 0.0));
         let (mut low, mut high) = shown.fold((f64::MAX, f64::MIN), |(low, high), n| (low.min(n), high.max(n)));
         if low > high {
@@ -248,7 +248,7 @@ impl Scale {
         Scale { log: axis.log, low, high, from, to }
     }
 
-    fn place(&self, number: f64) -> Option<f64> {
+    pub(super) fn place(&self, number: f64) -> Option<f64> {
         let share = match self.log {
             true if number > 0.0 => (number / self.low).ln() / (self.high / self.low).ln(),
             true => return None,
@@ -257,7 +257,7 @@ impl Scale {
         share.is_finite().then_some(self.from + share * (self.to - self.from))
     }
 
-    fn ticks(&self) -> Vec<(f64, String)> {
+    pub(super) fn ticks(&self) -> Vec<(f64, String)> {
         let numbers: Vec<f64> = if self.log {
             let decades = (self.high / self.low).log10().round() as i32;
             (0..=decades).map(|k| self.low * 10f64.powi(k)).collect()
@@ -304,7 +304,7 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
-fn word(out: &mut String, x: f64, y: f64, anchor: &str, text: &str) {
+pub(super) fn word(out: &mut String, x: f64, y: f64, anchor: &str, text: &str) {
     _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}">{}</text>"#, escaped(text));
 }
 
@@ -312,14 +312,14 @@ fn small(out: &mut String, x: f64, y: f64, text: &str) {
     _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" font-size="9">{}</text>"#, escaped(text));
 }
 
-fn legend(out: &mut String, index: usize, colour: &str, name: &str) {
+pub(super) fn legend(out: &mut String, index: usize, colour: &str, name: &str) {
     let y = TOP + 8.0 + 18.0 * index as f64;
     let x = WIDTH - RIGHT + 14.0;
     _ = writeln!(out, r#"<rect x="{x:.1}" y="{:.1}" width="12" height="10" fill="{colour}"/>"#, y - 9.0);
     word(out, x + 18.0, y, "start", name);
 }
 
-fn frame(title: &str, x: &str, y: &str) -> String {
+pub(super) fn frame(title: &str, x: &str, y: &str) -> String {
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" \
          font-size=\"12\">\n<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"white\"/>\n"
