@@ -12,6 +12,7 @@ use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, Outcome, Probe, Quantity};
 use crate::error::Error;
 use crate::io;
+use crate::io::trace::Trace;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
 use crate::reference::{self, Kernel, Model};
@@ -47,6 +48,20 @@ impl EngineChoice {
             None => Wanted::ByModel,
         }
     }
+}
+
+/// How probes are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum ProbeFormat {
+    /// A NumPy array, [samples, compartments, T].
+    Npy,
+    /// A row for each spike, or for each number.
+    Csv,
+    /// NIR data: spikes as events, other registers on a grid of time.
+    Nir,
+    /// Parquet, with CSV's columns; in builds with the feature `parquet`.
+    #[cfg(feature = "parquet")]
+    Parquet,
 }
 
 /// On or off.
@@ -117,7 +132,10 @@ pub struct Args {
     /// Record POPULATION.spikes, .u, .v or .v_register into -o
     #[arg(long, value_name = "POP.WHAT", requires = "output")]
     probe: Vec<String>,
-    /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T]
+    /// How probes are written
+    #[arg(long, value_enum, value_name = "FORMAT", default_value = "npy")]
+    probe_format: ProbeFormat,
+    /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T], or with the ending of --probe-format
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
 }
@@ -237,9 +255,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             (outcomes, None, 0, wall_s)
         }
     };
+    let dt_ms = network.parts().timestep_ms;
     let files = match &traces {
-        Some(traces) => write_traces(args, &probes, traces, context)?,
-        None => write_probes(args, &probes, &outcomes, context)?,
+        Some(traces) => write_traces((args, dt_ms), &probes, traces, context)?,
+        None => write_probes((args, dt_ms), &probes, &outcomes, context)?,
     };
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let report = RunReport {
@@ -288,11 +307,40 @@ fn check_room(keep: &Keep, samples: &[&Sample]) -> Result<(), Error> {
 
 fn probe_path(args: &Args, named: &NamedProbe) -> PathBuf {
     let folder = args.output.as_deref().unwrap_or(Path::new("."));
-    folder.join(format!("{}.npy", named.name))
+    let extension = match args.probe_format {
+        ProbeFormat::Npy => "npy",
+        ProbeFormat::Csv => "csv",
+        ProbeFormat::Nir => "nir",
+        #[cfg(feature = "parquet")]
+        ProbeFormat::Parquet => "parquet",
+    };
+    folder.join(format!("{}.{extension}", named.name))
+}
+
+/// Writes a probe in a form other than NumPy's; whether there was one.
+fn write_other(
+    args: &Args,
+    named: &NamedProbe,
+    shape: &[u64; 3],
+    dt_ms: f64,
+    force: bool,
+    numbers: impl Iterator<Item = f64>,
+) -> Result<bool, Error> {
+    let (population, register) = named.name.rsplit_once('.').unwrap_or((&named.name, ""));
+    let trace = Trace { population, register, shape: shape.map(|axis| axis as usize), dt_s: dt_ms / 1e3 };
+    let path = probe_path(args, named);
+    match args.probe_format {
+        ProbeFormat::Npy => return Ok(false),
+        ProbeFormat::Csv => trace.csv(&path, force, numbers)?,
+        ProbeFormat::Nir => trace.nir(&path, force, numbers)?,
+        #[cfg(feature = "parquet")]
+        ProbeFormat::Parquet => trace.parquet(&path, force, numbers)?,
+    }
+    Ok(true)
 }
 
 fn write_probes(
-    args: &Args,
+    (args, dt_ms): (&Args, f64),
     probes: &[NamedProbe],
     outcomes: &[Outcome],
     context: Context,
@@ -303,6 +351,10 @@ fn write_probes(
         let steps = outcomes.first().map_or(0, |outcome| outcome.steps);
         let shape = [outcomes.len() as u64, u64::from(named.probe.count), u64::from(steps)];
         let numbers = outcomes.iter().flat_map(|outcome| outcome.probes[index].iter().copied());
+        if write_other(args, named, &shape, dt_ms, context.force, numbers.clone().map(f64::from))? {
+            files.push(path.display().to_string());
+            continue;
+        }
         io::write::file(&path, context.force, |out| match named.probe.quantity {
             Quantity::Spikes => io::npy::write_u8(out, &shape, numbers.map(|number| number as u8)),
             _ => io::npy::write_i32(out, &shape, numbers),
@@ -322,7 +374,7 @@ fn refuse_registers(probes: &[Probe]) -> Result<(), Error> {
 
 /// As [`write_probes`], in real numbers but for spikes.
 fn write_traces(
-    args: &Args,
+    (args, dt_ms): (&Args, f64),
     probes: &[NamedProbe],
     traces: &[simulate::Traces],
     context: Context,
@@ -334,6 +386,10 @@ fn write_traces(
         let steps = traces.first().map_or(0, |sample| sample[index].len() / count.max(1));
         let shape = [traces.len() as u64, count as u64, steps as u64];
         let numbers = traces.iter().flat_map(|sample| sample[index].iter().copied());
+        if write_other(args, named, &shape, dt_ms, context.force, numbers.clone())? {
+            files.push(path.display().to_string());
+            continue;
+        }
         io::write::file(&path, context.force, |out| match named.probe.quantity {
             Quantity::Spikes => io::npy::write_u8(out, &shape, numbers.map(|number| number as u8)),
             _ => io::npy::write_f64(out, &shape, numbers),

@@ -15,6 +15,7 @@ use crate::error::Error;
 use crate::io::{mapping, npy, write};
 use crate::report::raster::{Panel, Raster};
 use crate::report::scene::{Class, SceneReport};
+use crate::scene::wire::Carried;
 use crate::scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
 
 const EXAMPLES: &str = "\
@@ -139,12 +140,13 @@ struct Facts {
     label: u32,
     onset_ms: Option<f64>,
     spikes: [usize; 2],
+    wire: Option<Carried>,
 }
 
 impl Facts {
     fn of(recording: &Recording) -> Facts {
         let spikes = [recording.touch.len(), recording.vision.len()];
-        Facts { label: recording.label, onset_ms: recording.onset_ms, spikes }
+        Facts { label: recording.label, onset_ms: recording.onset_ms, spikes, wire: recording.wire }
     }
 }
 
@@ -208,6 +210,10 @@ fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Opti
         steps: scene.steps(),
         timestep_ms: scene.timestep_ms(),
         classes: scene.classes().into_iter().enumerate().map(class).collect(),
+        wire: facts.iter().filter_map(|fact| fact.wire).reduce(|mut sum, wire| {
+            sum += wire;
+            sum
+        }),
         manifest: manifest.map(|path| path.display().to_string()),
     }
 }

@@ -55,6 +55,8 @@ pub struct CostTable {
     pub link_buffer: u64,
     /// A spike injected from outside: time only.
     pub injection: Picoseconds,
+    /// The turn of one copy's injection in a step.
+    pub injection_step: Picoseconds,
     /// An output spike read out: time only.
     pub readout: Picoseconds,
     /// Static power of a powered core.
@@ -117,6 +119,7 @@ impl CostTable {
             link_chip: time("link_chip_time", &constants.link_chip_time)?,
             link_buffer: integer("link_buffer", &constants.link_buffer)?,
             injection: time("injection_time", &constants.injection_time)?,
+            injection_step: time("injection_step_time", &constants.injection_step_time)?,
             readout: time("readout_time", &constants.readout_time)?,
             core_static: power("core_static_power", &constants.core_static_power)?,
             x86_static: power("x86_static_power", &constants.x86_static_power)?,

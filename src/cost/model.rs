@@ -111,7 +111,7 @@ fn of_counts(sum: CoreCounts, hops: HopCounts, steps: u64, table: &CostTable, co
 /// Where the time of a step goes; the parts follow each other.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StepTime {
-    /// Input spikes handed to the mesh, one after the other.
+    /// Input spikes handed to the mesh, one copy after the other.
     pub injection: Picoseconds,
     /// Output spikes read out, one after the other.
     pub readout: Picoseconds,

@@ -231,7 +231,7 @@ impl Ways {
                 Transport::Queued => Queue::new(self, table).run(step),
             };
             StepTime {
-                injection: times(&[(table.injection, step.spikes_in)]),
+                injection: times(&[(table.injection, step.spikes_in), (table.injection_step, copies)]),
                 readout: times(&[(table.readout, step.spikes_out.saturating_mul(copies))]),
                 slowest_core,
                 transport,

@@ -5,6 +5,7 @@ use serde::Deserialize;
 
 use super::baseline::Mode;
 use super::spanned::Spanned;
+use super::target::Constant;
 
 /// One cell of a table.
 #[derive(Debug, Clone, Deserialize)]
@@ -42,6 +43,16 @@ pub struct FittedConstant {
     pub because: String,
 }
 
+/// A constant that another source gives and the preset to start from does not.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GivenConstant {
+    /// The constant.
+    pub constant: Spanned<String>,
+    /// What it is.
+    pub is: Constant,
+}
+
 /// A table of measurements of one workload.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Measurements")]
@@ -66,6 +77,9 @@ pub struct MeasurementsFile {
     pub steps_per_sample: u32,
     /// The preset that gives every constant which is not fitted.
     pub start: Spanned<String>,
+    /// Constants that are not the preset's.
+    #[serde(default)]
+    pub given: Vec<GivenConstant>,
     /// Name of the preset that a calibration makes.
     #[serde(default)]
     pub preset: Option<String>,

@@ -270,6 +270,8 @@ constants!(
         link_buffer: messages,
         /// A spike injected from outside.
         injection_time: ns,
+        /// The turn of one copy's injection in a step, whether it has spikes or not.
+        injection_step_time: ns,
         /// An output spike read out.
         readout_time: ns,
         /// Static power of a powered core.

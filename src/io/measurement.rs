@@ -37,11 +37,20 @@ pub fn measurements(source: &SourceText) -> Result<MeasurementsFile, Diagnostic>
             .at(source, name.span)),
     };
     let mut named: Vec<&str> = Vec::new();
+    for given in &file.given {
+        known("constant", &given.constant, Constants::NAMES)?;
+        let (name, unit) = (&given.constant.value, given.is.unit);
+        if Constants::unit_of(name) != Some(unit) {
+            return Err(Diagnostic::new("measurements.name", format!("{name} is not in {unit:?}"))
+                .at(source, given.constant.span));
+        }
+        named.push(name);
+    }
     for fitted in &file.fit {
         for name in std::iter::once(&fitted.constant).chain(&fitted.equal) {
             known("constant", name, Constants::NAMES)?;
             if named.contains(&name.value.as_str()) {
-                return Err(Diagnostic::new("measurements.name", format!("{} is fitted twice", name.value))
+                return Err(Diagnostic::new("measurements.name", format!("{} is fitted or given twice", name.value))
                     .at(source, name.span));
             }
             if Constants::unit_of(&name.value) != Constants::unit_of(&fitted.constant.value) {

@@ -19,4 +19,5 @@ pub mod shipped;
 pub mod stimulus;
 pub mod target;
 pub mod text;
+pub mod trace;
 pub mod write;

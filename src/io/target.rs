@@ -160,7 +160,8 @@ pub(crate) mod tests {
             (
                 "ns",
                 "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time \
-                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time link_chip_time injection_time readout_time",
+                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time link_chip_time injection_time injection_step_time \
+                    readout_time",
             ),
             ("messages", "link_buffer"),
             ("mW", "core_static_power x86_static_power x86_busy_power"),

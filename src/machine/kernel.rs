@@ -3,7 +3,8 @@
 //! Comes in: registers and sums of a block whose compartments share their fields, padded to whole chunks of sixteen.
 //! Goes out: the new registers, who spiked, who was not at rest, and which lanes left their field. Written as plain loops
 //! over arrays of sixteen that the compiler turns into vector instructions; `pulp` picks the widest set that the processor
-//! has, and all of them compute the same integers. A test holds every result against `neuron::update`.
+//! has, and all of them compute the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every
+//! result of either against `neuron::update`.
 //!
 //! A voltage and its refractory counter share a register, so that a step streams through less memory.
 //!
@@ -18,13 +19,13 @@ pub const LANES: usize = 16;
 /// Fields that a whole block shares.
 #[derive(Debug, Clone, Copy)]
 pub struct Shared {
-    keep_u: i32,
-    keep_v: i32,
-    bias: i32,
-    fires_from: i32,
-    vmin: i32,
-    vmax: i32,
-    refractory: i32,
+    pub(super) keep_u: i32,
+    pub(super) keep_v: i32,
+    pub(super) bias: i32,
+    pub(super) fires_from: i32,
+    pub(super) vmin: i32,
+    pub(super) vmax: i32,
+    pub(super) refractory: i32,
 }
 
 impl From<&Fields> for Shared {
@@ -66,7 +67,7 @@ pub struct Block<'a, S> {
 }
 
 /// The voltage register while v is held: this and the steps until v is free again. It is above every voltage, |v| < 2^23.
-const HELD: i32 = 1 << 30;
+pub(super) const HELD: i32 = 1 << 30;
 
 /// A voltage and the steps until it is free again, in one register. As on the chip, where the register of a held voltage
 /// counts: v is 0 meanwhile.
@@ -132,18 +133,43 @@ fn wrap24(x: i32) -> i32 {
     (x << 8) >> 8
 }
 
-/// Equations (2) to (7) for a block of at most 64 lanes, a multiple of sixteen.
-///
-/// Chunks in which a value leaves its field are not updated but named in the result: they are rare, and what happened in
-/// them has to be told lane by lane.
-#[inline(always)]
-pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared) -> Effects {
-    let Shared { keep_u, keep_v, bias, fires_from, vmin, vmax, refractory } = *shared;
-    let mut effects = Effects::default();
-    let (u, _) = block.u.as_chunks_mut::<LANES>();
-    let (v, _) = block.v.as_chunks_mut::<LANES>();
-    let (sums, _) = block.sums.as_chunks_mut::<LANES>();
-    for (chunk, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
+/// Sixteen compartments.
+#[derive(Debug)]
+pub struct Chunk<'a, S> {
+    /// Currents.
+    pub u: &'a mut [i32; LANES],
+    /// Voltages, as [`store`] writes them.
+    pub v: &'a mut [i32; LANES],
+    /// Sums of arrivals; left at 0.
+    pub sums: &'a mut [S; LANES],
+}
+
+/// What a chunk's update did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effect {
+    /// A bit for each lane that spiked.
+    pub spiked: u16,
+    /// Lanes that were not at rest.
+    pub active: u32,
+    /// Whether any lane is not at rest afterwards.
+    pub busy: bool,
+}
+
+/// Instructions for a chunk.
+pub trait Vectors: Copy {
+    /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing has changed.
+    fn update<S: Sum>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect>;
+}
+
+/// Whatever vectors the compiler makes of loops.
+#[derive(Debug, Clone, Copy)]
+pub struct Portable;
+
+impl Vectors for Portable {
+    #[inline(always)]
+    fn update<S: Sum>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect> {
+        let Shared { keep_u, keep_v, bias, fires_from, vmin, vmax, refractory } = *shared;
+        let Chunk { u, v, sums } = chunk;
         let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
         let (mut fired, mut moved, mut overflowed) = ([false; LANES], [false; LANES], [false; LANES]);
         for lane in 0..LANES {
@@ -168,13 +194,36 @@ pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared) -> Effects {
                 ((q >> 6) != sum) | (next_u != current) | (input != with_bias) | (is_free & (clipped != free));
         }
         if bytes(overflowed) != 0 {
-            effects.overflowed |= 1 << chunk;
-            continue;
+            return None;
         }
         (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
-        effects.spiked |= u64::from(bits(fired)) << (chunk * LANES);
-        effects.active[chunk] = bytes(moved).count_ones();
-        effects.busy |= bytes(std::array::from_fn(|lane| (new_u[lane] | new_v[lane]) != 0)) != 0;
+        Some(Effect {
+            spiked: bits(fired),
+            active: bytes(moved).count_ones(),
+            busy: bytes(std::array::from_fn(|lane| (new_u[lane] | new_v[lane]) != 0)) != 0,
+        })
+    }
+}
+
+/// Updates a block of at most 64 lanes, a multiple of sixteen.
+///
+/// Chunks in which a value leaves its field are not updated but named in the result: they are rare, and what happened in
+/// them has to be told lane by lane.
+#[inline(always)]
+pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
+    let mut effects = Effects::default();
+    let (u, _) = block.u.as_chunks_mut::<LANES>();
+    let (v, _) = block.v.as_chunks_mut::<LANES>();
+    let (sums, _) = block.sums.as_chunks_mut::<LANES>();
+    for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
+        match vectors.update(Chunk { u, v, sums }, shared) {
+            Some(effect) => {
+                effects.spiked |= u64::from(effect.spiked) << (index * LANES);
+                effects.active[index] = effect.active;
+                effects.busy |= effect.busy;
+            }
+            None => effects.overflowed |= 1 << index,
+        }
     }
     effects
 }
@@ -230,15 +279,30 @@ mod tests {
     }
 
     /// The kernel as the machine runs it, with the processor's widest vectors.
-    struct Run<'a, S>(Block<'a, S>, &'a Shared);
+    struct Run<'a, S, V>(Block<'a, S>, &'a Shared, V);
 
-    impl<S: Sum> pulp::NullaryFnOnce for Run<'_, S> {
+    impl<S: Sum, V: Vectors> pulp::NullaryFnOnce for Run<'_, S, V> {
         type Output = Effects;
         #[inline(always)]
         fn call(self) -> Effects {
             let mut block = self.0;
-            hardware(&mut block, self.1)
+            hardware(&mut block, self.1, self.2)
         }
+    }
+
+    /// With the vectors that the machine takes; they do to the block what the compiler's do.
+    fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &Shared) -> Effects {
+        let (mut u, mut v, mut sums) = (block.u.to_vec(), block.v.to_vec(), block.sums.to_vec());
+        let plain = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums }, shared, Portable));
+        let same = Block { u: &mut *block.u, v: &mut *block.v, sums: &mut *block.sums };
+        let effects = match arch {
+            #[cfg(target_arch = "x86_64")]
+            pulp::Arch::V4(simd) => simd.vectorize(Run(same, shared, simd)),
+            _ => arch.dispatch(Run(same, shared, Portable)),
+        };
+        assert_eq!(effects, plain);
+        assert_eq!((&*block.u, &*block.v, &*block.sums), (&u[..], &v[..], &sums[..]));
+        effects
     }
 
     /// What 48 compartments do, one by one and as vectors; returns how many spiked and how many chunks left a field.
@@ -261,7 +325,7 @@ mod tests {
         let mut v = registers.map(|r| store(r.v, r.hold));
         let (before_u, before_v) = (u, v);
         let mut sums = arrived;
-        let effects = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f)));
+        let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f));
         let mut expected = Effects::default();
         for chunk in 0..3 {
             let lanes = chunk * LANES..(chunk + 1) * LANES;

@@ -10,7 +10,7 @@ use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
 use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Stretch, Synapses};
-use crate::machine::kernel::{self, LANES, Sum};
+use crate::machine::kernel::{self, LANES, Portable, Sum, Vectors};
 use crate::machine::neuron::{Registers, update};
 use crate::machine::prefetch::{prefetch, prefetch_range};
 
@@ -46,12 +46,27 @@ pub(super) struct Step<'a> {
     pub order: Order<'a>,
 }
 
-impl pulp::NullaryFnOnce for Step<'_> {
+impl Step<'_> {
+    /// Runs it with the best that the processor has.
+    pub fn run(self, arch: pulp::Arch) {
+        match arch {
+            #[cfg(target_arch = "x86_64")]
+            pulp::Arch::V4(vectors) => vectors.vectorize(With(self, vectors)),
+            _ => arch.dispatch(With(self, Portable)),
+        }
+    }
+}
+
+/// A step and how chunks are updated in it.
+struct With<'a, V>(Step<'a>, V);
+
+impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        self.lanes.step(self.image, self.share, self.order);
+        let With(step, vectors) = self;
+        step.lanes.step(step.image, step.share, step.order, vectors);
     }
 }
 
@@ -88,6 +103,8 @@ pub(super) struct State {
     hold: Vec<u8>,
     /// Granules that are not at rest.
     busy: Vec<u64>,
+    /// Places of the compartments that spiked in the last step, in the order of blocks.
+    spiked: Vec<u32>,
     /// Compartments that spiked in the last step, in the order of lanes.
     pub spikes: Vec<CompartmentId>,
     /// Spikes of each compartment, in the order of blocks, since they were last taken.
@@ -130,6 +147,7 @@ impl Lanes {
             v: vec![0; share.lanes],
             hold: vec![0; holds],
             busy: vec![0; words],
+            spiked: Vec::new(),
             spikes: Vec::new(),
             fired: vec![0; share.blocks.iter().map(|block| block.length as usize).sum()],
             active: Vec::new(),
@@ -186,10 +204,10 @@ impl Lanes {
 
     /// Deliver and Update.
     #[inline(always)]
-    pub fn step(&mut self, image: &Image, share: &Share, order: Order) {
+    pub fn step(&mut self, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
         match &mut self.ring {
-            Sums::Narrow(ring) => self.state.step(ring, image, share, order),
-            Sums::Wide(ring) => self.state.step(ring, image, share, order),
+            Sums::Narrow(ring) => self.state.step(ring, image, share, order, vectors),
+            Sums::Wide(ring) => self.state.step(ring, image, share, order, vectors),
         }
     }
 }
@@ -439,7 +457,7 @@ impl State {
     }
 
     #[inline(always)]
-    fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order) {
+    fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
         let cursor = order.step as usize % ring.sums.len();
         let channels = Sources { ids: order.channels, first: 0 };
         let carried = Sources { ids: order.carried, first: image.channels as usize };
@@ -454,12 +472,20 @@ impl State {
             self.events_now += ring.deliver::<true, _>(share, channels, cursor, order.left);
             self.events_now += ring.deliver::<true, _>(share, carried, cursor, order.left);
         }
-        self.update(&mut ring.sums[cursor], &mut ring.arrivals[cursor], image, share, order);
+        self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, share, order, vectors);
+        self.note_spikes(image, share);
     }
 
     #[inline(always)]
-    fn update<S: Sum>(&mut self, sums: &mut [S], arrivals: &mut [u64], image: &Image, share: &Share, order: Order) {
-        self.spikes.clear();
+    fn update<S: Sum>(
+        &mut self,
+        (sums, arrivals): (&mut [S], &mut [u64]),
+        image: &Image,
+        share: &Share,
+        order: Order,
+        vectors: impl Vectors,
+    ) {
+        self.spiked.clear();
         self.active.clear();
         self.active_now = 0;
         let granules = share.granules.len() - 1;
@@ -476,7 +502,7 @@ impl State {
                 let granule = word * 64 + bit as usize;
                 for stretch in &share.stretches[share.granules[granule] as usize..share.granules[granule + 1] as usize]
                 {
-                    if self.update_stretch(sums, image, share, *stretch, order) {
+                    if self.update_stretch(sums, image, share, *stretch, order, vectors) {
                         busy |= 1 << bit;
                     }
                 }
@@ -494,6 +520,7 @@ impl State {
         share: &Share,
         stretch: Stretch,
         order: Order,
+        vectors: impl Vectors,
     ) -> bool {
         let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
         let Some(first) = blocks.first() else { return false };
@@ -506,7 +533,7 @@ impl State {
             return false;
         }
         let Some(fields) = stretch.vector else {
-            let (active, busy) = self.scalar(sums, image, share, *first, 0..first.length as usize, order);
+            let (active, busy) = self.scalar(sums, image, *first, 0..first.length as usize, order);
             self.count_active(stretch.first as usize, first, active, order);
             return busy;
         };
@@ -521,7 +548,7 @@ impl State {
         }
         let mut registers =
             kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
-        let effects = kernel::hardware(&mut registers, &image.shared[fields as usize]);
+        let effects = kernel::hardware(&mut registers, &image.shared[fields as usize], vectors);
         let mut busy = effects.busy;
         for (index, block) in (stretch.first as usize..).zip(blocks) {
             let (chunk, length) = ((block.start - first.start) as usize / LANES, block.length as usize);
@@ -529,17 +556,17 @@ impl State {
             let mut active = effects.active[chunks.clone()].iter().sum();
             let spiked = effects.spiked >> (chunk * LANES) & ones(length);
             if effects.overflowed == 0 {
-                self.spike(share, image, *block, spiked);
+                self.spike(*block, spiked);
             } else {
                 for chunk in chunks {
                     let from = chunk * LANES - (block.start - first.start) as usize;
                     let lanes = from..(from + LANES).min(length);
                     if effects.overflowed >> chunk & 1 == 1 {
-                        let (moved, moves) = self.scalar(sums, image, share, *block, lanes, order);
+                        let (moved, moves) = self.scalar(sums, image, *block, lanes, order);
                         active += moved;
                         busy |= moves;
                     } else {
-                        self.spike(share, image, *block, spiked & ones(lanes.end) & !ones(lanes.start));
+                        self.spike(*block, spiked & ones(lanes.end) & !ones(lanes.start));
                     }
                 }
             }
@@ -561,14 +588,24 @@ impl State {
         }
     }
 
-    /// Notes the spikes of a block's lanes.
+    /// Notes the spikes of a block's lanes, by place.
     #[inline(always)]
-    fn spike(&mut self, share: &Share, image: &Image, block: Block, mut lanes: u64) {
+    fn spike(&mut self, block: Block, mut lanes: u64) {
         while lanes != 0 {
-            let id = block.id as usize + lanes.trailing_zeros() as usize;
-            self.spikes.push(image.ids[id]);
-            self.fired[id - share.first_id()] += 1;
+            self.spiked.push(block.id + lanes.trailing_zeros());
             lanes &= lanes - 1;
+        }
+    }
+
+    /// Names and counts who spiked. Not while they are found: names and counts are far apart in memory, and here nothing
+    /// stands between one fetch and the next.
+    #[inline(always)]
+    fn note_spikes(&mut self, image: &Image, share: &Share) {
+        self.spikes.clear();
+        self.spikes.extend(self.spiked.iter().map(|&place| image.ids[place as usize]));
+        let first = share.first_id();
+        for &place in &self.spiked {
+            self.fired[place as usize - first] += 1;
         }
     }
 
@@ -577,7 +614,6 @@ impl State {
         &mut self,
         sums: &mut [S],
         image: &Image,
-        share: &Share,
         block: Block,
         lanes: Range<usize>,
         order: Order,
@@ -603,7 +639,7 @@ impl State {
             self.set(lane, new);
             busy |= new != Registers::default();
             if effect.spiked {
-                self.spike(share, image, block, 1 << offset);
+                self.spike(block, 1 << offset);
             }
             if effect.q_wrapped | effect.u_wrapped | effect.v_clipped {
                 self.overflow.q_wrapped += u64::from(effect.q_wrapped);

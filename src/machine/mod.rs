@@ -20,6 +20,8 @@ mod lanes;
 pub mod neuron;
 mod prefetch;
 pub mod tally;
+#[cfg(target_arch = "x86_64")]
+mod vectors;
 
 use rayon::prelude::*;
 
@@ -62,6 +64,8 @@ pub struct Machine<'i> {
     steps: u32,
     spikes: Vec<CompartmentId>,
     carried: Vec<CompartmentId>,
+    /// A bit for each compartment, clear between steps: for sorting spikes.
+    marks: Vec<u64>,
     /// Synaptic events of the last step, whose number says how much the coming one will have to deliver.
     last_events: u64,
     /// Of the sample, without the events of spikes that are still to be delivered.
@@ -90,6 +94,7 @@ impl<'i> Machine<'i> {
             steps: 0,
             spikes: Vec::new(),
             carried: Vec::new(),
+            marks: Vec::new(),
             last_events: 0,
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
@@ -205,11 +210,11 @@ impl Engine for Machine<'_> {
         };
         let arch = self.arch;
         match (self.shares.as_mut_slice(), image.shares.as_slice()) {
-            ([lanes], [share]) => arch.dispatch(Step { lanes, image, share, order }),
+            ([lanes], [share]) => Step { lanes, image, share, order }.run(arch),
             (lanes, shares) => lanes
                 .par_iter_mut()
                 .zip(shares)
-                .for_each(|(lanes, share)| arch.dispatch(Step { lanes, image, share, order })),
+                .for_each(|(lanes, share)| Step { lanes, image, share, order }.run(arch)),
         }
         self.spikes.clear();
         self.last_events = 0;
@@ -219,7 +224,7 @@ impl Engine for Machine<'_> {
             self.last_events += lanes.events_now;
         }
         if !image.in_order {
-            self.spikes.sort_unstable();
+            sort(&mut self.spikes, &mut self.marks, image.ids.len());
         }
         self.totals.spikes_in += channels.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
@@ -300,5 +305,26 @@ impl Engine for Machine<'_> {
             sum.merge(&lanes.overflow);
         }
         sum
+    }
+}
+
+/// Sorts different ids below `count`: by marking them and reading the marks in order where that is less work, which is from
+/// about an eighth of the words of marks on. Marks are all clear before and after.
+fn sort(ids: &mut Vec<CompartmentId>, marks: &mut Vec<u64>, count: usize) {
+    let words = count.div_ceil(64);
+    if ids.len() * 8 < words {
+        ids.sort_unstable();
+        return;
+    }
+    marks.resize(words, 0);
+    for id in ids.drain(..) {
+        marks[id.index() / 64] |= 1 << (id.0 % 64);
+    }
+    for (word, marks) in marks.iter_mut().enumerate() {
+        let mut left = std::mem::take(marks);
+        while left != 0 {
+            ids.push(CompartmentId(word as u32 * 64 + left.trailing_zeros()));
+            left &= left - 1;
+        }
     }
 }

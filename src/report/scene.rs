@@ -3,6 +3,8 @@
 use comfy_table::{CellAlignment, ContentArrangement, Table};
 use serde_json::{Value, json};
 
+use crate::scene::wire::Carried;
+
 /// What the samples of one class hold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Class {
@@ -33,6 +35,8 @@ pub struct SceneReport {
     pub timestep_ms: f64,
     /// By label.
     pub classes: Vec<Class>,
+    /// What the taxels' common wire did to their events, when there is one.
+    pub wire: Option<Carried>,
     /// Where the manifest is, when recordings were written.
     pub manifest: Option<String>,
 }
@@ -82,6 +86,15 @@ impl SceneReport {
             percent(self.density(0)),
             percent(self.density(1))
         );
+        if let Some(wire) = &self.wire {
+            let share = |count: u64| 100.0 * count as f64 / wire.sent.max(1) as f64;
+            out += &format!(
+                "one wire for all taxels: {} events, {:.2} % missed, {:.2} % reported that were none\n",
+                wire.sent,
+                share(wire.missed),
+                share(wire.added)
+            );
+        }
         if let Some(path) = &self.manifest {
             out += &format!("written: {path}\n");
         }
@@ -113,6 +126,12 @@ impl SceneReport {
             "touch_density": self.density(0),
             "vision_density": self.density(1),
             "classes": classes.collect::<Vec<_>>(),
+            "aces": self.wire.map(|wire| json!({
+                "events": wire.sent,
+                "missed": wire.missed,
+                "added": wire.added,
+                "error_rate": (wire.missed + wire.added) as f64 / wire.sent.max(1) as f64,
+            })),
             "manifest": self.manifest,
         })
     }

@@ -14,6 +14,7 @@ use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
+use super::wire::{self, Wire};
 use super::{MOST_SAMPLES, Recording, parameter, spread};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::stimulus::SceneArg;
@@ -130,6 +131,8 @@ pub struct Containers {
     pub skin: Skin,
     /// The camera's pixels.
     pub pixels: Pixels,
+    /// The wire that all taxels share; none when each has its own.
+    pub wire: Option<Wire>,
     /// Events that a channel needs in a bin to spike: the paper's S_min.
     pub s_min: u32,
 }
@@ -155,6 +158,7 @@ impl Default for Containers {
                 ..Skin::default()
             },
             pixels: Pixels { noise_hz: 0.01, tick_ms: TICK_MS as u16, ..Pixels::default() },
+            wire: None,
             s_min: 1,
         }
     }
@@ -264,7 +268,7 @@ impl Course {
 
 impl Containers {
     /// The parameters that can be set, for help.
-    pub const KEYS: [&str; 18] = [
+    pub const KEYS: [&str; 20] = [
         "samples",
         "seed",
         "grip_n",
@@ -283,6 +287,8 @@ impl Containers {
         "pixel_refractory_ms",
         "pixel_noise_hz",
         "s_min",
+        "aces_noise",
+        "aces_jitter_us",
     ];
 
     /// From `scene:container?..`: those of [`Containers::KEYS`] that are given; what is drawn for each sample is a value
@@ -312,6 +318,10 @@ impl Containers {
                 "pixel_refractory_ms" => set.pixels.refractory_ms = parameter(key, value, 1..=1000)?,
                 "pixel_noise_hz" => set.pixels.noise_hz = parameter(key, value, 0.0..=100.0)?,
                 "s_min" => set.s_min = parameter(key, value, 1..=1000)?,
+                "aces_noise" => set.wire.get_or_insert_default().noise = parameter(key, value, 0.0..=10.0)?,
+                "aces_jitter_us" => {
+                    set.wire.get_or_insert_default().jitter_us = parameter(key, value, 0..=wire::MOST_JITTER)?;
+                }
                 _ => {
                     return Err(Diagnostic::new(
                         "scene.parameter",
@@ -332,12 +342,24 @@ impl Containers {
         let course = self.course(draws, label);
         let ticks = STEPS * BIN_MS / TICK_MS;
         let moments: Vec<Moment> = (0..ticks).map(|k| course.at(1e-3 * f64::from(k * TICK_MS))).collect();
+        let sensed = self.touch(&course, &moments, draws);
+        // An event of a tick is sent in any of its milliseconds.
+        let spread = |tick: u32, channel| draws.bits(Purpose::Wire, channel + (1 << 19), tick) as u32 % TICK_MS;
+        let (touch, wire) = match self.wire {
+            None => (sensed, None),
+            Some(_) => {
+                let sent = sensed.into_iter().map(|(tick, channel)| (tick * TICK_MS + spread(tick, channel), channel));
+                let (decoded, wire) = Wire::between(self.wire, sent.collect(), ticks * TICK_MS, draws);
+                (decoded.into_iter().map(|(ms, channel)| (ms / TICK_MS, channel)).collect(), wire)
+            }
+        };
         Recording {
             steps: STEPS,
             label,
             onset_ms: Some(1e3 * course.contact_s),
-            touch: binned(&self.touch(&course, &moments, draws), self.s_min),
+            touch: binned(&touch, self.s_min),
             vision: binned(&self.vision(&course, &moments, draws), self.s_min),
+            wire,
         }
     }
 

@@ -10,6 +10,7 @@ pub mod gripper;
 pub mod noise;
 pub mod slip;
 pub mod touch;
+pub mod wire;
 
 use rayon::prelude::*;
 
@@ -45,6 +46,8 @@ pub struct Recording {
     pub touch: Vec<(u32, u32)>,
     /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.
     pub vision: Vec<(u32, u32)>,
+    /// What the taxels' common wire did to the events of touch, when there is one.
+    pub wire: Option<wire::Carried>,
 }
 
 /// The population that touch is for, and its channels.

@@ -14,6 +14,7 @@ use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::{Grasp, Motion, State, follow};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
+use super::wire::{self, Wire};
 use super::{MOST_SAMPLES, parameter, spread};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::stimulus::SceneArg;
@@ -60,6 +61,8 @@ pub struct Slip {
     pub skin: Skin,
     /// The camera's pixels.
     pub pixels: Pixels,
+    /// The wire that all taxels share; none when each has its own.
+    pub wire: Option<Wire>,
 }
 
 impl Default for Slip {
@@ -79,13 +82,14 @@ impl Default for Slip {
             relief: (0.05, 0.2),
             skin: Skin::default(),
             pixels: Pixels::default(),
+            wire: None,
         }
     }
 }
 
 impl Slip {
     /// The parameters that can be set, for help.
-    pub const KEYS: [&str; 19] = [
+    pub const KEYS: [&str; 21] = [
         "samples",
         "seed",
         "mass_kg",
@@ -105,6 +109,8 @@ impl Slip {
         "pixel_refractory_ms",
         "pixel_noise_hz",
         "adaptation_ms",
+        "aces_noise",
+        "aces_jitter_us",
     ];
 
     /// From `scene:slip?..`: those of [`Slip::KEYS`] that are given; what is drawn for each sample is a value or
@@ -135,6 +141,10 @@ impl Slip {
                 "contrast" => slip.pixels.contrast = parameter(key, value, 0.01..=10.0)?,
                 "pixel_refractory_ms" => slip.pixels.refractory_ms = parameter(key, value, 1..=1000)?,
                 "pixel_noise_hz" => slip.pixels.noise_hz = parameter(key, value, 0.0..=100.0)?,
+                "aces_noise" => slip.wire.get_or_insert_default().noise = parameter(key, value, 0.0..=10.0)?,
+                "aces_jitter_us" => {
+                    slip.wire.get_or_insert_default().jitter_us = parameter(key, value, 0..=wire::MOST_JITTER)?;
+                }
                 _ => {
                     return Err(Diagnostic::new("scene.parameter", format!("scene slip has no parameter '{key}'"))
                         .help(format!("parameters are: {}", Self::KEYS.join(", "))));
@@ -150,12 +160,15 @@ impl Slip {
         let (grasp, motion) = self.course(sample);
         let draws = Draws::new(self.seed, sample);
         let vibration = Vibration::draw(self, draws);
+        let sensed = touch(self, &grasp, &motion, vibration, draws);
+        let (touch, wire) = Wire::between(self.wire, sensed, STEPS, draws);
         Recording {
             steps: STEPS,
             label: u32::from(motion.onset_ms.is_some()),
             onset_ms: motion.onset_ms,
-            touch: touch(self, &grasp, &motion, vibration, draws),
+            touch,
             vision: vision(self, &grasp, &motion, vibration, draws),
+            wire,
         }
     }
 

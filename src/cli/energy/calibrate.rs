@@ -160,7 +160,14 @@ pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, E
     };
     let workload = Workload::new(&job, table.copies, &args.input)?;
     let start = args.constants.as_deref().unwrap_or(&table.start.value);
-    let start = io::target::load_constants(start)?;
+    let mut start = io::target::load_constants(start)?;
+    if args.constants.is_none() {
+        for given in &table.given {
+            if let Some(constant) = start.get_mut(&given.constant.value) {
+                *constant = given.is.clone();
+            }
+        }
+    }
     let place = DeploymentArg::from(table.deployment.as_str());
     let deployment = deployment(&place, table.copies, &workload.compiled.placement, workload.target)?;
     let bench = Bench { args, table: &table, workload: &workload, deployment, context };

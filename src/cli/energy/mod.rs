@@ -446,7 +446,7 @@ mod tests {
         assert_eq!(rows[3]["low"], serde_json::Value::Null);
         let parts: Vec<&String> = json["breakdown_pj_per_timestep"].as_object().unwrap().keys().collect();
         assert_eq!(parts, ["synapse", "dendrite", "compartment", "spike", "axon_out", "axon_in", "hop", "core_step"]);
-        assert_eq!(json["constants"].as_array().unwrap().len(), 32 + 6);
+        assert_eq!(json["constants"].as_array().unwrap().len(), 33 + 6);
         assert_eq!(json["constants"][0]["status"], "calibrated");
         assert_eq!(json["constants"][0]["unit"], "pJ");
     }

@@ -1,0 +1,256 @@
+//! One wire for all taxels: events as overlapping pulse signatures, told apart by correlation.
+//!
+//! The NeuTouch finger is read out so (ACES; Taunyazov et al. 2020, section III): every taxel answers with its own pattern
+//! of pulses whenever it likes, patterns add up on the wire, and a decoder correlates what arrives with each pattern.
+//! Comes in: events by millisecond and channel. Goes out: the events that the decoder reports, and how many it missed or
+//! made up. Left out: the shape of a pulse and delays along the wire.
+//!
+//! A slot is 1 us. A signature has ten pulses in 1,000 slots, one in each 100, at places that the device is built with
+//! (assumed; the seed of a scene does not change them). An event starts anywhere in its millisecond, and each pulse is off by up to
+//! the jitter. In every slot the wire carries the number of pulses plus noise; half a pulse is the threshold. A channel is
+//! reported where nine of its ten pulses at least are within the jitter of their places, at most once in 1,000 slots.
+
+use super::draw::{Draws, Purpose};
+use super::touch::TAXELS;
+
+/// Pulses of a signature.
+const PULSES: usize = 10;
+/// Slots of a signature, and of a millisecond.
+const SLOTS: usize = 1000;
+/// The most jitter, in slots: beyond it half of the places of a signature would do.
+pub const MOST_JITTER: u32 = 25;
+
+/// A wire.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wire {
+    /// Standard deviation of the noise in a slot, in amplitudes of a pulse.
+    pub noise: f64,
+    /// How far a pulse may be off, in us either way.
+    pub jitter_us: u32,
+}
+
+/// What became of the events.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Carried {
+    /// Events that were sent.
+    pub sent: u64,
+    /// Of them, those that were not reported within a millisecond.
+    pub missed: u64,
+    /// Reports without an event.
+    pub added: u64,
+}
+
+impl std::ops::AddAssign for Carried {
+    fn add_assign(&mut self, other: Carried) {
+        self.sent += other.sent;
+        self.missed += other.missed;
+        self.added += other.added;
+    }
+}
+
+/// Places of a channel's pulses.
+fn signature(channel: u32) -> [usize; PULSES] {
+    let cell = SLOTS / PULSES;
+    let device = Draws::new(0, 0);
+    std::array::from_fn(|p| cell * p + (device.bits(Purpose::Wire, channel, p as u32) % cell as u64) as usize)
+}
+
+impl Default for Wire {
+    fn default() -> Self {
+        Wire { noise: 0.1, jitter_us: 1 }
+    }
+}
+
+impl Wire {
+    /// Events of touch, (ms, channel), over a wire if there is one.
+    #[must_use]
+    pub fn between(
+        wire: Option<Wire>,
+        events: Vec<(u32, u32)>,
+        end_ms: u32,
+        draws: Draws,
+    ) -> (Vec<(u32, u32)>, Option<Carried>) {
+        match wire {
+            None => (events, None),
+            Some(wire) => {
+                let (decoded, carried) = wire.carry(&events, 4 * TAXELS as u32, end_ms, draws);
+                (decoded, Some(carried))
+            }
+        }
+    }
+
+    /// Sends events, (ms, channel), of a recording of `end_ms` and decodes them again, in order of time and channel.
+    #[must_use]
+    pub fn carry(&self, events: &[(u32, u32)], channels: u32, end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
+        let seen = self.seen(events, end_ms, draws);
+        let mut reported = Vec::new();
+        for channel in 0..channels {
+            let mut free = 0;
+            let mut run: Option<(usize, usize)> = None;
+            let mut end = |run: (usize, usize)| {
+                let middle = usize::midpoint(run.0, run.1);
+                if middle >= free {
+                    reported.push((((middle / SLOTS) as u32).min(end_ms.saturating_sub(1)), channel));
+                    free = middle + SLOTS;
+                }
+            };
+            for (word, mut found) in matches(&seen, &signature(channel)) {
+                while found != 0 {
+                    let slot = 64 * word + found.trailing_zeros() as usize;
+                    found &= found - 1;
+                    run = match run {
+                        Some((first, last)) if last + 1 == slot => Some((first, slot)),
+                        before => {
+                            before.into_iter().for_each(&mut end);
+                            Some((slot, slot))
+                        }
+                    };
+                }
+            }
+            run.into_iter().for_each(&mut end);
+        }
+        reported.sort_unstable();
+        let carried = compared(events, &reported, channels);
+        (reported, carried)
+    }
+
+    /// For each slot whether a pulse is within the jitter of it, as bits.
+    fn seen(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> Vec<u64> {
+        let jitter = self.jitter_us as usize;
+        // The last events begin in the last millisecond and take one more.
+        let slots = (end_ms as usize + 2) * SLOTS + 2 * jitter;
+        let mut pulses = vec![0u8; slots];
+        for &(ms, channel) in events {
+            let begin = ms as usize * SLOTS + (draws.bits(Purpose::Wire, channel, ms) % SLOTS as u64) as usize;
+            for (p, place) in signature(channel).into_iter().enumerate() {
+                let drawn = draws.bits(Purpose::Wire, channel + (1 + p as u32) * 4096, ms);
+                let off = (drawn % (2 * jitter as u64 + 1)) as usize;
+                let at = (begin + place + off).saturating_sub(jitter);
+                if let Some(pulse) = pulses.get_mut(at) {
+                    *pulse = pulse.saturating_add(1);
+                }
+            }
+        }
+        let mut seen = vec![0u64; slots.div_ceil(64) + SLOTS / 64 + 2];
+        for (slot, &pulses) in pulses.iter().enumerate() {
+            let noise = match self.noise {
+                0.0 => 0.0,
+                noise => noise * draws.normal(Purpose::Wire, 1 << 20, slot as u32),
+            };
+            if f64::from(pulses) + noise > 0.5 {
+                for near in slot.saturating_sub(jitter)..=(slot + jitter).min(slots - 1) {
+                    seen[near / 64] |= 1 << (near % 64);
+                }
+            }
+        }
+        seen
+    }
+}
+
+/// Slots, as words of bits, at which nine pulses of a signature at least are seen.
+fn matches<'a>(seen: &'a [u64], signature: &'a [usize; PULSES]) -> impl Iterator<Item = (usize, u64)> + 'a {
+    let words = seen.len().saturating_sub(SLOTS / 64 + 2);
+    (0..words).map(move |word| {
+        let (mut all, mut but_one) = (u64::MAX, 0);
+        for &place in signature {
+            let (skip, shift) = (word + place / 64, place % 64);
+            let high = if shift == 0 { 0 } else { seen[skip + 1] << (64 - shift) };
+            let there = seen[skip] >> shift | high;
+            but_one = but_one & there | all & !there;
+            all &= there;
+        }
+        (word, all | but_one)
+    })
+}
+
+/// Each report takes the first event of its channel that it is within a millisecond of.
+fn compared(sent: &[(u32, u32)], reported: &[(u32, u32)], channels: u32) -> Carried {
+    let of = |events: &[(u32, u32)]| {
+        let mut times = vec![Vec::new(); channels as usize];
+        for &(ms, channel) in events {
+            times[channel as usize].push(ms);
+        }
+        times.iter_mut().for_each(|times| times.sort_unstable());
+        times
+    };
+    let mut carried = Carried { sent: sent.len() as u64, ..Carried::default() };
+    for (sent, reported) in of(sent).into_iter().zip(of(reported)) {
+        let mut sent = sent.into_iter().peekable();
+        for report in reported {
+            while sent.next_if(|&ms| ms + 1 < report).is_some() {
+                carried.missed += 1;
+            }
+            if sent.next_if(|&ms| ms <= report + 1).is_none() {
+                carried.added += 1;
+            }
+        }
+        carried.missed += sent.count() as u64;
+    }
+    carried
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Events at a rate, each channel resting for four milliseconds after one.
+    fn events(channels: u32, end_ms: u32, rate: f64) -> Vec<(u32, u32)> {
+        let draws = Draws::new(9, 9);
+        let mut rests = vec![0; channels as usize];
+        let all = (0..end_ms).flat_map(|ms| (0..channels).map(move |channel| (ms, channel)));
+        all.filter(|&(ms, channel)| {
+            let sent = ms >= rests[channel as usize] && draws.unit(Purpose::Look, channel, ms) < rate;
+            if sent {
+                rests[channel as usize] = ms + 4;
+            }
+            sent
+        })
+        .collect()
+    }
+
+    #[test]
+    fn sparse_events_on_a_quiet_wire_all_arrive_once() {
+        let sent = events(156, 60, 0.01);
+        assert!(sent.len() > 50);
+        let (reported, carried) = Wire { noise: 0.0, jitter_us: 0 }.carry(&sent, 156, 60, Draws::new(1, 0));
+        assert_eq!((reported, carried), (sent.clone(), Carried { sent: sent.len() as u64, ..Carried::default() }));
+        let (_, jittered) = Wire { noise: 0.1, jitter_us: 1 }.carry(&sent, 156, 60, Draws::new(1, 0));
+        assert_eq!((jittered.missed, jittered.added), (0, 0));
+        assert_eq!(Wire { noise: 0.0, jitter_us: 0 }.carry(&[], 156, 60, Draws::new(1, 0)).0, []);
+    }
+
+    /// The decoder's words of bits against counting every pulse of every signature at every slot.
+    #[test]
+    fn words_of_bits_find_what_counting_finds() {
+        let wire = Wire { noise: 0.2, jitter_us: 2 };
+        let sent = events(40, 12, 0.15);
+        let seen = wire.seen(&sent, 12, Draws::new(2, 3));
+        let bit = |slot: usize| seen[slot / 64] >> (slot % 64) & 1 == 1;
+        let mut found = 0;
+        for channel in 0..40 {
+            let places = signature(channel);
+            for (word, bits) in matches(&seen, &places) {
+                for k in 0..64 {
+                    let slot = 64 * word + k;
+                    let pulses = places.iter().filter(|&&place| bit(slot + place)).count();
+                    assert_eq!(bits >> k & 1 == 1, pulses >= 9, "channel {channel}, slot {slot}");
+                    found += usize::from(pulses >= 9);
+                }
+            }
+        }
+        assert!(found > sent.len());
+    }
+
+    #[test]
+    fn noise_and_crowds_cost_events() {
+        let carried = |noise: f64, rate: f64| {
+            Wire { noise, jitter_us: 1 }.carry(&events(156, 40, rate), 156, 40, Draws::new(1, 0)).1
+        };
+        let errors = |carried: Carried| (carried.missed + carried.added) as f64 / carried.sent as f64;
+        let (quiet, noisy, crowded) = (carried(0.1, 0.02), carried(0.4, 0.02), carried(0.1, 0.9));
+        assert!(
+            errors(quiet) < 0.01 && errors(noisy) > 0.1 && errors(crowded) > errors(quiet),
+            "{quiet:?} {noisy:?} {crowded:?}"
+        );
+    }
+}
