@@ -157,7 +157,8 @@ fn by_kernels(
         let described = described::describe(bench.network.clone(), target, &options)
             .map_err(|error| Failure::Compile(case.name, strategy.name(), Box::new(error)))?;
         let seconds = begin.elapsed().as_secs_f64();
-        let score = described.score(target).map_err(|error| Failure::Run(case.name, error.to_string()))?;
+        let traffic = described.traffic();
+        let score = described.score(&traffic, target).map_err(|error| Failure::Run(case.name, error.to_string()))?;
         row(Mapped {
             network: case.name,
             strategy,
@@ -165,7 +166,7 @@ fn by_kernels(
             objective: options.objective,
             cores: described.partition.cores() as u32,
             chips: described.placement.chips_used(),
-            traffic: described.traffic(),
+            traffic,
             simulated: false,
             energy_uj: score.energy_uj,
             step_us: score.step_us,

@@ -6,18 +6,22 @@
 //! longer than this one, since spikes come together; which of two mappings is better is what it is for.
 
 use std::cmp::Ordering;
+use std::ops::Range;
+
+use rayon::prelude::*;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{ChannelId, CoreId, Id};
 use crate::base::units::Picoseconds;
 use crate::compile::rates::{Rates, UNIT};
-use crate::compile::traffic::{Traffic, traffic};
+use crate::compile::traffic::{Traffic, parts, traffic};
 use crate::compile::{Compiled, Objective};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::model::{core_time, route_time, step_energy};
 use crate::desc::target::Target;
 use crate::ir::activity::StepActivity;
-use crate::ir::placement::Placement;
+use crate::ir::placement::{Placement, Site};
 use crate::ir::program::{AxonTarget, Program};
 
 /// What a mapping is expected to be worth.
@@ -48,9 +52,21 @@ pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> 
 /// # Errors
 /// As [`score`].
 pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<Score, Diagnostic> {
+    score_with(compiled, rates, &traffic(&compiled.program, rates), target)
+}
+
+/// [`score_at`] where the traffic at these rates is known.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_with(
+    compiled: &Compiled,
+    rates: &Rates,
+    traffic: &Traffic,
+    target: &Target,
+) -> Result<Score, Diagnostic> {
     let activity = expected(&compiled.program, rates);
-    let traffic = traffic(&compiled.program, rates);
-    score_of(&activity, &traffic, &compiled.placement, target, compiled.options.copies)
+    score_of(&activity, traffic, &compiled.placement, target, compiled.options.copies)
 }
 
 /// The expected cost of what happens in as many steps as rates count, and of the traffic of one.
@@ -88,13 +104,15 @@ pub fn score_of(
     })
 }
 
+/// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends on threads.
+const PARTS: usize = 8;
+
 /// Expected counts of as many steps as rates count.
 fn expected(program: &Program, rates: &Rates) -> StepActivity {
-    let mut sum = StepActivity::new(program.cores().len());
+    let cores = program.cores().as_slice();
     // Synaptic events of one spike over each input axon: (dense, with indices).
-    let events: Vec<Vec<(u32, u32)>> = program
-        .cores()
-        .iter()
+    let events: Vec<Vec<(u32, u32)>> = cores
+        .par_iter()
         .map(|image| {
             let of = |list: &[crate::ir::program::Synapse]| {
                 let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
@@ -103,38 +121,53 @@ fn expected(program: &Program, rates: &Rates) -> StepActivity {
             image.synapses.iter().map(of).collect()
         })
         .collect();
+    let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
     let arrive = |sum: &mut StepActivity, message: &AxonTarget, rate: u64| {
-        let (dense, sparse) = events[message.core.0 as usize][usize::from(message.axon)];
+        let (dense, sparse) = events[message.core.index()][usize::from(message.axon)];
         let core = &mut sum.cores[message.core];
         core.messages_in += rate;
         core.events_dense += u64::from(dense) * rate;
         core.events_sparse += u64::from(sparse) * rate;
     };
-    for (core, image) in program.cores().enumerate() {
-        for (slot, messages) in image.axons_out.iter().enumerate() {
-            let rate = rates.of(program.channels() + image.ids[slot].0);
-            sum.cores[core].spikes += rate;
-            sum.cores[core].messages_out += rate * messages.len() as u64;
+    let of_cores = |part: Range<usize>| {
+        let mut sum = StepActivity::new(cores.len());
+        for (core, image) in part.clone().zip(&cores[part]) {
+            let core = CoreId::new(core);
+            for (slot, messages) in image.axons_out.iter().enumerate() {
+                let rate = rates.of(program.channels() + image.ids[slot].0);
+                sum.cores[core].spikes += rate;
+                sum.cores[core].messages_out += rate * messages.len() as u64;
+                for message in messages {
+                    arrive(&mut sum, message, rate);
+                    sum.add_routes(program.mesh().route(image.site, sites[message.core.index()]), rate);
+                }
+            }
+            let steps = image.compartments.len() as u64 * UNIT as u64;
+            sum.cores[core].visited += steps;
+            sum.cores[core].active += steps;
+        }
+        sum
+    };
+    let of_channels = |part: Range<usize>| {
+        let mut sum = StepActivity::new(cores.len());
+        for channel in part {
+            let (rate, messages) = (rates.of(channel as u32), program.channel(ChannelId::new(channel)));
+            sum.spikes_in += rate;
+            sum.messages_from_inputs += rate * messages.len() as u64;
             for message in messages {
                 arrive(&mut sum, message, rate);
-                let route = program.mesh().route(image.site, program.cores()[message.core].site);
-                sum.add_routes(route, rate);
+                sum.add_routes(program.mesh().route_from_corner(sites[message.core.index()]), rate);
             }
         }
-        let steps = image.compartments.len() as u64 * UNIT as u64;
-        sum.cores[core].visited += steps;
-        sum.cores[core].active += steps;
-    }
-    for (channel, messages) in program.parts().channels.iter().enumerate() {
-        let rate = rates.of(channel as u32);
-        sum.spikes_in += rate;
-        sum.messages_from_inputs += rate * messages.len() as u64;
-        for message in messages {
-            arrive(&mut sum, message, rate);
-            sum.add_routes(program.mesh().route_from_corner(program.cores()[message.core].site), rate);
-        }
-    }
-    sum
+        sum
+    };
+    let none = || StepActivity::new(cores.len());
+    let together = |mut a: StepActivity, b: StepActivity| {
+        a.merge(&b);
+        a
+    };
+    let channels = parts(program.channels() as usize, PARTS).into_par_iter().map(of_channels);
+    parts(cores.len(), PARTS).into_par_iter().map(of_cores).chain(channels).reduce(none, together)
 }
 
 impl Score {

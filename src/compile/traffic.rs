@@ -7,9 +7,12 @@
 //! is copied where ways part crosses each link once, however many of its messages do: those are multicast hops. Everything
 //! is counted in whole numbers ([`Rates`]) before it is brought to a step.
 
+use std::ops::Range;
+
+use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::base::id::CoreId;
+use crate::base::id::{ChannelId, CoreId, Id};
 use crate::compile::place::nets::Columns;
 use crate::compile::rates::{Rates, UNIT};
 use crate::ir::placement::{Mesh, Placement, Site};
@@ -170,19 +173,40 @@ fn counted<T: Iterator<Item = CoreId> + Clone>(
     counts
 }
 
+/// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends on threads.
+const PARTS: usize = 8;
+
+/// So many items in at most so many ranges of nearly the same size.
+pub(super) fn parts(items: usize, parts: usize) -> Vec<Range<usize>> {
+    let size = items.div_ceil(parts).max(1);
+    (0..items).step_by(size).map(|from| from..(from + size).min(items)).collect()
+}
+
 fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
-    let mut counts = Counts::new(program.mesh());
-    let site = |message: &AxonTarget| program.cores()[message.core].site;
-    for (core, image) in program.cores().enumerate() {
-        for (slot, messages) in image.axons_out.iter().enumerate() {
-            let weight = rates.of(program.channels() + image.ids[slot].0);
-            counts.spikes(core, image.site, messages.iter().map(|m| (m.core, site(m))), weight);
+    let cores = program.cores().as_slice();
+    let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
+    let site = |message: &AxonTarget| sites[message.core.index()];
+    let of_cores = |part: Range<usize>| {
+        let mut counts = Counts::new(program.mesh());
+        for (core, image) in part.clone().zip(&cores[part]) {
+            for (slot, messages) in image.axons_out.iter().enumerate() {
+                let weight = rates.of(program.channels() + image.ids[slot].0);
+                counts.spikes(CoreId::new(core), image.site, messages.iter().map(|m| (m.core, site(m))), weight);
+            }
         }
-    }
-    for (channel, messages) in program.parts().channels.iter().enumerate() {
-        counts.inputs(messages.iter().map(site), rates.of(channel as u32));
-    }
-    counts
+        counts
+    };
+    let of_channels = |part: Range<usize>| {
+        let mut counts = Counts::new(program.mesh());
+        for channel in part {
+            let messages = program.channel(ChannelId::new(channel));
+            counts.inputs(messages.iter().map(site), rates.of(channel as u32));
+        }
+        counts
+    };
+    let channels = parts(program.channels() as usize, PARTS).into_par_iter().map(of_channels);
+    let all = parts(cores.len(), PARTS).into_par_iter().map(of_cores).chain(channels);
+    all.reduce(|| Counts::new(program.mesh()), Counts::together)
 }
 
 impl<'a> Counts<'a> {
@@ -191,6 +215,16 @@ impl<'a> Counts<'a> {
         let (of_rows, of_columns) = (|| Lines::new(rows, columns), || Lines::new(columns, rows));
         let lines = [of_rows(), of_rows(), of_columns(), of_columns()];
         Counts { mesh, lines, cut: 0, multicast: 0, tree: Columns::new(mesh), of_chip: Vec::new() }
+    }
+
+    /// What both have counted.
+    fn together(mut self, other: Self) -> Self {
+        for (lines, others) in self.lines.iter_mut().zip(&other.lines) {
+            lines.differences.iter_mut().zip(&others.differences).for_each(|(sum, other)| *sum += other);
+        }
+        self.cut += other.cut;
+        self.multicast += other.multicast;
+        self
     }
 
     fn add(&mut self, (fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64) {
