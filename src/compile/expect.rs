@@ -59,12 +59,7 @@ pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<S
 ///
 /// # Errors
 /// As [`score`].
-pub fn score_with(
-    compiled: &Compiled,
-    rates: &Rates,
-    traffic: &Traffic,
-    target: &Target,
-) -> Result<Score, Diagnostic> {
+pub fn score_with(compiled: &Compiled, rates: &Rates, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
     let activity = expected(&compiled.program, rates);
     score_of(&activity, traffic, &compiled.placement, target, compiled.options.copies)
 }
@@ -110,25 +105,7 @@ const PARTS: usize = 8;
 /// Expected counts of as many steps as rates count.
 fn expected(program: &Program, rates: &Rates) -> StepActivity {
     let cores = program.cores().as_slice();
-    // Synaptic events of one spike over each input axon: (dense, with indices).
-    let events: Vec<Vec<(u32, u32)>> = cores
-        .par_iter()
-        .map(|image| {
-            let of = |list: &[crate::ir::program::Synapse]| {
-                let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
-                (dense as u32, (list.len() - dense) as u32)
-            };
-            image.synapses.iter().map(of).collect()
-        })
-        .collect();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
-    let arrive = |sum: &mut StepActivity, message: &AxonTarget, rate: u64| {
-        let (dense, sparse) = events[message.core.index()][usize::from(message.axon)];
-        let core = &mut sum.cores[message.core];
-        core.messages_in += rate;
-        core.events_dense += u64::from(dense) * rate;
-        core.events_sparse += u64::from(sparse) * rate;
-    };
     let of_cores = |part: Range<usize>| {
         let mut sum = StepActivity::new(cores.len());
         for (core, image) in part.clone().zip(&cores[part]) {
@@ -138,7 +115,6 @@ fn expected(program: &Program, rates: &Rates) -> StepActivity {
                 sum.cores[core].spikes += rate;
                 sum.cores[core].messages_out += rate * messages.len() as u64;
                 for message in messages {
-                    arrive(&mut sum, message, rate);
                     sum.add_routes(program.mesh().route(image.site, sites[message.core.index()]), rate);
                 }
             }
@@ -155,7 +131,6 @@ fn expected(program: &Program, rates: &Rates) -> StepActivity {
             sum.spikes_in += rate;
             sum.messages_from_inputs += rate * messages.len() as u64;
             for message in messages {
-                arrive(&mut sum, message, rate);
                 sum.add_routes(program.mesh().route_from_corner(sites[message.core.index()]), rate);
             }
         }
@@ -167,7 +142,43 @@ fn expected(program: &Program, rates: &Rates) -> StepActivity {
         a
     };
     let channels = parts(program.channels() as usize, PARTS).into_par_iter().map(of_channels);
-    parts(cores.len(), PARTS).into_par_iter().map(of_cores).chain(channels).reduce(none, together)
+    let mut sum = parts(cores.len(), PARTS).into_par_iter().map(of_cores).chain(channels).reduce(none, together);
+    arrive(&mut sum, program, rates);
+    sum
+}
+
+/// Adds what arrives at each core: an input axon is the end of one message, so it has the rate of one source.
+fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
+    let cores = program.cores().as_slice();
+    let of_axons = match rates {
+        Rates::Assumed(_) => None,
+        Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
+    };
+    sum.cores.as_mut_slice().par_iter_mut().zip(cores).enumerate().for_each(|(core, (counts, image))| {
+        for (axon, list) in image.synapses.iter().enumerate() {
+            let rate = of_axons.as_ref().map_or_else(|| rates.of(0), |of_axons| of_axons[core][axon]);
+            let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
+            counts.messages_in += rate;
+            counts.events_dense += dense as u64 * rate;
+            counts.events_sparse += (list.len() - dense) as u64 * rate;
+        }
+    });
+}
+
+/// The rate of the source that leads to each input axon, by core.
+fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
+    let mut of_axons: Vec<Vec<u64>> = program.cores().iter().map(|image| vec![0; image.synapses.len()]).collect();
+    let mut leads = |message: &AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
+    for image in program.cores() {
+        for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {
+            let rate = rates.of(program.channels() + id.0);
+            messages.iter().for_each(|message| leads(message, rate));
+        }
+    }
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        messages.iter().for_each(|message| leads(message, rates.of(channel as u32)));
+    }
+    of_axons
 }
 
 impl Score {
@@ -190,5 +201,28 @@ impl Score {
         let pairs =
             [(self.cores as f64, other.cores as f64), (self.energy_uj, other.energy_uj), (self.step_us, other.step_us)];
         pairs.iter().all(|(a, b)| a <= b) && pairs.iter().any(|(a, b)| a < b)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::testing::{limits, random_network, target};
+    use crate::compile::{Options, compile_quantised};
+
+    #[test]
+    fn one_rate_for_all_is_the_same_as_that_rate_of_each() {
+        for seed in 0..20 {
+            let target = target(2, 2, limits());
+            let compiled = compile_quantised(random_network(seed), &target, &Options::default()).unwrap();
+            let (network, one) = (&compiled.quantised, Rates::assumed(0.25));
+            let each = |units: u32| vec![1; units as usize];
+            let of_each = Rates::profile(&each(network.channels()), &each(network.compartments()), 4);
+            let counts = expected(&compiled.program, &one);
+            assert_eq!(counts, expected(&compiled.program, &of_each), "seed {seed}");
+            let (sent, arrived): (u64, u64) =
+                counts.cores.iter().fold((0, 0), |sum, core| (sum.0 + core.messages_out, sum.1 + core.messages_in));
+            assert_eq!(sent + counts.messages_from_inputs, arrived, "seed {seed}");
+        }
     }
 }

@@ -206,7 +206,7 @@ fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
     };
     let channels = parts(program.channels() as usize, PARTS).into_par_iter().map(of_channels);
     let all = parts(cores.len(), PARTS).into_par_iter().map(of_cores).chain(channels);
-    all.reduce(|| Counts::new(program.mesh()), Counts::together)
+    all.reduce(|| Counts::new(program.mesh()), |a, b| a.together(&b))
 }
 
 impl<'a> Counts<'a> {
@@ -218,7 +218,7 @@ impl<'a> Counts<'a> {
     }
 
     /// What both have counted.
-    fn together(mut self, other: Self) -> Self {
+    fn together(mut self, other: &Self) -> Self {
         for (lines, others) in self.lines.iter_mut().zip(&other.lines) {
             lines.differences.iter_mut().zip(&others.differences).for_each(|(sum, other)| *sum += other);
         }
