@@ -318,11 +318,11 @@ impl Described {
         traffic::links_of_flows(&self.placement, self.flows())
     }
 
-    /// What a mean step is expected to cost.
+    /// What a mean step with this traffic is expected to cost.
     ///
     /// # Errors
     /// As [`expect::score`].
-    pub fn score(&self, target: &Target) -> Result<Score, Diagnostic> {
+    pub fn score(&self, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
         let mut sum = StepActivity::new(self.partition.cores());
         let rate = self.rates.of(0);
         for (core, used) in self.uses.iter().enumerate() {
@@ -352,7 +352,6 @@ impl Described {
                 sum.add_routes(route, weight);
             }
         }
-        let busiest = self.traffic().max_link_load;
-        expect::score_of(&sum, busiest, &self.placement, target, self.options.copies)
+        expect::score_of(&sum, traffic, &self.placement, target, self.options.copies)
     }
 }
