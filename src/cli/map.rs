@@ -221,14 +221,7 @@ fn not_described(args: &MapArgs, network: &Quantised) -> Result<(), Diagnostic> 
     let asked =
         [(args.output.is_some(), "-o"), (args.pareto.is_some(), "--pareto"), (!args.profile.is_empty(), "--profile")];
     match asked.into_iter().find(|(asked, _)| *asked) {
-        Some((_, option)) => {
-            let synapses = network.synapses();
-            let message =
-                format!("{option} needs the {synapses} synapses of the network written out, which are too many");
-            let help =
-                format!("networks of more than {} synapses are mapped by their kernels alone", described::MOST_WRITTEN);
-            Err(Diagnostic::new("map.described", message).help(help))
-        }
+        Some((_, option)) => Err(described::needs_synapses(option, network)),
         None => Ok(()),
     }
 }

@@ -69,6 +69,15 @@ pub struct Described {
     pub rates: Rates,
 }
 
+/// Why something that needs every synapse of such a network cannot be done.
+#[must_use]
+pub fn needs_synapses(what: &str, network: &Quantised) -> Diagnostic {
+    let synapses = network.synapses();
+    let message = format!("{what} needs the {synapses} synapses of the network written out, which are too many");
+    let help = format!("networks of more than {MOST_WRITTEN} synapses are mapped by their kernels alone");
+    Diagnostic::new("map.described", message).help(help)
+}
+
 /// Whether a network is so large that it is described, and made of layers so that it can be.
 #[must_use]
 pub fn applies(one: &Quantised, options: &Options) -> bool {
