@@ -627,6 +627,26 @@ fn what_other_tools_wrote_is_inspected() {
     }
 }
 
+/// Eight thousand million synapses, said in a line: no program is begun that memory would not hold.
+#[test]
+fn a_network_too_large_to_write_out_is_refused_where_its_program_is_needed() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = "Network(name: \"wide\", timestep_ms: 1.0,
+        populations: [
+            Input(name: \"in\", shape: [1, 600, 600]),
+            Loihi(name: \"out\", shape: [1, 301, 301], du: 1, dv: 1, vth_mant: 1),
+        ],
+        projections: [SumPool2d(from: [\"in\"], to: \"out\", kernel: (300, 300), stride: (1, 1), weight: 1)],
+        output: \"out\",
+    )";
+    let model = write(folder.path(), "wide.ron", model);
+    for arguments in [vec!["run", &model, "--engine", "fast"], vec!["map", &model, "--pareto", "front.svg"]] {
+        let (status, _, stderr) = said(&arguments);
+        assert_eq!(status, 3, "{stderr}");
+        assert!(stderr.contains("8154090000 synapses") && stderr.contains("map.described"), "{stderr}");
+    }
+}
+
 /// A target and its chip may have one name, each in its folder.
 #[test]
 fn a_target_that_is_named_as_its_chip_finds_it() {
