@@ -22,6 +22,8 @@ const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
 const MOST_TEXT: usize = 60;
 /// Rows of a table; files may hold a group for each of very many nodes.
 const MOST_ROWS: usize = 1 << 12;
+/// Numbers of a checkpoint that are looked at for their range: many tensors may share one storage.
+const MOST_NUMBERS: usize = 1 << 28;
 
 /// A network or a checkpoint.
 ///
@@ -48,9 +50,19 @@ pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
             let mut checkpoint = torch::open(bytes).map_err(in_file)?;
             let entries: Vec<(String, Vec<usize>)> =
                 checkpoint.entries().map(|(name, shape)| (name.to_string(), shape.to_vec())).collect();
+            let mut left = MOST_NUMBERS;
             for (name, shape) in entries.into_iter().take(MOST_ROWS) {
-                let numbers = checkpoint.tensor(&name).map_err(in_file)?;
-                rows.push(array_row(&name, checkpoint.dtype(&name).unwrap_or("-"), &shape, numbers.into_iter()));
+                let dtype = checkpoint.dtype(&name).unwrap_or("-");
+                let count = shape.iter().fold(1usize, |product, &axis| product.saturating_mul(axis));
+                rows.push(match left.checked_sub(count).map(|rest| (rest, checkpoint.tensor(&name))) {
+                    Some((rest, Ok(numbers))) => {
+                        left = rest;
+                        array_row(&name, dtype, &shape, numbers.into_iter())
+                    }
+                    // What cannot be read of one says nothing of the others.
+                    Some((_, Err(problem))) => bare_row(&name, Some(dtype), Some(&shape), Some(&problem.message)),
+                    None => bare_row(&name, Some(dtype), Some(&shape), None),
+                });
             }
             "torch checkpoint"
         }
@@ -95,6 +107,12 @@ fn array_row(name: &str, dtype: &str, shape: &[usize], numbers: impl Iterator<It
     vec![json!(name), json!(dtype), json!(shape), json!(least.map(number)), json!(greatest.map(number)), json!(one)]
 }
 
+/// An array or a text without a range.
+fn bare_row(name: &str, dtype: Option<&str>, shape: Option<&[usize]>, value: Option<&str>) -> Vec<Value> {
+    let value = value.map(|text| text.chars().take(MOST_TEXT).collect::<String>());
+    vec![json!(name), json!(dtype), json!(shape), Value::Null, Value::Null, json!(value)]
+}
+
 fn arrays(group: &Group, path: &str, rows: &mut Vec<Vec<Value>>) {
     for (name, item) in &group.items {
         if rows.len() >= MOST_ROWS {
@@ -109,12 +127,9 @@ fn arrays(group: &Group, path: &str, rows: &mut Vec<Vec<Value>>) {
             }
             Item::Texts(shape, texts) => {
                 let text = texts.first().filter(|_| texts.len() == 1);
-                let text = text.map(|text| text.chars().take(MOST_TEXT).collect::<String>());
-                rows.push(vec![json!(path), json!("text"), json!(shape), Value::Null, Value::Null, json!(text)]);
+                rows.push(bare_row(&path, Some("text"), Some(shape), text.map(String::as_str)));
             }
-            Item::Other(what) => {
-                rows.push(vec![json!(path), Value::Null, Value::Null, Value::Null, Value::Null, json!(what)]);
-            }
+            Item::Other(what) => rows.push(bare_row(&path, None, None, Some(what))),
         }
     }
 }
