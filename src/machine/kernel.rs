@@ -11,6 +11,7 @@
 //! All arithmetic fits 32 bits: |u|, |v| <= 2^23 and q is below 2^21, so sums stay below 2^25. The 36-bit product of a
 //! decay is split at bit 12: with x = 4096 h + l, (x k) >> 12 = h k + ((l k) >> 12) exactly.
 
+use crate::base::fixed::WEIGHT_SHIFT;
 use crate::machine::neuron::Fields;
 
 /// Compartments of a chunk.
@@ -86,6 +87,8 @@ pub fn load(stored: i32) -> (i32, u8) {
 
 /// A sum of arrivals in units of 64.
 pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
+    /// Whether its values can leave the 16 bits that the accumulator has for them.
+    const WIDE: bool;
     /// Adds a weight.
     #[must_use]
     fn plus(self, weight: i16) -> Self;
@@ -94,6 +97,7 @@ pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'sta
 }
 
 impl Sum for i32 {
+    const WIDE: bool = true;
     #[inline(always)]
     fn plus(self, weight: i16) -> Self {
         self + i32::from(weight)
@@ -106,6 +110,7 @@ impl Sum for i32 {
 
 /// For compartments whose synapses together cannot exceed it, so that it never wraps.
 impl Sum for i16 {
+    const WIDE: bool = false;
     #[inline(always)]
     fn plus(self, weight: i16) -> Self {
         self.wrapping_add(weight)
@@ -177,7 +182,7 @@ impl Vectors for Portable {
             let old_v = if stored < HELD { stored } else { 0 };
             let is_free = stored < HELD + 2;
             // The truncation to 16 bits of a sum in units of 64 is the wrap to 22.
-            let q = (sum << 16) >> 10;
+            let q = if S::WIDE { (sum << 16) >> 10 } else { sum << WEIGHT_SHIFT };
             let current = kept(old_u, keep_u) + q;
             let next_u = wrap24(current);
             let with_bias = next_u + bias;
@@ -190,8 +195,10 @@ impl Vectors for Portable {
             new_u[lane] = next_u;
             fired[lane] = fires;
             moved[lane] = ((old_u | old_v | sum | bias) != 0) | !is_free;
-            overflowed[lane] =
-                ((q >> 6) != sum) | (next_u != current) | (input != with_bias) | (is_free & (clipped != free));
+            overflowed[lane] = (S::WIDE && (q >> WEIGHT_SHIFT) != sum)
+                | (next_u != current)
+                | (input != with_bias)
+                | (is_free & (clipped != free));
         }
         if bytes(overflowed) != 0 {
             return None;

@@ -9,8 +9,9 @@ use std::ops::Range;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
-use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Stretch, Synapses};
+use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Stretch};
 use crate::machine::kernel::{self, LANES, Portable, Sum, Vectors};
+use crate::machine::lists::{ADDRESSED, Lists, Synapses, Table};
 use crate::machine::neuron::{Registers, update};
 use crate::machine::prefetch::{prefetch, prefetch_range};
 
@@ -87,7 +88,9 @@ enum Sums {
 /// What arrives in the coming steps, a slot each.
 #[derive(Debug)]
 struct Ring<S> {
-    /// Sums in units of 64, by lane.
+    /// Lanes of the share.
+    lanes: usize,
+    /// Sums in units of 64, by lane; small lists may name more lanes than there are.
     sums: Vec<Vec<S>>,
     /// Granules with arrivals, a bit each.
     arrivals: Vec<Vec<u64>>,
@@ -157,9 +160,11 @@ impl Lanes {
             overflow: Overflow::default(),
             visited: 0,
         };
+        let mut tables = share.of_channels.iter().chain(&share.of_compartments);
+        let small = tables.any(|table| matches!(table.synapses, Synapses::Small(_)));
         let ring = match image.narrow {
-            true => Sums::Narrow(Ring::new(share.lanes, words, slots)),
-            false => Sums::Wide(Ring::new(share.lanes, words, slots)),
+            true => Sums::Narrow(Ring::new(share.lanes, small, words, slots)),
+            false => Sums::Wide(Ring::new(share.lanes, small, words, slots)),
         };
         Lanes { state, ring }
     }
@@ -213,18 +218,20 @@ impl Lanes {
 }
 
 impl<S: Sum> Ring<S> {
-    fn new(lanes: usize, words: usize, slots: usize) -> Self {
-        Ring { sums: vec![vec![S::default(); lanes]; slots], arrivals: vec![vec![0; words]; slots] }
+    fn new(lanes: usize, small: bool, words: usize, slots: usize) -> Self {
+        // What lies beyond the lanes is never written, so it is memory by name only.
+        let sums = if small { lanes.max(ADDRESSED) } else { lanes };
+        Ring { lanes, sums: vec![vec![S::default(); sums]; slots], arrivals: vec![vec![0; words]; slots] }
     }
 
     fn bytes(&self) -> usize {
-        let of = |(sums, words): (&Vec<S>, &Vec<u64>)| size_of_val(sums.as_slice()) + size_of_val(words.as_slice());
-        self.sums.iter().zip(&self.arrivals).map(of).sum()
+        let of = |words: &Vec<u64>| size_of::<S>() * self.lanes + size_of_val(words.as_slice());
+        self.arrivals.iter().map(of).sum()
     }
 
     fn clear(&mut self) {
         for (sums, arrivals) in self.sums.iter_mut().zip(&mut self.arrivals) {
-            sums.fill(S::default());
+            sums[..self.lanes].fill(S::default());
             arrivals.fill(0);
         }
     }
@@ -250,9 +257,9 @@ impl<S: Sum> Ring<S> {
         if !share.panels.is_empty() {
             events += self.deliver_panels::<NOTE, I>(share, sources, cursor, left);
         }
-        for table in &share.sparse {
+        for table in sources.lists {
             let slot = self.slot(cursor, table.delay);
-            let synapses = self.deliver_sparse::<NOTE, I>(table, sources, slot);
+            let synapses = self.deliver_lists::<NOTE, I>(table, sources.ids, slot);
             events += if u32::from(table.delay) < left { synapses } else { 0 };
         }
         events
@@ -337,46 +344,54 @@ impl<S: Sum> Ring<S> {
     }
 
     #[inline(always)]
-    fn deliver_sparse<const NOTE: bool, I: Id>(&mut self, table: &Sparse, sources: Sources<'_, I>, slot: usize) -> u64 {
+    fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
         let (sums, arrivals) = (self.sums[slot].as_mut_slice(), self.arrivals[slot].as_mut_slice());
-        let mut add = |target: usize, weight: i16| {
-            sums[target] = sums[target].plus(weight);
+        let mut note = |target: usize| {
             if NOTE {
                 let granule = target / GRANULE;
                 arrivals[granule / 64] |= 1 << (granule % 64);
             }
         };
-        let range = |s: usize| table.first[s] as usize..table.first[s + 1] as usize;
-        let mut events = 0;
         match &table.synapses {
-            Synapses::Packed(packing, words) => {
-                let packing = *packing;
-                for index in 0..sources.ids.len() {
-                    if let Some(s) = sources.get(index + FAR) {
-                        prefetch(&table.first, s);
-                    }
-                    if let Some(s) = sources.get(index + NEAR) {
-                        prefetch_range(words, range(s));
-                    }
-                    let list = &words[range(sources.number(sources.ids[index]))];
-                    events += list.len();
-                    for &word in list {
-                        let (target, weight) = packing.unpack(word);
-                        add(target, weight);
-                    }
-                }
+            Synapses::Small(lists) => {
+                // As many sums as a lane of 16 bits can name, so that none has to be looked at.
+                let sums: &mut [S; ADDRESSED] =
+                    sums.first_chunk_mut().expect("small lists have all sums they can name");
+                deliver_each(table, ids, lists, |target: u16, weight: i8| {
+                    let target = usize::from(target);
+                    sums[target] = sums[target].plus(i16::from(weight));
+                    note(target);
+                })
             }
-            Synapses::Apart { targets, weights } => {
-                for s in sources.numbers() {
-                    events += range(s).len();
-                    for (&target, &weight) in targets[range(s)].iter().zip(&weights[range(s)]) {
-                        add(target as usize, weight);
-                    }
-                }
-            }
+            Synapses::Packed(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
+                sums[target] = sums[target].plus(weight);
+                note(target);
+            }),
+            Synapses::Apart(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
+                sums[target] = sums[target].plus(weight);
+                note(target);
+            }),
         }
-        events as u64
     }
+}
+
+/// Calls with every synapse that these sources reach over a table, while the lists of the next are fetched; returns how many.
+#[inline(always)]
+fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: impl FnMut(L::Lane, L::Weight)) -> u64 {
+    let mut events = 0;
+    for (index, id) in ids.iter().enumerate() {
+        if let Some(far) = ids.get(index + FAR) {
+            prefetch(&table.places, far.index());
+        }
+        if let Some(near) = ids.get(index + NEAR) {
+            let (bytes, range) = lists.lines(table.places[near.index()]);
+            prefetch_range(bytes, range);
+        }
+        let place = table.places[id.index()];
+        events += place.len() as u64;
+        lists.each(place, &mut add);
+    }
+    events
 }
 
 /// Sources ahead whose list is fetched, and whose place in the table is.
@@ -389,6 +404,8 @@ struct Sources<'a, I> {
     ids: &'a [I],
     /// The number as a source of the kind's first.
     first: usize,
+    /// Lists of the kind.
+    lists: &'a [Table],
 }
 
 impl<'a, I: Id> Sources<'a, I> {
@@ -400,11 +417,6 @@ impl<'a, I: Id> Sources<'a, I> {
     #[inline(always)]
     fn numbers(self) -> impl Iterator<Item = usize> + use<'a, I> {
         self.ids.iter().map(move |&id| self.number(id))
-    }
-
-    #[inline(always)]
-    fn get(self, index: usize) -> Option<usize> {
-        self.ids.get(index).map(|&id| self.number(id))
     }
 }
 
@@ -459,8 +471,9 @@ impl State {
     #[inline(always)]
     fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
         let cursor = order.step as usize % ring.sums.len();
-        let channels = Sources { ids: order.channels, first: 0 };
-        let carried = Sources { ids: order.carried, first: image.channels as usize };
+        let channels = Sources { ids: order.channels, first: 0, lists: &share.of_channels };
+        let first = image.channels as usize;
+        let carried = Sources { ids: order.carried, first, lists: &share.of_compartments };
         self.events_now = 0;
         if order.everywhere {
             let granules = share.granules.len() - 1;

@@ -17,8 +17,10 @@
 pub mod image;
 pub mod kernel;
 mod lanes;
+mod lists;
 pub mod neuron;
 mod prefetch;
+mod store;
 pub mod tally;
 #[cfg(target_arch = "x86_64")]
 mod vectors;

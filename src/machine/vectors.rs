@@ -7,6 +7,7 @@
 use pulp::cast;
 use pulp::x86::V4;
 
+use crate::base::fixed::WEIGHT_SHIFT;
 use crate::machine::kernel::{Chunk, Effect, HELD, LANES, Shared, Sum, Vectors};
 
 #[cfg(target_arch = "x86_64")]
@@ -44,14 +45,21 @@ impl Vectors for V4 {
         let (sum, old_u, stored): (__m512i, __m512i, __m512i) = (cast(arrived), cast(*chunk.u), cast(*chunk.v));
         let old_v = f._mm512_maskz_mov_epi32(f._mm512_cmplt_epi32_mask(stored, all(self, HELD)), stored);
         let is_free = f._mm512_cmplt_epi32_mask(stored, all(self, HELD + 2));
-        let q = f._mm512_srai_epi32::<10>(f._mm512_slli_epi32::<16>(sum));
+        let q = match S::WIDE {
+            true => f._mm512_srai_epi32::<10>(f._mm512_slli_epi32::<16>(sum)),
+            false => f._mm512_slli_epi32::<WEIGHT_SHIFT>(sum),
+        };
         let current = f._mm512_add_epi32(kept(self, old_u, all(self, shared.keep_u)), q);
         let next_u = wrap24(self, current);
         let with_bias = f._mm512_add_epi32(next_u, all(self, shared.bias));
         let input = wrap24(self, with_bias);
         let free = f._mm512_add_epi32(kept(self, old_v, all(self, shared.keep_v)), input);
         let clipped = f._mm512_min_epi32(f._mm512_max_epi32(free, all(self, shared.vmin)), all(self, shared.vmax));
-        let overflowed = f._mm512_cmpneq_epi32_mask(f._mm512_srai_epi32::<6>(q), sum)
+        let wrapped = match S::WIDE {
+            true => f._mm512_cmpneq_epi32_mask(f._mm512_srai_epi32::<WEIGHT_SHIFT>(q), sum),
+            false => 0,
+        };
+        let overflowed = wrapped
             | f._mm512_cmpneq_epi32_mask(next_u, current)
             | f._mm512_cmpneq_epi32_mask(input, with_bias)
             | f._mm512_mask_cmpneq_epi32_mask(is_free, clipped, free);
