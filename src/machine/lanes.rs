@@ -380,10 +380,10 @@ impl<S: Sum> Ring<S> {
 fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: impl FnMut(L::Lane, L::Weight)) -> u64 {
     let mut events = 0;
     for (index, id) in ids.iter().enumerate() {
-        if let Some(far) = ids.get(index + FAR) {
+        if let Some(far) = ids.get(index + table.ahead + FAR) {
             prefetch(&table.places, far.index());
         }
-        if let Some(near) = ids.get(index + NEAR) {
+        if let Some(near) = ids.get(index + table.ahead) {
             let (bytes, range) = lists.lines(table.places[near.index()]);
             prefetch_range(bytes, range);
         }
@@ -394,9 +394,8 @@ fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: i
     events
 }
 
-/// Sources ahead whose list is fetched, and whose place in the table is.
-const NEAR: usize = 3;
-const FAR: usize = 16;
+/// Sources from one whose list is fetched to one whose place in the table is.
+const FAR: usize = 12;
 
 /// Spikes of one kind, ascending.
 #[derive(Debug, Clone, Copy)]
@@ -566,8 +565,8 @@ impl State {
         for (index, block) in (stretch.first as usize..).zip(blocks) {
             let (chunk, length) = ((block.start - first.start) as usize / LANES, block.length as usize);
             let chunks = chunk..chunk + length.div_ceil(LANES);
-            let mut active = effects.active[chunks.clone()].iter().sum();
-            let spiked = effects.spiked >> (chunk * LANES) & ones(length);
+            let of_block = |lanes: u64| lanes >> (chunk * LANES) & ones(length);
+            let (mut active, spiked) = (of_block(effects.moved).count_ones(), of_block(effects.spiked));
             if effects.overflowed == 0 {
                 self.spike(*block, spiked);
             } else {

@@ -26,7 +26,14 @@ pub(super) struct Table {
     pub places: Vec<Place>,
     /// The synapses.
     pub synapses: Synapses,
+    /// Sources ahead whose list is fetched: as many as have enough synapses to be busy with meanwhile.
+    pub ahead: usize,
 }
+
+/// Synapses delivered while a list is fetched.
+const MEANWHILE: usize = 192;
+/// Least and most sources ahead: each that waits holds a buffer for every line.
+const AHEAD: (usize, usize) = (3, 10);
 
 /// Where a source's list is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -273,6 +280,7 @@ impl Draft {
             return Ok(None);
         }
         let each = if small { SMALL } else { PACKED };
+        let ahead = (MEANWHILE * ends.len()).div_ceil(total).clamp(AHEAD.0, AHEAD.1);
         let (places, synapses) = match words {
             Words::Packed(words) => {
                 let (places, size) = lay_out(lists().map(|list| list.len()), each).ok_or(total)?;
@@ -302,7 +310,7 @@ impl Draft {
                 (lists().map(place).collect::<Option<_>>().ok_or(total)?, Synapses::Apart(Apart { targets, weights }))
             }
         };
-        Ok(Some(Table { delay, places, synapses }))
+        Ok(Some(Table { delay, places, synapses, ahead }))
     }
 }
 
