@@ -88,8 +88,6 @@ pub(super) struct Block {
     pub core: CoreId,
     /// The fields.
     pub fields: BlockFields,
-    /// The first compartment's place in `ids`.
-    pub id: u32,
     /// The earliest step from which one of its compartments is not held at zero.
     pub starts: u32,
 }
@@ -103,6 +101,8 @@ pub(super) struct Stretch {
     pub end: u32,
     /// The fields that all share where they can be updated as vectors; one block alone otherwise.
     pub vector: Option<u32>,
+    /// A bit for each of its lanes, from its first, that is no padding.
+    pub mask: u64,
 }
 
 /// One share of the lanes; lanes count from its own first.
@@ -110,6 +110,8 @@ pub(super) struct Stretch {
 pub(super) struct Share {
     /// Number of lanes, padding and a last chunk of slack included.
     pub lanes: usize,
+    /// The compartment in each lane; any in padding.
+    pub names: Vec<CompartmentId>,
     /// Blocks in order.
     pub blocks: Vec<Block>,
     /// Stretches in order.
@@ -139,9 +141,7 @@ pub struct Image<'p> {
     pub(super) fields: Vec<Fields>,
     pub(super) shared: Vec<Shared>,
     pub(super) field_of: Vec<u32>,
-    /// The network's number of each compartment, in the order of lanes.
-    pub(super) ids: Vec<CompartmentId>,
-    /// Whether that order is the network's own.
+    /// Whether compartments stand in lanes in the network's own order.
     pub(super) in_order: bool,
     /// Share and lane of each compartment of the network.
     lanes: Vec<u32>,
@@ -170,7 +170,6 @@ impl<'p> Image<'p> {
             fields: Vec::new(),
             shared: Vec::new(),
             field_of: Vec::new(),
-            ids: Vec::with_capacity(program.compartments() as usize),
             in_order: true,
             lanes: vec![0; program.compartments() as usize],
             bases: Vec::new(),
@@ -180,9 +179,10 @@ impl<'p> Image<'p> {
             granules: 0,
         };
         let blocks = image.lay_out();
-        image.in_order = image.ids.is_sorted();
+        image.in_order = image.lanes.is_sorted();
         image.check_fan_in()?;
         image.share_out(blocks, shares);
+        image.name();
         image.connect()?;
         Ok(image)
     }
@@ -193,10 +193,16 @@ impl<'p> Image<'p> {
         self.program
     }
 
+    /// Number of compartments.
+    #[must_use]
+    pub fn compartments(&self) -> usize {
+        self.lanes.len()
+    }
+
     /// Number of sources.
     #[must_use]
     pub fn sources(&self) -> usize {
-        self.channels as usize + self.ids.len()
+        self.channels as usize + self.compartments()
     }
 
     /// The source of a number.
@@ -239,14 +245,14 @@ impl<'p> Image<'p> {
             let panels = share.panels.iter().map(panel).sum::<usize>() + size_of_val(share.weights.as_slice());
             size_of::<Block>() * share.blocks.len()
                 + size_of_val(share.stretches.as_slice())
-                + 4 * share.granules.len()
+                + 4 * (share.granules.len() + share.names.len())
                 + 8 * share.driven.len()
                 + panels
                 + sparse
         };
         let shares: usize = self.shares.iter().map(of).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
-        shares + fields + 4 * (self.ids.len() + self.lanes.len())
+        shares + fields + 4 * self.lanes.len()
     }
 
     /// Lays compartments out in lanes over all shares and returns their blocks.
@@ -295,10 +301,9 @@ impl<'p> Image<'p> {
                     }
                 };
                 let held = field_of[slot..slot + length].iter().map(|&f| self.fields[f as usize].start_step).min();
-                let (length, id) = (length as u32, self.ids.len() as u32);
-                blocks.push(Block { start: lane, length, core, fields, id, starts: held.unwrap_or(0) });
+                let length = length as u32;
+                blocks.push(Block { start: lane, length, core, fields, starts: held.unwrap_or(0) });
                 for (offset, &compartment) in core_image.ids[slot..slot + length as usize].iter().enumerate() {
-                    self.ids.push(compartment);
                     self.lanes[compartment.index()] = lane + offset as u32;
                 }
                 lane = (lane + length).next_multiple_of(LANES as u32);
@@ -347,14 +352,18 @@ impl<'p> Image<'p> {
                 }
                 _ => None,
             };
+            let lanes = u64::MAX >> (GRANULE as u32 - block.length);
             let begins = share.granules.len() <= block.start as usize / GRANULE;
             while share.granules.len() <= block.start as usize / GRANULE {
                 share.granules.push(share.stretches.len() as u32);
             }
             let index = share.blocks.len() as u32;
             match share.stretches.last_mut() {
-                Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => stretch.end += 1,
-                _ => share.stretches.push(Stretch { first: index, end: index + 1, vector }),
+                Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => {
+                    stretch.end += 1;
+                    stretch.mask |= lanes << (block.start - share.blocks[stretch.first as usize].start);
+                }
+                _ => share.stretches.push(Stretch { first: index, end: index + 1, vector, mask: lanes }),
             }
             share.blocks.push(block);
         }
@@ -366,6 +375,7 @@ impl<'p> Image<'p> {
             // A row that begins in the last lanes reads and writes zeros up to a chunk beyond them.
             share.lanes = granules * GRANULE + LANES;
             share.driven = vec![0; granules.div_ceil(64)];
+            share.names = vec![CompartmentId(0); share.lanes];
             for block in &share.blocks {
                 let lanes = 0..block.length;
                 let drives = |f: &Fields| f.bias != 0 || f.fires_from <= 0;
@@ -380,6 +390,14 @@ impl<'p> Image<'p> {
                     share.driven[granule / 64] |= 1 << (granule % 64);
                 }
             }
+        }
+    }
+
+    /// Names the lanes.
+    fn name(&mut self) {
+        for compartment in (0..self.compartments()).map(CompartmentId::new) {
+            let (share, lane) = self.lane(compartment);
+            self.shares[share].names[lane] = compartment;
         }
     }
 
@@ -479,15 +497,10 @@ impl<'p> Image<'p> {
 }
 
 impl Share {
-    /// The place of its first compartment in the order of lanes.
-    #[inline(always)]
-    pub(super) fn first_id(&self) -> usize {
-        self.blocks.first().map_or(0, |block| block.id as usize)
-    }
-
     fn empty() -> Self {
         Share {
             lanes: 0,
+            names: Vec::new(),
             blocks: Vec::new(),
             stretches: Vec::new(),
             granules: Vec::new(),

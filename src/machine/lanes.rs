@@ -106,11 +106,13 @@ pub(super) struct State {
     hold: Vec<u8>,
     /// Granules that are not at rest.
     busy: Vec<u64>,
-    /// Places of the compartments that spiked in the last step, in the order of blocks.
+    /// The lanes that spiked in the last step, ascending, and room for more.
     spiked: Vec<u32>,
+    /// How many.
+    spiking: usize,
     /// Compartments that spiked in the last step, in the order of lanes.
     pub spikes: Vec<CompartmentId>,
-    /// Spikes of each compartment, in the order of blocks, since they were last taken.
+    /// Spikes of each lane since they were last taken.
     pub fired: Vec<u32>,
     /// Compartments of a core that were not at rest in the last step, block by block, if asked for.
     pub active: Vec<(CoreId, u32)>,
@@ -150,9 +152,10 @@ impl Lanes {
             v: vec![0; share.lanes],
             hold: vec![0; holds],
             busy: vec![0; words],
-            spiked: Vec::new(),
+            spiked: vec![0; share.lanes + FORESEEN],
+            spiking: 0,
             spikes: Vec::new(),
-            fired: vec![0; share.blocks.iter().map(|block| block.length as usize).sum()],
+            fired: vec![0; share.lanes],
             active: Vec::new(),
             active_now: 0,
             active_by_block: vec![0; share.blocks.len()],
@@ -172,8 +175,11 @@ impl Lanes {
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
         let state = &self.state;
-        let words =
-            state.u.len() + state.v.len() + state.fired.len() + 2 * (state.busy.len() + state.active_by_block.len());
+        let words = state.u.len()
+            + state.v.len()
+            + state.fired.len()
+            + state.spiked.len()
+            + 2 * (state.busy.len() + state.active_by_block.len());
         let ring = match &self.ring {
             Sums::Narrow(ring) => ring.bytes(),
             Sums::Wide(ring) => ring.bytes(),
@@ -485,7 +491,7 @@ impl State {
             self.events_now += ring.deliver::<true, _>(share, carried, cursor, order.left);
         }
         self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, share, order, vectors);
-        self.note_spikes(image, share);
+        self.note_spikes(share);
     }
 
     #[inline(always)]
@@ -497,7 +503,7 @@ impl State {
         order: Order,
         vectors: impl Vectors,
     ) {
-        self.spiked.clear();
+        self.spiking = 0;
         self.active.clear();
         self.active_now = 0;
         let granules = share.granules.len() - 1;
@@ -545,9 +551,8 @@ impl State {
             return false;
         }
         let Some(fields) = stretch.vector else {
-            let (active, busy) = self.scalar(sums, image, *first, 0..first.length as usize, order);
-            self.count_active(stretch.first as usize, first, active, order);
-            return busy;
+            let did = self.scalar(sums, image, share, *first, 0..first.length as usize, order);
+            return self.note(share, stretch, did, order);
         };
         let start = first.start as usize;
         let end = blocks.last().map_or(start, |last| (last.start + last.length) as usize).next_multiple_of(LANES);
@@ -561,63 +566,84 @@ impl State {
         let mut registers =
             kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
         let effects = kernel::hardware(&mut registers, &image.shared[fields as usize], vectors);
-        let mut busy = effects.busy;
-        for (index, block) in (stretch.first as usize..).zip(blocks) {
-            let (chunk, length) = ((block.start - first.start) as usize / LANES, block.length as usize);
-            let chunks = chunk..chunk + length.div_ceil(LANES);
-            let of_block = |lanes: u64| lanes >> (chunk * LANES) & ones(length);
-            let (mut active, spiked) = (of_block(effects.moved).count_ones(), of_block(effects.spiked));
-            if effects.overflowed == 0 {
-                self.spike(*block, spiked);
-            } else {
-                for chunk in chunks {
-                    let from = chunk * LANES - (block.start - first.start) as usize;
-                    let lanes = from..(from + LANES).min(length);
-                    if effects.overflowed >> chunk & 1 == 1 {
-                        let (moved, moves) = self.scalar(sums, image, *block, lanes, order);
-                        active += moved;
-                        busy |= moves;
-                    } else {
-                        self.spike(*block, spiked & ones(lanes.end) & !ones(lanes.start));
-                    }
+        let mut did = Did { spiked: effects.spiked, moved: effects.moved, busy: effects.busy };
+        if effects.overflowed != 0 {
+            did.merge(self.redo(sums, image, share, stretch, effects.overflowed, order));
+        }
+        // Padding is never at rest under a bias, and always without.
+        let moved = if image.fields[fields as usize].bias != 0 { stretch.mask } else { did.moved };
+        self.note(share, stretch, Did { spiked: did.spiked & stretch.mask, moved, ..did }, order)
+    }
+
+    /// Updates those chunks of a stretch one by one in which a value leaves its field.
+    #[cold]
+    fn redo<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        share: &Share,
+        stretch: Stretch,
+        overflowed: u32,
+        order: Order,
+    ) -> Did {
+        let mut did = Did::default();
+        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
+        for block in blocks {
+            let at = (block.start - blocks[0].start) as usize;
+            for from in (0..block.length as usize).step_by(LANES) {
+                if overflowed >> ((at + from) / LANES) & 1 == 1 {
+                    let lanes = from..(from + LANES).min(block.length as usize);
+                    did.merge(self.scalar(sums, image, share, *block, lanes, order).after(at));
                 }
             }
-            // Padding is never at rest under a bias, and always without.
-            let active = if image.fields[fields as usize].bias != 0 { block.length } else { active };
-            self.count_active(index, block, active, order);
         }
-        busy
+        did
     }
 
-    /// Counts a block that was visited.
+    /// Counts what a stretch did; says whether it is busy.
     #[inline(always)]
-    fn count_active(&mut self, index: usize, block: &Block, active: u32, order: Order) {
-        self.visited += u64::from(block.length);
-        self.active_now += u64::from(active);
-        self.active_by_block[index] += u64::from(active);
-        if order.list_active && active > 0 {
-            self.active.push((block.core, active));
+    fn note(&mut self, share: &Share, stretch: Stretch, did: Did, order: Order) -> bool {
+        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
+        let Some(start) = blocks.first().map(|block| block.start) else { return false };
+        self.visited += u64::from(stretch.mask.count_ones());
+        self.active_now += u64::from(did.moved.count_ones());
+        for (block, sum) in blocks.iter().zip(&mut self.active_by_block[stretch.first as usize..]) {
+            let active = (did.moved >> (block.start - start) & ones(block.length as usize)).count_ones();
+            *sum += u64::from(active);
+            if order.list_active && active > 0 {
+                self.active.push((block.core, active));
+            }
         }
+        self.spike(start, did.spiked);
+        did.busy
     }
 
-    /// Notes the spikes of a block's lanes, by place.
+    /// Notes lanes that spiked. Few do, and how many cannot be foretold: the first few are written whether they are or not.
     #[inline(always)]
-    fn spike(&mut self, block: Block, mut lanes: u64) {
-        while lanes != 0 {
-            self.spiked.push(block.id + lanes.trailing_zeros());
-            lanes &= lanes - 1;
+    fn spike(&mut self, start: u32, mut lanes: u64) {
+        let end = self.spiking + lanes.count_ones() as usize;
+        for place in &mut self.spiked[self.spiking..][..FORESEEN] {
+            *place = start.wrapping_add(lanes.trailing_zeros());
+            lanes &= lanes.wrapping_sub(1);
         }
+        if lanes != 0 {
+            for place in &mut self.spiked[self.spiking + FORESEEN..end] {
+                *place = start + lanes.trailing_zeros();
+                lanes &= lanes - 1;
+            }
+        }
+        self.spiking = end;
     }
 
     /// Names and counts who spiked. Not while they are found: names and counts are far apart in memory, and here nothing
     /// stands between one fetch and the next.
     #[inline(always)]
-    fn note_spikes(&mut self, image: &Image, share: &Share) {
+    fn note_spikes(&mut self, share: &Share) {
+        let spiked = &self.spiked[..self.spiking];
         self.spikes.clear();
-        self.spikes.extend(self.spiked.iter().map(|&place| image.ids[place as usize]));
-        let first = share.first_id();
-        for &place in &self.spiked {
-            self.fired[place as usize - first] += 1;
+        self.spikes.extend(spiked.iter().map(|&lane| share.names[lane as usize]));
+        for &lane in spiked {
+            self.fired[lane as usize] += 1;
         }
     }
 
@@ -626,11 +652,12 @@ impl State {
         &mut self,
         sums: &mut [S],
         image: &Image,
+        share: &Share,
         block: Block,
         lanes: Range<usize>,
         order: Order,
-    ) -> (u32, bool) {
-        let (mut active, mut busy) = (0, false);
+    ) -> Did {
+        let mut did = Did::default();
         for offset in lanes {
             let lane = block.start as usize + offset;
             let fields = match block.fields {
@@ -646,23 +673,48 @@ impl State {
                 old = Registers::default();
             }
             let rest = old.u == 0 && old.v == 0 && !fields.holds(&old) && arrived == 0 && fields.bias == 0;
-            active += u32::from(!rest);
+            did.moved |= u64::from(!rest) << offset;
             let (new, effect) = update(old, arrived, fields, image.semantics);
             self.set(lane, new);
-            busy |= new != Registers::default();
-            if effect.spiked {
-                self.spike(block, 1 << offset);
-            }
+            did.busy |= new != Registers::default();
+            did.spiked |= u64::from(effect.spiked) << offset;
             if effect.q_wrapped | effect.u_wrapped | effect.v_clipped {
                 self.overflow.q_wrapped += u64::from(effect.q_wrapped);
                 self.overflow.u_wrapped += u64::from(effect.u_wrapped);
                 self.overflow.v_clipped += u64::from(effect.v_clipped);
-                self.overflow.note(order.step, image.ids[block.id as usize + offset]);
+                self.overflow.note(order.step, share.names[lane]);
             }
         }
-        (active, busy)
+        did
     }
 }
+
+/// What a stretch's update did.
+#[derive(Debug, Clone, Copy, Default)]
+struct Did {
+    /// A bit for each lane that spiked.
+    spiked: u64,
+    /// A bit for each lane that was not at rest.
+    moved: u64,
+    /// Whether any lane is not at rest afterwards.
+    busy: bool,
+}
+
+impl Did {
+    fn merge(&mut self, other: Did) {
+        self.spiked |= other.spiked;
+        self.moved |= other.moved;
+        self.busy |= other.busy;
+    }
+
+    /// The same so many lanes later.
+    fn after(self, lanes: usize) -> Did {
+        Did { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
+    }
+}
+
+/// Spikes of a granule that are written in any case.
+const FORESEEN: usize = 4;
 
 /// The lowest `count` bits, all 64 from there on.
 #[inline(always)]
