@@ -194,7 +194,11 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
         for sample in &samples {
             check_stimulus(&pruned, &[sample], 0).unwrap();
             let mut engines: Vec<(String, &mut dyn Engine)> = vec![("golden".to_string(), &mut interpreter)];
-            for ((shares, skip), machine) in SETTINGS.iter().zip(&mut machines) {
+            // Each setting has two networks of three: a thousand.
+            let settings = SETTINGS.iter().zip(&mut machines).enumerate();
+            for (_, ((shares, skip), machine)) in
+                settings.filter(|(index, _)| !(seed + *index as u64).is_multiple_of(3))
+            {
                 engines.push((format!("{shares} shares, skip {skip}"), machine));
             }
             assert_same(&mut golden, &mut engines, &pruned, sample, &format!("network {seed}, {plan:?}"));

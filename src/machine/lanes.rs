@@ -285,9 +285,8 @@ impl<S: Sum> Ring<S> {
             let passed = first_at_least(panels, |panel| panel.end > next);
             panels = &panels[passed..];
             let Some(panel) = panels.first() else { break };
-            let before = rest.iter().take_while(|&&id| (sources.number(id) as u32) < panel.first).count();
-            rest = &rest[before..];
-            let within = rest.iter().take_while(|&&id| (sources.number(id) as u32) < panel.end).count();
+            rest = &rest[sources.before(rest, panel.first)..];
+            let within = sources.before(rest, panel.end);
             let (spiking, after) = rest.split_at(within);
             rest = after;
             if !spiking.is_empty() {
@@ -403,6 +402,9 @@ fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: i
 /// Sources from one whose list is fetched to one whose place in the table is.
 const FAR: usize = 12;
 
+/// Spikes so few that they are counted faster than searched.
+const COUNTED: usize = 64;
+
 /// Spikes of one kind, ascending.
 #[derive(Debug, Clone, Copy)]
 struct Sources<'a, I> {
@@ -417,6 +419,19 @@ impl<'a, I: Id> Sources<'a, I> {
     #[inline(always)]
     fn number(self, id: I) -> usize {
         self.first + id.index()
+    }
+
+    /// How many of these come before a source; often it is none or all.
+    #[inline(always)]
+    fn before(self, ids: &[I], number: u32) -> usize {
+        let is = |id: &I| (self.number(*id) as u32) < number;
+        match (ids.first().is_some_and(is), ids.last().is_some_and(is)) {
+            (false, _) => 0,
+            (true, true) => ids.len(),
+            // Counting all of a few needs no decisions.
+            (true, false) if ids.len() <= COUNTED => ids.iter().map(|id| usize::from(is(id))).sum(),
+            (true, false) => ids.partition_point(is),
+        }
     }
 
     #[inline(always)]

@@ -79,6 +79,10 @@ pub(super) enum Synapses {
 /// Lanes that 16 bits name.
 pub(super) const ADDRESSED: usize = 1 << 16;
 
+/// Lanes of a share from which on its lists may be small: below, they are in reach as they are, and all sums that 16 bits name
+/// would be many times those that there are.
+const SMALL_FROM: usize = 1 << 12;
+
 /// Synapses of a list written together, so that what a loop over them needs is known to the compiler.
 const TOGETHER: usize = 8;
 
@@ -215,7 +219,7 @@ pub(super) struct Draft {
     /// Synapses up to the end of each source.
     ends: Vec<usize>,
     words: Words,
-    /// Whether every lane fits 16 bits and every weight 8.
+    /// Whether every lane fits 16 bits and every weight 8, and lanes are enough to be worth it.
     small: bool,
 }
 
@@ -230,7 +234,7 @@ impl Draft {
     /// Nothing yet, of a share with so many lanes.
     pub fn new(delay: u8, lanes: usize) -> Self {
         let words = Words::Packed(Vec::new());
-        Draft { delay, packing: Packing::new(lanes), ends: Vec::new(), words, small: true }
+        Draft { delay, packing: Packing::new(lanes), ends: Vec::new(), words, small: lanes >= SMALL_FROM }
     }
 
     /// The delay field.
@@ -373,7 +377,7 @@ mod tests {
         let (out, table) = read(&small, 65_536);
         assert_eq!(out, small);
         assert!(matches!(table.synapses, Synapses::Small(_)));
-        for (lanes, weight) in [(65_537, 128), (4_000, 129), (1_000_000, 2_000)] {
+        for (lanes, weight) in [(65_537, 128), (8_000, 129), (4_000, 128), (1_000_000, 2_000)] {
             let mut packed = draw(200, lanes, weight);
             packed[7].extend([(lanes as u32 - 1, (weight - 1) as i16), (0, -weight as i16)]);
             let (out, table) = read(&packed, lanes as usize);

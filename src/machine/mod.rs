@@ -193,8 +193,9 @@ impl Engine for Machine<'_> {
         let image = self.image;
         let left = self.steps.saturating_sub(self.step);
         std::mem::swap(&mut self.spikes, &mut self.carried);
+        let fired = self.fired.as_mut_slice();
         for channel in channels {
-            self.fired[channel.index()] += 1;
+            fired[channel.index()] += 1;
         }
         if left <= image.longest_delay {
             self.note_late(channels.iter().map(|&channel| SpikeSource::Channel(channel)), left);
