@@ -1,6 +1,6 @@
 //! The result of `nsim agree` as text, JSON, CSV and SVG.
 
-use comfy_table::{CellAlignment, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use super::plot::{self, Axis};
@@ -194,8 +194,7 @@ impl AgreeReport<'_> {
                 first.map_or(String::new(), |d| d.neuron.to_string()),
             ])?;
         }
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(out)
     }
 
     fn conversion_text(&self) -> String {
@@ -244,9 +243,7 @@ impl AgreeReport<'_> {
 
     fn attribution_text(&self) -> String {
         let Some(attribution) = self.attribution else { return String::new() };
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING);
-        table.set_header([
+        let mut table = super::table([
             "cause",
             "share",
             "forward",
@@ -362,9 +359,7 @@ impl AgreeReport<'_> {
         out += &format!("\n{}\n", count(self.samples as u64, "sample"));
         out += &self.conversion_text();
         out.push('\n');
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING);
-        table.set_header([
+        let mut table = super::table([
             "layer",
             "shift",
             "spikes a",

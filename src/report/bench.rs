@@ -1,6 +1,6 @@
 //! The result of `nsim bench` as text, JSON and CSV.
 
-use comfy_table::{CellAlignment, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::bench::{Environment, Measured};
@@ -51,7 +51,6 @@ impl StepReport<'_> {
     /// `nsim.bench/1`.
     #[must_use]
     pub fn json(&self) -> Value {
-        let Environment { cpu, cores, os, rustc, nsim, profile } = self.environment;
         let row = |row: &StepRow| {
             json!({
                 "network": row.network,
@@ -71,9 +70,7 @@ impl StepReport<'_> {
         json!({
             "schema": "nsim.bench/1",
             "name": "step",
-            "environment": {
-                "cpu": cpu, "cores": cores, "os": os, "rustc": rustc, "nsim": nsim, "profile": profile,
-            },
+            "environment": super::environment(self.environment),
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -104,16 +101,13 @@ impl StepReport<'_> {
                 rounded(row.bytes_per_synapse).to_string(),
             ])?;
         }
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(out)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING);
-        table.set_header([
+        let mut table = super::table([
             "network",
             "threads",
             "skip",

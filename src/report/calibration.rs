@@ -86,8 +86,7 @@ impl CalibrationReport<'_> {
         for residual in self.residuals {
             writer.serialize(residual)?;
         }
-        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(writer)
     }
 
     /// The report for people.

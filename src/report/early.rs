@@ -1,6 +1,6 @@
 //! The result of `nsim bench early` as text, JSON, CSV and charts.
 
-use comfy_table::{CellAlignment, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use super::plot::{Axis, Series, chart};
@@ -160,9 +160,7 @@ impl EarlyReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING);
-        table.set_header([
+        let mut table = super::table([
             "models",
             "number",
             "accuracy",

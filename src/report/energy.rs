@@ -5,7 +5,7 @@
 
 use std::fmt::Write;
 
-use comfy_table::{CellAlignment, ContentArrangement, Table};
+use comfy_table::{CellAlignment, Table};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -226,8 +226,7 @@ impl EnergyReport {
             record.push(row.power_source.name().to_string());
             writer.write_record(record)?;
         }
-        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(writer)
     }
 
     /// The report for people.
@@ -425,9 +424,7 @@ impl EnergyReport {
 type Figure = fn(&Row) -> Option<f64>;
 
 pub(super) fn plain(header: &[&str]) -> Table {
-    let mut table = Table::new();
-    table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
-    table.set_header(header);
+    let mut table = super::table(header);
     for (i, column) in table.column_iter_mut().enumerate() {
         let text = i == 0 || matches!(header[i], "Unit" | "Source");
         column.set_cell_alignment(if text { CellAlignment::Left } else { CellAlignment::Right });

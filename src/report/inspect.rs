@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use comfy_table::{CellAlignment, ContentArrangement, Table};
+use comfy_table::{CellAlignment, ContentArrangement};
 use serde_json::{Map, Value, json};
 
 /// What was found: facts about the whole, and tables of its parts.
@@ -50,9 +50,8 @@ impl Findings {
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
         for part in &self.tables {
-            let mut table = Table::new();
-            table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Dynamic);
-            table.set_header(part.columns.iter().copied());
+            let mut table = super::table(part.columns.iter().copied());
+            table.set_content_arrangement(ContentArrangement::Dynamic);
             for row in &part.rows {
                 table.add_row(row.iter().map(shown));
             }
@@ -106,7 +105,6 @@ impl Findings {
                 }
             }
         }
-        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(writer)
     }
 }

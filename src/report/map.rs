@@ -6,7 +6,7 @@
 
 use std::fmt::Write;
 
-use comfy_table::{CellAlignment, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use super::plot::{Axis, Series, chart};
@@ -153,9 +153,8 @@ pub fn pareto_text(found: &[Found]) -> String {
         return String::new();
     }
     let front = front(found);
-    let mut table = Table::new();
-    table.load_style(comfy_table::presets::NOTHING);
-    table.set_header(["strategy", "cores filled to", "placed", "cores", "powered", "uJ a step", "us a step", "front"]);
+    let mut table =
+        super::table(["strategy", "cores filled to", "placed", "cores", "powered", "uJ a step", "us a step", "front"]);
     for one in found {
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         table.add_row([
@@ -205,9 +204,7 @@ const SHOWN_NAMES: usize = 6;
 
 /// What was pruned, for people.
 fn pruned_table(rows: &[PrunedRow]) -> String {
-    let mut table = Table::new();
-    table.load_style(comfy_table::presets::NOTHING);
-    table.set_header(["pruned", "count", "of", "why"]);
+    let mut table = super::table(["pruned", "count", "of", "why"]);
     for row in rows {
         let mut of: Vec<String> =
             row.of.iter().take(SHOWN_NAMES).map(|(name, count)| format!("{name}: {count}")).collect();
@@ -396,8 +393,6 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
 /// A table of every core's use of its resources, in numbers and in hundredths of what there is.
 fn table(compiled: Layout<'_>, target: &Target) -> String {
     let limits = target.limits();
-    let mut table = Table::new();
-    table.load_style(comfy_table::presets::NOTHING);
     let resources = [
         (Resource::Compartments, "compartments"),
         (Resource::AxonsIn, "axons in"),
@@ -410,7 +405,7 @@ fn table(compiled: Layout<'_>, target: &Target) -> String {
     ];
     let mut header = vec!["core".to_string(), "chip".to_string(), "tile".to_string(), "synapses".to_string()];
     header.extend(resources.iter().map(|(_, name)| name.to_string()));
-    table.set_header(header);
+    let mut table = super::table(header);
     let (cores, usage) = (compiled.partition.cores(), compiled.partition.usage());
     let shown = if cores > LONGEST_TABLE { SHORT_TABLE } else { cores };
     let cell = |need: u64, limit: u64| format!("{need} {:>3.0}%", 100.0 * need as f64 / limit.max(1) as f64);

@@ -22,8 +22,33 @@ pub mod scene;
 pub mod stress;
 pub mod train;
 
+use comfy_table::{Cell, ContentArrangement, Table};
+use serde_json::{Value, json};
+
+use crate::bench::environment::Environment;
+
 /// The width of text for people.
 const WIDTH: usize = 100;
+
+/// An empty table without lines, as wide as what it holds.
+fn table(header: impl IntoIterator<Item = impl Into<Cell>>) -> Table {
+    let mut table = Table::new();
+    table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
+    table.set_header(header.into_iter().map(Into::into).collect::<Vec<Cell>>());
+    table
+}
+
+/// What was written as CSV.
+fn csv_text(written: csv::Writer<Vec<u8>>) -> Result<String, csv::Error> {
+    let bytes = written.into_inner().map_err(csv::IntoInnerError::into_error)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+/// Where a figure of time was measured, as every `nsim.bench/1` says it.
+fn environment(of: &Environment) -> Value {
+    let Environment { cpu, cores, os, rustc, nsim, profile } = of;
+    json!({ "cpu": cpu, "cores": cores, "os": os, "rustc": rustc, "nsim": nsim, "profile": profile })
+}
 
 /// A number of things, in words.
 fn count(number: impl Into<u64>, thing: &str) -> String {

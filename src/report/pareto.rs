@@ -1,6 +1,6 @@
 //! The result of `nsim bench pareto` as text, JSON, CSV, Markdown and SVG.
 
-use comfy_table::{CellAlignment, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use super::plot::{self, Axis, Series};
@@ -59,7 +59,6 @@ impl ParetoReport<'_> {
     /// `nsim.bench/1`.
     #[must_use]
     pub fn json(&self) -> Value {
-        let Environment { cpu, cores, os, rustc, nsim, profile } = self.environment;
         let row = |row: &Row| {
             json!({
                 "variant": row.variant.name(),
@@ -81,9 +80,7 @@ impl ParetoReport<'_> {
             "input": self.input,
             "seed": self.seed,
             "samples": self.samples,
-            "environment": {
-                "cpu": cpu, "cores": cores, "os": os, "rustc": rustc, "nsim": nsim, "profile": profile,
-            },
+            "environment": super::environment(self.environment),
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -110,8 +107,7 @@ impl ParetoReport<'_> {
             cells[8] = row.on_front.to_string();
             out.write_record(&cells)?;
         }
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(out)
     }
 
     fn what(&self) -> String {
@@ -122,9 +118,7 @@ impl ParetoReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING);
-        table.set_header(HEAD);
+        let mut table = super::table(HEAD);
         self.rows.iter().for_each(|row| _ = table.add_row(Self::cells(row)));
         table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
         format!(

@@ -202,8 +202,7 @@ impl RunReport<'_> {
             row.extend(outcome.counts.iter().map(ToString::to_string));
             out.write_record(&row)?;
         }
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(out)
     }
 
     fn class_name(&self, class: Option<u32>) -> String {

@@ -1,6 +1,6 @@
 //! The result of `nsim scene` as text, JSON (`nsim.scene/1`) and CSV.
 
-use comfy_table::{CellAlignment, ContentArrangement, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::scene::wire::Carried;
@@ -53,9 +53,8 @@ impl SceneReport {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
-        table.set_header(["class", "samples", "touch spikes", "touch %", "vision spikes", "vision %", "onset ms"]);
+        let mut table =
+            super::table(["class", "samples", "touch spikes", "touch %", "vision spikes", "vision %", "onset ms"]);
         let percent = |x: f64| if x.is_nan() { "-".to_string() } else { format!("{:.2}", 100.0 * x) };
         for class in &self.classes {
             let onset = class.onset_ms.map_or("-".to_string(), |[a, b, c]| format!("{a:.0} .. {b:.0} .. {c:.0}"));
@@ -171,7 +170,6 @@ impl SceneReport {
                 last,
             ])?;
         }
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(out)
     }
 }

@@ -1,6 +1,6 @@
 //! The result of `nsim stress` as text, JSON and CSV.
 
-use comfy_table::{CellAlignment, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use super::count;
@@ -39,16 +39,13 @@ impl StressReport<'_> {
         for verdict in self.verdicts {
             out.write_record([verdict.name, word(verdict), &verdict.steps.to_string(), &verdict.detail])?;
         }
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(out)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING);
-        table.set_header(["case", "verdict", "steps", "seen"]);
+        let mut table = super::table(["case", "verdict", "steps", "seen"]);
         for verdict in self.verdicts {
             table.add_row([verdict.name, word(verdict), &verdict.steps.to_string(), &verdict.detail]);
         }

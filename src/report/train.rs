@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use comfy_table::{CellAlignment, Table};
+use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::base::diagnostic::SourceText;
@@ -226,16 +226,13 @@ impl StudyReport<'_> {
                 rounded(run.seconds).to_string(),
             ])?;
         }
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        super::csv_text(out)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = Table::new();
-        table.load_style(comfy_table::presets::NOTHING);
-        table.set_header(["setting", "runs", "mean", "sd", "least", "most", "s a run"]);
+        let mut table = super::table(["setting", "runs", "mean", "sd", "least", "most", "s a run"]);
         for (name, runs) in self.settings() {
             let accuracies: Vec<f64> = runs.iter().map(|run| run.accuracy).collect();
             let (mean, sd) = mean_sd(&accuracies);

@@ -14,6 +14,7 @@ pub mod nir_export;
 pub mod pickle;
 pub mod slayer;
 pub mod torch;
+pub mod window;
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +22,13 @@ use super::draft::Draft;
 use super::npy;
 use super::text::{MOST_ARRAY, read_bytes};
 use crate::base::diagnostic::Diagnostic;
+use crate::base::fixed::{Delay, ThresholdMantissa};
 use crate::desc::network::{Network, ThresholdTest};
+
+/// The greatest threshold mantissa: what a compartment gets that should not spike.
+const NEVER: f64 = ThresholdMantissa::MAX.get() as f64;
+/// The greatest delay field.
+const LONGEST_DELAY: f64 = Delay::MAX.get() as f64;
 
 /// What a file does not say, and its user may.
 #[derive(Debug, Clone, Default)]

@@ -1,0 +1,271 @@
+//! Ways and neurons as projections and populations of a draft.
+//!
+//! Comes in: ways that end at a population. Goes out: its projections, biases, and the population that decides.
+
+use std::collections::BTreeMap;
+
+use super::linear::{Linear, Way, at, scaled};
+use super::neuron::{Discrete, all};
+use super::{Reader, product, unsupported, wrong};
+use crate::base::diagnostic::Diagnostic;
+use crate::io::draft::{DraftKind, DraftPopulation, DraftProjection, Value, tensor};
+use crate::io::foreign::NEVER;
+use crate::io::foreign::window::MOST_LISTED;
+
+impl Reader<'_> {
+    /// Everything that a population hears: projections, and its bias.
+    pub(super) fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<(), Diagnostic> {
+        let shape = self.shapes[name].clone();
+        let units = product(&shape).unwrap_or(0);
+        let mut bias: Vec<f64> = (0..units).map(|unit| neuron.bias.get(unit)).collect();
+        let mut current = vec![0.0; 0];
+        let memory = !all(&neuron.du, |du| du == 4096.0);
+        let mut projections = Vec::new();
+        for way in self.paths(name)? {
+            let arrived = self.walk(&self.shapes[&way[0]].clone(), &way[1..])?;
+            if product(&arrived.shape) != Some(units) {
+                return Err(wrong(format!(
+                    "{:?} arrives at '{name}', which has {shape:?}: its shape differs from that of its parameters",
+                    arrived.shape
+                )));
+            }
+            if let Some(added) = &arrived.bias {
+                if memory {
+                    current.resize(units, 0.0);
+                    current.iter_mut().zip(added).for_each(|(sum, b)| *sum += b);
+                } else {
+                    bias.iter_mut().zip(added).enumerate().for_each(|(i, (sum, b))| *sum += b * neuron.gain.get(i));
+                }
+            }
+            projections.extend(self.projections(&way[0], name, arrived, &neuron.gain)?);
+        }
+        if current.iter().any(|&b| b != 0.0) {
+            let weights: Vec<f64> = current.iter().enumerate().map(|(i, b)| b * neuron.gain.get(i)).collect();
+            let source = self.always();
+            let kind = DraftKind::Dense(tensor(vec![units, 1], weights));
+            projections.push(DraftProjection::new(&source, &self.names[name], kind));
+            self.notes.push(format!(
+                "'{name}': its current keeps a bias, which '{source}', a compartment that spikes in every step, brings from step 1 on"
+            ));
+        }
+        let to = self.names[name].clone();
+        let mut parameters = Vec::new();
+        if neuron.threshold.is_none() {
+            // What never spikes is in integers: the largest weight takes the whole mantissa.
+            let most = projections.iter().map(|p| greatest(&p.kind)).fold(0.0, f64::max);
+            let scale = if most > 0.0 { 254.0 / most } else { 1.0 };
+            for projection in &mut projections {
+                projection.weight_scale = Some(scale);
+            }
+            if bias.iter().any(|&b| b != 0.0) {
+                let register: Vec<f64> = bias.iter().map(|b| b * scale * 64.0).collect();
+                let exponent =
+                    (0..=7).find(|&e| register.iter().all(|b| (b / f64::from(1 << e)).abs() <= 4095.0)).ok_or_else(
+                        || unsupported(format!("the bias of '{name}' is beyond its weights"), "scale it down"),
+                    )?;
+                let mantissas = register.iter().map(|b| (b / f64::from(1 << exponent)).round_ties_even()).collect();
+                parameters.push(("bias_mant", Value::of(mantissas)));
+                parameters.push(("bias_exp", Value::Same(f64::from(exponent))));
+            }
+            self.notes.push(format!("'{name}' never spikes: its v counts {} for a unit", scale * 64.0));
+        } else if bias.iter().any(|&b| b != 0.0) {
+            parameters.push(("bias", Value::of(bias)));
+        }
+        let population = self.draft.populations.iter_mut().find(|population| population.name == to);
+        if let Some(loihi) = population.and_then(|population| population.loihi.as_mut()) {
+            loihi.extend(parameters);
+        }
+        self.draft.projections.extend(projections);
+        Ok(())
+    }
+
+    /// The compartment that spikes in every step.
+    pub(super) fn always(&mut self) -> String {
+        let mut name = "always".to_string();
+        while self.names.values().any(|taken| *taken == name) {
+            name.push('_');
+        }
+        if self.draft.population(&name).is_none() {
+            let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 0.0), ("bias_mant", 1.0), ("bias_exp", 0.0)];
+            self.draft.populations.push(DraftPopulation {
+                name: name.clone(),
+                shape: vec![1],
+                loihi: Some(parameters.into_iter().map(|(key, value)| (key, Value::Same(value))).collect()),
+                srm: None,
+                start_step: 0,
+            });
+        }
+        name
+    }
+
+    /// A way as projections: one, or one for each delay.
+    pub(super) fn projections(
+        &mut self,
+        from: &str,
+        to: &str,
+        way: Way,
+        gain: &Value,
+    ) -> Result<Vec<DraftProjection>, Diagnostic> {
+        let target = self.shapes[to].clone();
+        let source_units = product(&self.shapes[from]).unwrap_or(0);
+        let units = product(&target).unwrap_or(0);
+        let gains = match gain {
+            Value::Same(gain) => vec![*gain],
+            Value::Each(gains) => gains.clone(),
+        };
+        let linear = scaled(way.linear, &gains, &way.shape).ok_or_else(|| self.too_many(to))?;
+        let (from_name, to_name) = (self.names[from].clone(), self.names[to].clone());
+        let source_volume = self.shapes[from].len() == 3;
+        let kind = match linear {
+            Linear::Dense(mut weights, sources) => {
+                // A product may not reach the last sources.
+                if sources < source_units {
+                    let mut wide = vec![0.0; units * source_units];
+                    for (row, old) in wide.chunks_exact_mut(source_units).zip(weights.chunks_exact(sources)) {
+                        row[..sources].copy_from_slice(old);
+                    }
+                    weights = wide;
+                }
+                DraftKind::Dense(tensor(vec![units, source_units], weights))
+            }
+            Linear::Window(window) if target == window.sliding.target && source_volume => {
+                let pair = |(y, x): (usize, usize)| (y as u64, x as u64);
+                let per_group = window.sliding.per_group();
+                match window.kernel {
+                    Ok(kernel) => DraftKind::Conv2d {
+                        weights: tensor(
+                            vec![window.sliding.target[0], per_group, window.sliding.size.0, window.sliding.size.1],
+                            kernel,
+                        ),
+                        stride: pair(window.sliding.stride),
+                        padding: pair(window.sliding.padding),
+                        dilation: pair(window.sliding.dilation),
+                        groups: window.sliding.groups as u64,
+                    },
+                    Err(weight) => DraftKind::SumPool2d {
+                        kernel: pair(window.sliding.size),
+                        stride: pair(window.sliding.stride),
+                        padding: pair(window.sliding.padding),
+                        weight,
+                    },
+                }
+            }
+            Linear::Diagonal(scale) => {
+                self.count(units)?;
+                DraftKind::Sparse((0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect())
+            }
+            other => DraftKind::Sparse(self.listed(other, to)?),
+        };
+        if let DraftKind::Sparse(synapses) = &kind {
+            self.count(synapses.len())?;
+        }
+        let delays = way.delay.unwrap_or_default();
+        let first = delays.first().copied().unwrap_or(0);
+        let mut projection = DraftProjection { delay: first, ..DraftProjection::new(&from_name, &to_name, kind) };
+        if delays.iter().all(|&delay| delay == first) {
+            return Ok(vec![projection]);
+        }
+        let synapses: Vec<(u64, u64, f64)> = match projection.kind {
+            DraftKind::Sparse(synapses) => synapses,
+            DraftKind::Dense(weights) => {
+                self.count(weights.len())?;
+                let sources = source_units as u64;
+                (0..weights.len() as u64).map(|i| (i % sources, i / sources, weights.real(i as usize))).collect()
+            }
+            _ => {
+                return Err(unsupported(
+                    format!("'{to}' hears a convolution with delays that differ"),
+                    "give it one delay",
+                ));
+            }
+        };
+        let mut by_delay: BTreeMap<u32, Vec<(u64, u64, f64)>> = BTreeMap::new();
+        for synapse in synapses {
+            by_delay.entry(delays[synapse.1 as usize]).or_default().push(synapse);
+        }
+        projection.kind = DraftKind::Sparse(Vec::new());
+        Ok(by_delay
+            .into_iter()
+            .map(|(delay, synapses)| DraftProjection { delay, kind: DraftKind::Sparse(synapses), ..projection.clone() })
+            .collect())
+    }
+
+    /// Counts synapses that are listed one by one.
+    pub(super) fn count(&mut self, synapses: usize) -> Result<(), Diagnostic> {
+        self.listed += synapses;
+        if self.listed > MOST_LISTED {
+            return Err(unsupported(
+                format!("more than {MOST_LISTED} synapses would be listed one by one"),
+                "projections that are no matrix and no window are listed",
+            ));
+        }
+        Ok(())
+    }
+
+    /// The population that decides: the one that leads to the output, or integrators that show what does.
+    pub(super) fn output(&mut self, order: &[String]) -> Result<(), Diagnostic> {
+        let outputs: Vec<String> =
+            self.flat.nodes.iter().filter(|(_, node)| node.kind == "Output").map(|(name, _)| name.clone()).collect();
+        let mut leading: Vec<(Vec<String>, String)> = Vec::new();
+        for output in &outputs {
+            leading.extend(self.paths(output)?.into_iter().map(|way| (way, output.clone())));
+        }
+        let neurons = |name: &String| self.flat.nodes[name].kind != "Input";
+        let Some((way, output)) = leading.iter().find(|(way, _)| neurons(&way[0])).or(leading.first()) else {
+            let last = order.iter().rev().find(|name| neurons(name)).ok_or_else(|| wrong("it has no neurons"))?;
+            self.draft.output = self.names[last].clone();
+            self.notes.push(format!("no way leads to an output; '{}' is taken for it", self.draft.output));
+            return Ok(());
+        };
+        if leading.len() > 1 {
+            self.notes.push(format!("{} ways lead to outputs; '{}' is taken", leading.len(), way[0]));
+        }
+        let plain = way[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
+        if plain && neurons(&way[0]) {
+            self.draft.output = self.names[&way[0]].clone();
+            return Ok(());
+        }
+        // Weights without a neuron behind them: v shows what they sum in each step.
+        let arrived = self.walk(&self.shapes[&way[0]].clone(), &way[1..])?;
+        let output = output.clone();
+        let mut name = "output".to_string();
+        while self.names.values().any(|taken| *taken == name) {
+            name.push('_');
+        }
+        self.names.insert(output.clone(), name.clone());
+        self.shapes.insert(output.clone(), arrived.shape.clone());
+        let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();
+        let parameters =
+            vec![("du", Value::Same(4096.0)), ("dv", Value::Same(4096.0)), ("vth_mant", Value::Same(NEVER))];
+        self.draft.populations.push(DraftPopulation {
+            name: name.clone(),
+            shape,
+            loihi: Some(parameters),
+            srm: None,
+            start_step: 0,
+        });
+        let neuron = Discrete {
+            du: Value::Same(4096.0),
+            dv: Value::Same(4096.0),
+            gain: Value::Same(1.0),
+            threshold: None,
+            bias: Value::Same(0.0),
+        };
+        self.notes
+            .push(format!("weights lead to '{output}' without a neuron: '{name}' shows their sum of each step as v"));
+        self.incoming(&output, &neuron)?;
+        self.draft.output = name;
+        Ok(())
+    }
+}
+
+/// The greatest magnitude of a projection's weights.
+pub(super) fn greatest(kind: &DraftKind) -> f64 {
+    match kind {
+        DraftKind::Dense(weights) | DraftKind::Conv2d { weights, .. } => {
+            (0..weights.len()).map(|i| weights.real(i).abs()).fold(0.0, f64::max)
+        }
+        DraftKind::Sparse(synapses) => synapses.iter().map(|s| s.2.abs()).fold(0.0, f64::max),
+        DraftKind::SumPool2d { weight, .. } => weight.abs(),
+    }
+}

@@ -1,0 +1,288 @@
+//! What stands between two populations as one linear map.
+//!
+//! Comes in: the nodes on a way. Goes out: its shape, linear part, bias and delays.
+
+use std::collections::BTreeMap;
+
+use super::linear::{Linear, Way, Window, at, scaled, spread};
+use super::neuron::reals;
+use super::{MOST_UNITS, Reader, product, unsupported, wrong};
+use crate::base::diagnostic::Diagnostic;
+use crate::io::foreign::LONGEST_DELAY;
+use crate::io::foreign::hdf5::Group;
+use crate::io::foreign::window::{MOST_LISTED, Sliding};
+
+impl Reader<'_> {
+    /// What arrives at the end of nodes that are passed from a population of this shape.
+    pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Way, Diagnostic> {
+        let mut way = Way { shape: source.to_vec(), linear: Linear::Diagonal(vec![1.0]), bias: None, delay: None };
+        for name in nodes {
+            way = self.pass(way, name)?;
+        }
+        Ok(way)
+    }
+
+    pub(super) fn pass(&self, mut way: Way, name: &str) -> Result<Way, Diagnostic> {
+        let node = &self.flat.nodes[name];
+        let group = node.group;
+        let units = product(&way.shape).ok_or_else(|| wrong(format!("'{name}' hears too many units")))?;
+        match node.kind.as_str() {
+            "Pass" | "Output" => {}
+            // Every population is flattened in C order; the batch axis is not in a file.
+            "Flatten" => way.shape = vec![units],
+            "Scale" => {
+                let scale = reals(group, name, "scale")?;
+                let scale = spread(scale, &way.shape)
+                    .ok_or_else(|| wrong(format!("node '{name}': its scale does not fit the shape {:?}", way.shape)))?;
+                way.bias = way.bias.map(|bias| bias.iter().enumerate().map(|(i, b)| b * at(&scale, i)).collect());
+                way.linear = scaled(way.linear, &scale, &way.shape).ok_or_else(|| self.too_many(name))?;
+            }
+            "Linear" | "Affine" => {
+                let numbers = group.numbers("weight").ok_or_else(|| wrong(format!("node '{name}' has no weight")))?;
+                let weights = reals(group, name, "weight")?;
+                let &[targets, sources] = numbers.shape() else {
+                    return Err(wrong(format!("node '{name}': its weight is {:?}", numbers.shape())));
+                };
+                if sources != units {
+                    return Err(wrong(format!(
+                        "node '{name}': its weight is {:?} and {units} units arrive",
+                        numbers.shape()
+                    )));
+                }
+                self.no_bias_yet(&way, name)?;
+                way.linear = self.then_dense(way.linear, weights, targets, sources, name)?;
+                way.shape = vec![targets];
+                way.bias = self.bias(group, name, &way.shape)?;
+            }
+            "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
+                let window = self.window(&way.shape, name)?;
+                self.no_bias_yet(&way, name)?;
+                let target = window.sliding.target.to_vec();
+                way.linear = self.then_window(way.linear, window, &way.shape, name)?;
+                way.shape = target;
+                way.bias = self.bias(group, name, &way.shape)?;
+            }
+            "Delay" => {
+                let delays = reals(group, name, "delay")?;
+                let delays = spread(delays, &way.shape)
+                    .ok_or_else(|| wrong(format!("node '{name}': its delays do not fit the shape {:?}", way.shape)))?;
+                let steps = delays.iter().map(|delay| (delay / self.dt).round_ties_even()).collect::<Vec<_>>();
+                if let Some(long) = steps.iter().find(|steps| !(0.0..=LONGEST_DELAY).contains(*steps)) {
+                    return Err(unsupported(
+                        format!("node '{name}' delays by {long} steps of {} ms", self.dt * 1e3),
+                        "the delay field holds 0 to 62 steps",
+                    ));
+                }
+                if way.delay.is_some() {
+                    return Err(unsupported(format!("node '{name}' is the second delay of a way"), "join them"));
+                }
+                way.delay = Some((0..units).map(|unit| at(&steps, unit) as u32).collect());
+            }
+            other => return Err(wrong(format!("node '{name}' of the type '{other}' is in the middle of a way"))),
+        }
+        Ok(way)
+    }
+
+    pub(super) fn no_bias_yet(&self, way: &Way, name: &str) -> Result<(), Diagnostic> {
+        let silent = way.bias.as_ref().is_none_or(|bias| bias.iter().all(|&b| b == 0.0));
+        if silent && way.delay.as_ref().is_none_or(|delays| delays.windows(2).all(|pair| pair[0] == pair[1])) {
+            return Ok(());
+        }
+        Err(unsupported(
+            format!("before node '{name}' a bias or delays of their own were added, without a neuron in between"),
+            "join the layers into one",
+        ))
+    }
+
+    /// The bias that a node adds, unless it is zero.
+    pub(super) fn bias(&self, group: &Group, name: &str, shape: &[usize]) -> Result<Option<Vec<f64>>, Diagnostic> {
+        if group.get("bias").is_none() {
+            return Ok(None);
+        }
+        let bias = reals(group, name, "bias")?;
+        if bias.iter().all(|&b| b == 0.0) {
+            return Ok(None);
+        }
+        let bias =
+            spread(bias, shape).ok_or_else(|| wrong(format!("node '{name}': its bias does not fit {shape:?}")))?;
+        let units = product(shape).unwrap_or(0);
+        Ok(Some((0..units).map(|unit| at(&bias, unit)).collect()))
+    }
+
+    pub(super) fn window(&self, shape: &[usize], name: &str) -> Result<Window, Diagnostic> {
+        let node = &self.flat.nodes[name];
+        let bad = |what: String| wrong(format!("node '{name}': {what}"));
+        let &[channels, height, width] = shape else {
+            return Err(bad(format!("the shape {shape:?} that arrives has no height and width")));
+        };
+        let line = node.kind == "Conv1d";
+        let pair = |key: &str, default: usize, least: f64| -> Result<(usize, usize), Diagnostic> {
+            if node.group.get(key).is_none() {
+                return Ok((default, default));
+            }
+            let numbers = reals(node.group, name, key)?;
+            if numbers.iter().any(|x| x.fract() != 0.0 || !(least..=65_535.0).contains(x)) {
+                return Err(bad(format!("'{key}' is {numbers:?}")));
+            }
+            match numbers.as_slice() {
+                [one] if line => Ok((default.min(1), *one as usize)),
+                [one] => Ok((*one as usize, *one as usize)),
+                [y, x] if !line => Ok((*y as usize, *x as usize)),
+                _ => Err(bad(format!("'{key}' is {numbers:?}"))),
+            }
+        };
+        let conv = matches!(node.kind.as_str(), "Conv1d" | "Conv2d");
+        let (size, out, groups, kernel) = if conv {
+            let numbers = node.group.numbers("weight").ok_or_else(|| bad("it has no weight".to_string()))?;
+            let (out, per_group, size) = match *numbers.shape() {
+                [out, per_group, kw] if line => (out, per_group, (1, kw)),
+                [out, per_group, kh, kw] if !line => (out, per_group, (kh, kw)),
+                _ => return Err(bad(format!("its weight is {:?}", numbers.shape()))),
+            };
+            let groups = pair("groups", 1, 1.0)?.1;
+            if per_group.checked_mul(groups) != Some(channels) || out % groups != 0 || out == 0 || size.0 * size.1 == 0
+            {
+                return Err(bad(format!(
+                    "its weight is {:?} in {groups} groups, {channels} channels arrive",
+                    numbers.shape()
+                )));
+            }
+            (size, out, groups, Ok(reals(node.group, name, "weight")?))
+        } else {
+            let size = pair("kernel_size", 1, 1.0)?;
+            let weight = if node.kind == "AvgPool2d" { 1.0 / (size.0 * size.1) as f64 } else { 1.0 };
+            (size, channels, channels, Err(weight))
+        };
+        let stride = pair("stride", 1, 1.0)?;
+        let dilation = if conv { pair("dilation", 1, 1.0)? } else { (1, 1) };
+        let padding = match node.group.text("padding") {
+            Some("valid") => (0, 0),
+            Some("same") => {
+                let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
+                if reach.0 % 2 != 0 || reach.1 % 2 != 0 || stride != (1, 1) {
+                    return Err(unsupported(
+                        format!("node '{name}': padding 'same' of an even kernel, or with a stride"),
+                        "give the padding as numbers",
+                    ));
+                }
+                (reach.0 / 2, reach.1 / 2)
+            }
+            Some(other) => return Err(bad(format!("padding '{}'", other.chars().take(40).collect::<String>()))),
+            None => {
+                let (y, x) = pair("padding", 0, 0.0)?;
+                if line { (0, x) } else { (y, x) }
+            }
+        };
+        let side = |n: usize, size: usize, stride: usize, padding: usize, dilation: usize| {
+            (n + 2 * padding).checked_sub(dilation * (size - 1) + 1).map(|room| room / stride + 1)
+        };
+        let target = (
+            side(height, size.0, stride.0, padding.0, dilation.0),
+            side(width, size.1, stride.1, padding.1, dilation.1),
+        );
+        let (Some(to_h), Some(to_w)) = target else {
+            return Err(bad(format!("its window is larger than the {height} x {width} that arrive")));
+        };
+        if product(&[out, to_h, to_w]).is_none() {
+            return Err(bad(format!("it makes more than {MOST_UNITS} units")));
+        }
+        let (source, target) = ([channels, height, width], [out, to_h, to_w]);
+        Ok(Window { sliding: Sliding { source, target, size, stride, padding, dilation, groups }, kernel })
+    }
+
+    pub(super) fn too_many(&self, name: &str) -> Diagnostic {
+        unsupported(
+            format!(
+                "node '{name}' follows another without a neuron in between, and their product has too many synapses"
+            ),
+            "put a neuron between them, or join them into one layer",
+        )
+    }
+
+    pub(super) fn then_dense(
+        &self,
+        before: Linear,
+        weights: Vec<f64>,
+        targets: usize,
+        sources: usize,
+        name: &str,
+    ) -> Result<Linear, Diagnostic> {
+        match before {
+            Linear::Diagonal(scale) if scale.iter().all(|&s| s == 1.0) => Ok(Linear::Dense(weights, sources)),
+            Linear::Diagonal(scale) => {
+                let scaled = weights.iter().enumerate().map(|(i, w)| w * at(&scale, i % sources)).collect();
+                Ok(Linear::Dense(scaled, sources))
+            }
+            before => {
+                let list = self.listed(before, name)?;
+                let inputs = list.iter().map(|s| s.0 + 1).max().unwrap_or(1) as usize;
+                let whole = targets.checked_mul(inputs).filter(|&n| n <= MOST_LISTED);
+                let work = targets.checked_mul(list.len()).filter(|&n| n <= 64 * MOST_LISTED);
+                let (Some(whole), Some(_)) = (whole, work) else { return Err(self.too_many(name)) };
+                let mut dense = vec![0.0; whole];
+                for &(from, via, weight) in &list {
+                    for target in 0..targets {
+                        dense[target * inputs + from as usize] += weight * weights[target * sources + via as usize];
+                    }
+                }
+                Ok(Linear::Dense(dense, inputs))
+            }
+        }
+    }
+
+    pub(super) fn then_window(
+        &self,
+        before: Linear,
+        window: Window,
+        shape: &[usize],
+        name: &str,
+    ) -> Result<Linear, Diagnostic> {
+        match before {
+            Linear::Diagonal(scale) if scale.len() == 1 => {
+                let kernel = match window.kernel {
+                    Ok(kernel) => Ok(kernel.iter().map(|w| w * scale[0]).collect()),
+                    Err(weight) => Err(weight * scale[0]),
+                };
+                Ok(Linear::Window(Window { kernel, ..window }))
+            }
+            Linear::Window(first) if first.then(&window).is_some() => {
+                first.then(&window).map(Linear::Window).ok_or_else(|| self.too_many(name))
+            }
+            before => {
+                let units = product(shape).unwrap_or(0);
+                let first = match before {
+                    Linear::Diagonal(scale) => (0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect(),
+                    before => self.listed(before, name)?,
+                };
+                let second = window.list().ok_or_else(|| self.too_many(name))?;
+                let mut by_source: BTreeMap<u64, Vec<(u64, f64)>> = BTreeMap::new();
+                for (via, to, weight) in second {
+                    by_source.entry(via).or_default().push((to, weight));
+                }
+                let mut sums: BTreeMap<(u64, u64), f64> = BTreeMap::new();
+                for (from, via, weight) in first {
+                    for &(to, next) in by_source.get(&via).map_or(&[][..], Vec::as_slice) {
+                        *sums.entry((to, from)).or_default() += weight * next;
+                    }
+                    if sums.len() > MOST_LISTED / 4 {
+                        return Err(self.too_many(name));
+                    }
+                }
+                Ok(Linear::List(sums.into_iter().map(|((to, from), weight)| (from, to, weight)).collect()))
+            }
+        }
+    }
+
+    /// A linear part synapse by synapse; a diagonal has no size of its own.
+    pub(super) fn listed(&self, linear: Linear, name: &str) -> Result<Vec<(u64, u64, f64)>, Diagnostic> {
+        match linear {
+            Linear::List(list) => Ok(list),
+            Linear::Window(window) => window.list().ok_or_else(|| self.too_many(name)),
+            Linear::Dense(weights, sources) if weights.len() <= MOST_LISTED => {
+                Ok(weights.iter().enumerate().map(|(i, &w)| ((i % sources) as u64, (i / sources) as u64, w)).collect())
+            }
+            Linear::Diagonal(scale) => Ok(scale.iter().enumerate().map(|(i, &s)| (i as u64, i as u64, s)).collect()),
+            Linear::Dense(..) => Err(self.too_many(name)),
+        }
+    }
+}
