@@ -57,7 +57,7 @@ fn tactile() -> Option<Scene> {
 
 fn slip() -> Scene {
     let network = model("vtsnn-slip");
-    let scene = SceneArg::parse("scene:slip?samples=20&seed=3").unwrap();
+    let scene = SceneArg::parse("slip?samples=20&seed=3").unwrap();
     let samples = nsim::scene::stimulus(&network, &scene).unwrap().samples;
     Scene { name: "slip", network, samples }
 }
