@@ -8,6 +8,7 @@ mod common;
 
 use common::random;
 use nsim::base::id::{CompartmentId, Id};
+use nsim::bench::networks::{Random, random as random_network};
 use nsim::compile::{Compiled, Options, compile_quantised, compile_with_mapping};
 use nsim::desc::target::Target;
 use nsim::golden::Golden;
@@ -115,4 +116,22 @@ fn random_networks_are_the_same_in_both_engines() {
     let spikes: Vec<u64> = pool.install(|| (0..NETWORKS).into_par_iter().map(|seed| compare(seed, &chip)).collect());
     let silent = spikes.iter().filter(|&&spikes| spikes == 0).count();
     assert!(silent < NETWORKS as usize / 3, "{silent} of {NETWORKS} networks never spike: they test too little");
+}
+
+/// Networks large enough that their lists of synapses take the form of three bytes each, and shares of them that do not.
+#[test]
+fn a_large_random_network_is_the_same_in_both_engines() {
+    let sizes = Random { compartments: 4_500, background: 4, driven: 100, period: 30 };
+    let bench = random_network("large", sizes).unwrap();
+    let n = bench.network.compartments();
+    let golden = trace(&mut Golden::new(&bench.network), n, &bench.period);
+    assert!(golden.totals.spikes > 1_000 && golden.totals.synaptic_events > 64_000);
+    let compiled = compile_quantised(bench.network, &load_target(bench.target).unwrap(), &Options::default()).unwrap();
+    for shares in [1, 2, 8] {
+        let image = Image::new(&compiled.program, shares).unwrap();
+        for skip in [true, false] {
+            let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+            assert_same(&golden, &trace(&mut machine, n, &bench.period), &format!("{shares} shares, skip {skip}"));
+        }
+    }
 }

@@ -7,7 +7,6 @@
 mod common;
 
 use std::num::NonZeroU32;
-use std::path::Path;
 
 use assert_cmd::Command;
 use nsim::base::id::{ChannelId, CompartmentId};
@@ -16,7 +15,6 @@ use nsim::drive::decision::{EarlyExit, Rule};
 use nsim::drive::{Keep, Outcome, run_sample};
 use nsim::golden::Golden;
 use nsim::io::model::load_model;
-use nsim::io::stimulus::read_source;
 use nsim::io::target::load_target;
 use nsim::ir::activity::Activity;
 use nsim::ir::graph::Shape;
@@ -104,21 +102,10 @@ fn certainty_that_comes_in_silence_is_found_in_the_same_step_when_silence_is_ski
     }
 }
 
-/// Samples of recordings, all 78 channels.
-fn recordings(folder: &Path) -> Vec<Sample> {
-    let spikes = ["train", "test"].iter().flat_map(|part| read_source(&folder.join(part), 78).unwrap());
-    spikes
-        .map(|sample| {
-            let events: Vec<_> = sample.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
-            Sample::new(sample.steps, &events, sample.label).unwrap()
-        })
-        .collect()
-}
-
 #[test]
 fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
     let Some(data) = common::data("ev-containers") else { return };
-    let samples = recordings(&data);
+    let samples = common::recordings(&data, &["train", "test"]);
     let network = load_model("container-tactile").unwrap();
     let compiled = compile(&network, &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();

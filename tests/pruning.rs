@@ -12,6 +12,7 @@ use common::random::{self, Draw};
 use common::{Net, biased, format, neuron};
 use nsim::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent};
 use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::compile::partition::Strategy;
 use nsim::compile::prune::bound::may_fire;
 use nsim::compile::prune::{Plan, check_stimulus, prune};
 use nsim::compile::{Options, compile_quantised};
@@ -19,7 +20,6 @@ use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::desc::target::Target;
 use nsim::drive::{Keep, digest, run_sample};
 use nsim::golden::Golden;
-use nsim::io::stimulus::read_source;
 use nsim::io::target::load_target;
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::pruned::Kind;
@@ -94,29 +94,40 @@ fn numbers(pruned: &Quantised) -> Vec<CompartmentId> {
     numbers
 }
 
-/// Steps both engines through a sample: all that is left spikes and stands the same, and nothing silent ever spikes.
-fn assert_same(whole: &mut dyn Engine, small: &mut dyn Engine, pruned: &Quantised, sample: &Sample, what: &str) {
+/// Steps all engines through a sample: all that is left spikes and stands the same.
+fn assert_same(
+    whole: &mut dyn Engine,
+    engines: &mut [(String, &mut dyn Engine)],
+    pruned: &Quantised,
+    sample: &Sample,
+    what: &str,
+) {
     let numbers = numbers(pruned);
     let mut left = vec![false; pruned.original().compartments() as usize];
     numbers.iter().for_each(|id| left[id.0 as usize] = true);
     whole.begin(sample.steps());
-    small.begin(sample.steps());
+    engines.iter_mut().for_each(|(_, small)| small.begin(sample.steps()));
     for step in 0..sample.steps() {
         whole.step(sample.at(step));
-        small.step(sample.at(step));
         let expected: Vec<CompartmentId> = whole.spikes().iter().copied().filter(|id| left[id.0 as usize]).collect();
-        let spikes: Vec<CompartmentId> = small.spikes().iter().map(|id| numbers[id.0 as usize]).collect();
-        assert_eq!(expected, spikes, "{what}: spikes of step {step}");
-        for (index, &id) in numbers.iter().enumerate() {
-            let here = CompartmentId(index as u32);
-            assert_eq!(
-                [whole.u(id), whole.v(id), whole.v_register(id)],
-                [small.u(here), small.v(here), small.v_register(here)],
-                "{what}: registers of {id} in step {step}"
-            );
+        for (name, small) in engines.iter_mut() {
+            small.step(sample.at(step));
+            let spikes: Vec<CompartmentId> = small.spikes().iter().map(|id| numbers[id.0 as usize]).collect();
+            assert_eq!(expected, spikes, "{what}, {name}: spikes of step {step}");
+            for (index, &id) in numbers.iter().enumerate() {
+                let here = CompartmentId(index as u32);
+                assert_eq!(
+                    [whole.u(id), whole.v(id), whole.v_register(id)],
+                    [small.u(here), small.v(here), small.v_register(here)],
+                    "{what}, {name}: registers of {id} in step {step}"
+                );
+            }
         }
     }
 }
+
+/// Shares of a network, and whether what rests is left out: what pruning has to be right under.
+const SETTINGS: [(usize, bool); 6] = [(1, true), (1, false), (2, true), (2, false), (8, true), (8, false)];
 
 type Counts = BTreeMap<Kind, (u64, u64)>;
 
@@ -146,8 +157,14 @@ fn roomy() -> Target {
     let chip = load_target("loihi1-chip").unwrap();
     let mut limits = *chip.limits();
     (limits.compartment_profiles, limits.threshold_profiles, limits.accumulators) = (1024, 1024, 1 << 16);
-    limits.synapse_formats = 64;
+    // A few compartments a core, so that there is something to share out.
+    (limits.synapse_formats, limits.compartments) = (64, 5);
     chip.with_limits(limits)
+}
+
+/// Mapped in order: how well does not matter here.
+fn plain() -> Options {
+    Options { strategy: Strategy::Sequential, place: false, ..Options::default() }
 }
 
 /// One network pruned in three ways, and how much went; also the spikes of its compartments and of its output.
@@ -173,18 +190,24 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
             assert!(pruned.kept(id).is_none(), "network {seed}: what is looked at stays whole");
         }
         // The compiler checks the program against the pruned network.
-        let compiled = compile_quantised(pruned.clone(), chip, &Options::default()).unwrap();
-        let image = Image::new(&compiled.program, 1).unwrap();
-        for skip in [true, false] {
-            let mut machine = Machine::new(&image, Settings { skip, per_step: false });
-            for sample in &samples {
-                let what = format!("network {seed}, {plan:?}, skip {skip}");
-                assert_same(&mut golden, &mut machine, &pruned, sample, &what);
-            }
-        }
+        let compiled = compile_quantised(pruned.clone(), chip, &plain()).unwrap();
+        let images: Vec<Image> =
+            SETTINGS.iter().map(|&(shares, _)| Image::new(&compiled.program, shares).unwrap()).collect();
+        let mut machines: Vec<Machine> = (SETTINGS.iter().zip(&images))
+            .map(|(&(_, skip), image)| Machine::new(image, Settings { skip, per_step: false }))
+            .collect();
+        let mut interpreter = Golden::new(&pruned);
         for sample in &samples {
             check_stimulus(&pruned, &[sample], 0).unwrap();
-            assert_same(&mut golden, &mut Golden::new(&pruned), &pruned, sample, &format!("network {seed}, golden"));
+            let mut engines: Vec<(String, &mut dyn Engine)> = vec![("golden".to_string(), &mut interpreter)];
+            // Each setting has two networks of three: a thousand.
+            let settings = SETTINGS.iter().zip(&mut machines).enumerate();
+            for (_, ((shares, skip), machine)) in
+                settings.filter(|(index, _)| !(seed + *index as u64).is_multiple_of(3))
+            {
+                engines.push((format!("{shares} shares, skip {skip}"), machine));
+            }
+            assert_same(&mut golden, &mut engines, &pruned, sample, &format!("network {seed}, {plan:?}"));
         }
         if plan.scene.as_ref().is_some_and(|scene| !scene.dead.is_empty()) {
             assert_eq!(check_stimulus(&pruned, &[&loud], 0).unwrap_err().code, "input.pruned");
@@ -203,7 +226,8 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
 #[test]
 fn pruned_random_networks_spike_as_the_whole_ones() {
     let chip = roomy();
-    let results: Vec<_> = (0..NETWORKS).into_par_iter().map(|seed| compare(seed, &chip)).collect();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+    let results: Vec<_> = pool.install(|| (0..NETWORKS).into_par_iter().map(|seed| compare(seed, &chip)).collect());
     let audible = results.iter().filter(|(.., [_, output])| *output > 0).count();
     println!("{NETWORKS} networks, {audible} of them with output spikes");
     for (name, pick) in [("static", 0), ("scene", 1)] {
@@ -230,27 +254,29 @@ fn recorded_touch_is_told_apart_the_same() {
     let Some(data) = common::data("ev-containers") else { return };
     let model = nsim::io::model::load_model("container-tactile").unwrap();
     let whole = nsim::compile::front(&model).unwrap().into_quantised();
-    let target = load_target("nahuku-32").unwrap();
-    let mut samples = Vec::new();
-    for recording in read_source(&data.join("test"), 78).unwrap() {
-        let events: Vec<_> = recording.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
-        samples.push(Sample::new(recording.steps, &events, recording.label).unwrap());
-    }
-    let digest_of = |network: &Quantised| {
-        let compiled = compile_quantised(network.clone(), &target, &Options::default()).unwrap();
-        let image = Image::new(&compiled.program, 1).unwrap();
-        let mut machine = Machine::new(&image, Settings::default());
+    let chip = roomy();
+    let samples = common::recordings(&data, &["train", "test"]);
+    let digest_of = |network: &Quantised, shares, skip| {
+        let compiled = compile_quantised(network.clone(), &chip, &plain()).unwrap();
+        assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
+        let image = Image::new(&compiled.program, shares).unwrap();
+        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
         let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-        let outcomes: Vec<_> = samples.iter().map(|s| run_sample(&mut machine, s, &keep, |_, _| ())).collect();
+        let run = || samples.iter().map(|s| run_sample(&mut machine, s, &keep, |_, _| ())).collect();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(shares).build().unwrap();
+        let outcomes: Vec<_> = pool.install(run);
         (digest(&outcomes), outcomes.iter().map(|o| o.totals.synaptic_events).sum::<u64>())
     };
-    let (expected, events) = digest_of(&whole);
+    let (expected, events) = digest_of(&whole, 1, true);
     assert!(events > 0);
     for plan in [Plan::fixed(), Plan::for_stimulus(&whole, &stimulus(samples.clone()))] {
         let pruned = prune(&whole, &plan).unwrap();
-        let (digest, fewer) = digest_of(&pruned);
-        assert_eq!(digest, expected);
+        let (_, fewer) = digest_of(&pruned, 1, true);
         assert!(fewer <= events);
+        for (shares, skip) in SETTINGS {
+            let here = digest_of(&pruned, shares, skip);
+            assert_eq!(here, (expected.clone(), fewer), "{plan:?}, {shares} shares, skip {skip}");
+        }
         let rows = &pruned.pruned().unwrap().rows;
         let told: Vec<String> = rows.iter().map(|row| format!("{} {}", row.kind.name(), row.count)).collect();
         println!("{}; {events} synaptic events, then {fewer}", told.join(", "));

@@ -8,7 +8,6 @@ mod common;
 
 use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
-use std::path::Path;
 
 use common::{Net, biased, engines, neuron};
 use nsim::base::id::{ChannelId, CompartmentId};
@@ -17,7 +16,6 @@ use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::drive::{Keep, Outcome, Probe, Quantity, run_sample};
 use nsim::golden::Golden;
 use nsim::io::model::load_model;
-use nsim::io::stimulus::read_source;
 use nsim::io::target::load_target;
 use nsim::ir::activity::Activity;
 use nsim::ir::graph::Shape;
@@ -43,16 +41,6 @@ fn essence(outcome: Outcome) -> (Outcome, u64, u64) {
     outcome.probes.hash(&mut hasher);
     let skipped = outcome.skipped_steps;
     (Outcome { probes: Vec::new(), skipped_steps: 0, ..outcome }, hasher.finish(), skipped)
-}
-
-fn recordings(folder: &Path) -> Vec<Sample> {
-    let spikes = ["train", "test"].iter().flat_map(|part| read_source(&folder.join(part), 78).unwrap());
-    spikes
-        .map(|sample| {
-            let events: Vec<_> = sample.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
-            Sample::new(sample.steps, &events, sample.label).unwrap()
-        })
-        .collect()
 }
 
 /// A model on cores of at most five compartments, so that there is something to share out.
@@ -134,7 +122,7 @@ const FORGETFUL: &str = r#"Network(name: "forgetful", timestep_ms: 20.0, populat
 #[test]
 fn recordings_are_the_same_with_and_without_skipping() {
     let Some(data) = common::data("ev-containers") else { return };
-    let samples = recordings(&data);
+    let samples = common::recordings(&data, &["train", "test"]);
     assert_eq!(samples.len(), 300);
     let folder = tempfile::tempdir().unwrap();
     let forgetful = folder.path().join("forgetful.ron");

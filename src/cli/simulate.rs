@@ -66,7 +66,10 @@ pub fn fast<M: Send>(
         }
         (results, machine.take_activity())
     };
-    let parts: Vec<_> = if large {
+    let parts: Vec<_> = if shards > 1 {
+        // Threads that share every step are called from one of them: from outside, each step would wait to be woken.
+        vec![rayon::scope(|_| run(samples))]
+    } else if large {
         vec![run(samples)]
     } else {
         let size = samples.len().div_ceil(context.threads * 4).max(1);

@@ -7,12 +7,15 @@
 //! multiple of sixteen lanes; 64 lanes are a *granule*, the unit of skipping and of sharing out. Lanes that hold no
 //! compartment are padding: rows of weights are padded with zeros to whole chunks, so adding into padding changes nothing.
 
+use std::ops::Range;
+
 use crate::base::fixed::WEIGHT_SHIFT;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::program::{CoreImage, Program, Synapse};
 use crate::ir::quantised::{Neuron, Reset, SpikeSource};
 use crate::machine::kernel::{LANES, Shared};
+use crate::machine::lists::{Draft, Table};
 use crate::machine::neuron::Fields;
 use crate::machine::tally::longest_delay;
 
@@ -65,103 +68,6 @@ pub(super) struct Panel {
     pub stride: usize,
 }
 
-/// Synapses of one delay by source; weights in units of 64.
-#[derive(Debug)]
-pub(super) struct Sparse {
-    /// Delay field.
-    pub delay: u8,
-    /// One more than sources.
-    pub first: Vec<u32>,
-    /// The synapses.
-    pub synapses: Synapses,
-}
-
-/// Lanes and weights.
-#[derive(Debug)]
-pub(super) enum Synapses {
-    /// In one word.
-    Packed(Packing, Vec<u32>),
-    /// Where a weight does not fit beside its lane.
-    Apart {
-        /// Lane of each.
-        targets: Vec<u32>,
-        /// Weight of each.
-        weights: Vec<i16>,
-    },
-}
-
-/// How a synapse is packed: the lane in as many low bits as the share's lanes need, the weight in the others. A share of
-/// 65,536 lanes leaves the weight all of its 16 bits, one of a million twelve: any of exponents 0 to 3.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Packing {
-    target_bits: u32,
-}
-
-impl Packing {
-    fn new(lanes: usize) -> Self {
-        Packing { target_bits: (usize::BITS - lanes.leading_zeros()).clamp(1, 31) }
-    }
-
-    /// The word of a synapse, if it fits.
-    fn pack(self, target: u32, weight: i16) -> Option<u32> {
-        let packed = (i32::from(weight) << self.target_bits) as u32 | target;
-        Some(packed).filter(|&packed| self.unpack(packed) == (target as usize, weight))
-    }
-
-    /// Takes a word apart.
-    #[inline(always)]
-    pub fn unpack(self, word: u32) -> (usize, i16) {
-        ((word & ((1 << self.target_bits) - 1)) as usize, (word as i32 >> self.target_bits) as i16)
-    }
-}
-
-impl Synapses {
-    /// None yet, of a share with so many lanes.
-    fn new(lanes: usize) -> Self {
-        Synapses::Packed(Packing::new(lanes), Vec::new())
-    }
-
-    /// Number of synapses.
-    pub fn len(&self) -> usize {
-        match self {
-            Synapses::Packed(_, words) => words.len(),
-            Synapses::Apart { targets, .. } => targets.len(),
-        }
-    }
-
-    fn bytes(&self) -> usize {
-        match self {
-            Synapses::Packed(_, words) => 4 * words.len(),
-            Synapses::Apart { targets, .. } => 6 * targets.len(),
-        }
-    }
-
-    /// Appends a synapse; the first that does not fit a word takes all apart.
-    fn push(&mut self, target: u32, weight: i16) {
-        if let Synapses::Packed(packing, words) = self {
-            if let Some(word) = packing.pack(target, weight) {
-                return words.push(word);
-            }
-            let (targets, weights) = words.iter().map(|&w| packing.unpack(w)).map(|(t, w)| (t as u32, w)).unzip();
-            *self = Synapses::Apart { targets, weights };
-        }
-        if let Synapses::Apart { targets, weights } = self {
-            targets.push(target);
-            weights.push(weight);
-        }
-    }
-
-    fn shrink_to_fit(&mut self) {
-        match self {
-            Synapses::Packed(_, words) => words.shrink_to_fit(),
-            Synapses::Apart { targets, weights } => {
-                targets.shrink_to_fit();
-                weights.shrink_to_fit();
-            }
-        }
-    }
-}
-
 /// Fields of a block.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum BlockFields {
@@ -182,8 +88,6 @@ pub(super) struct Block {
     pub core: CoreId,
     /// The fields.
     pub fields: BlockFields,
-    /// The first compartment's place in `ids`.
-    pub id: u32,
     /// The earliest step from which one of its compartments is not held at zero.
     pub starts: u32,
 }
@@ -197,6 +101,8 @@ pub(super) struct Stretch {
     pub end: u32,
     /// The fields that all share where they can be updated as vectors; one block alone otherwise.
     pub vector: Option<u32>,
+    /// A bit for each of its lanes, from its first, that is no padding.
+    pub mask: u64,
 }
 
 /// One share of the lanes; lanes count from its own first.
@@ -204,6 +110,8 @@ pub(super) struct Stretch {
 pub(super) struct Share {
     /// Number of lanes, padding and a last chunk of slack included.
     pub lanes: usize,
+    /// The compartment in each lane; any in padding.
+    pub names: Vec<CompartmentId>,
     /// Blocks in order.
     pub blocks: Vec<Block>,
     /// Stretches in order.
@@ -216,8 +124,10 @@ pub(super) struct Share {
     pub panels: Vec<Panel>,
     /// Weights of panels, in units of 64.
     pub weights: Vec<[i16; LANES]>,
-    /// Lists by delay, ascending.
-    pub sparse: Vec<Sparse>,
+    /// Lists of channels by delay, ascending.
+    pub of_channels: Vec<Table>,
+    /// Lists of compartments by delay, ascending.
+    pub of_compartments: Vec<Table>,
 }
 
 /// A program flattened.
@@ -231,9 +141,7 @@ pub struct Image<'p> {
     pub(super) fields: Vec<Fields>,
     pub(super) shared: Vec<Shared>,
     pub(super) field_of: Vec<u32>,
-    /// The network's number of each compartment, in the order of lanes.
-    pub(super) ids: Vec<CompartmentId>,
-    /// Whether that order is the network's own.
+    /// Whether compartments stand in lanes in the network's own order.
     pub(super) in_order: bool,
     /// Share and lane of each compartment of the network.
     lanes: Vec<u32>,
@@ -262,7 +170,6 @@ impl<'p> Image<'p> {
             fields: Vec::new(),
             shared: Vec::new(),
             field_of: Vec::new(),
-            ids: Vec::with_capacity(program.compartments() as usize),
             in_order: true,
             lanes: vec![0; program.compartments() as usize],
             bases: Vec::new(),
@@ -272,9 +179,10 @@ impl<'p> Image<'p> {
             granules: 0,
         };
         let blocks = image.lay_out();
-        image.in_order = image.ids.is_sorted();
+        image.in_order = image.lanes.is_sorted();
         image.check_fan_in()?;
         image.share_out(blocks, shares);
+        image.name();
         image.connect()?;
         Ok(image)
     }
@@ -285,10 +193,16 @@ impl<'p> Image<'p> {
         self.program
     }
 
+    /// Number of compartments.
+    #[must_use]
+    pub fn compartments(&self) -> usize {
+        self.lanes.len()
+    }
+
     /// Number of sources.
     #[must_use]
     pub fn sources(&self) -> usize {
-        self.channels as usize + self.ids.len()
+        self.channels as usize + self.compartments()
     }
 
     /// The source of a number.
@@ -326,19 +240,19 @@ impl<'p> Image<'p> {
     #[must_use]
     pub fn bytes(&self) -> usize {
         let of = |share: &Share| {
-            let sparse: usize = share.sparse.iter().map(|s| 4 * s.first.len() + s.synapses.bytes()).sum();
+            let sparse: usize = share.of_channels.iter().chain(&share.of_compartments).map(Table::bytes).sum();
             let panel = |panel: &Panel| size_of::<Panel>() + size_of::<Row>() * panel.rows.len();
             let panels = share.panels.iter().map(panel).sum::<usize>() + size_of_val(share.weights.as_slice());
             size_of::<Block>() * share.blocks.len()
                 + size_of_val(share.stretches.as_slice())
-                + 4 * share.granules.len()
+                + 4 * (share.granules.len() + share.names.len())
                 + 8 * share.driven.len()
                 + panels
                 + sparse
         };
         let shares: usize = self.shares.iter().map(of).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
-        shares + fields + 4 * (self.ids.len() + self.lanes.len())
+        shares + fields + 4 * self.lanes.len()
     }
 
     /// Lays compartments out in lanes over all shares and returns their blocks.
@@ -387,10 +301,9 @@ impl<'p> Image<'p> {
                     }
                 };
                 let held = field_of[slot..slot + length].iter().map(|&f| self.fields[f as usize].start_step).min();
-                let (length, id) = (length as u32, self.ids.len() as u32);
-                blocks.push(Block { start: lane, length, core, fields, id, starts: held.unwrap_or(0) });
+                let length = length as u32;
+                blocks.push(Block { start: lane, length, core, fields, starts: held.unwrap_or(0) });
                 for (offset, &compartment) in core_image.ids[slot..slot + length as usize].iter().enumerate() {
-                    self.ids.push(compartment);
                     self.lanes[compartment.index()] = lane + offset as u32;
                 }
                 lane = (lane + length).next_multiple_of(LANES as u32);
@@ -439,14 +352,18 @@ impl<'p> Image<'p> {
                 }
                 _ => None,
             };
+            let lanes = u64::MAX >> (GRANULE as u32 - block.length);
             let begins = share.granules.len() <= block.start as usize / GRANULE;
             while share.granules.len() <= block.start as usize / GRANULE {
                 share.granules.push(share.stretches.len() as u32);
             }
             let index = share.blocks.len() as u32;
             match share.stretches.last_mut() {
-                Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => stretch.end += 1,
-                _ => share.stretches.push(Stretch { first: index, end: index + 1, vector }),
+                Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => {
+                    stretch.end += 1;
+                    stretch.mask |= lanes << (block.start - share.blocks[stretch.first as usize].start);
+                }
+                _ => share.stretches.push(Stretch { first: index, end: index + 1, vector, mask: lanes }),
             }
             share.blocks.push(block);
         }
@@ -458,6 +375,7 @@ impl<'p> Image<'p> {
             // A row that begins in the last lanes reads and writes zeros up to a chunk beyond them.
             share.lanes = granules * GRANULE + LANES;
             share.driven = vec![0; granules.div_ceil(64)];
+            share.names = vec![CompartmentId(0); share.lanes];
             for block in &share.blocks {
                 let lanes = 0..block.length;
                 let drives = |f: &Fields| f.bias != 0 || f.fires_from <= 0;
@@ -472,6 +390,14 @@ impl<'p> Image<'p> {
                     share.driven[granule / 64] |= 1 << (granule % 64);
                 }
             }
+        }
+    }
+
+    /// Names the lanes.
+    fn name(&mut self) {
+        for compartment in (0..self.compartments()).map(CompartmentId::new) {
+            let (share, lane) = self.lane(compartment);
+            self.shares[share].names[lane] = compartment;
         }
     }
 
@@ -491,12 +417,28 @@ impl<'p> Image<'p> {
         let lists = || parts.cores.iter().flat_map(|image| image.synapses.iter().map(<[Synapse]>::len));
         let in_short: usize = lists().filter(|&length| length < SHORTEST_ROW).sum();
         let shortest_row = if in_short * MANY < lists().sum() { 1 } else { SHORTEST_ROW };
-        for share in &mut self.shares {
-            let empty = |&delay: &u8| Sparse { delay, first: vec![0], synapses: Synapses::new(share.lanes) };
-            share.sparse = delays.iter().map(empty).collect();
+        let kinds = [0..self.channels, self.channels..self.sources() as u32];
+        for (kind, sources) in kinds.into_iter().enumerate() {
+            let draft = |share: &Share| delays.iter().map(|&delay| Draft::new(delay, share.lanes)).collect();
+            let mut drafts: Vec<Vec<Draft>> = self.shares.iter().map(draft).collect();
+            self.connect_sources(sources, shortest_row, &mut drafts);
+            for (share, drafts) in self.shares.iter_mut().zip(drafts) {
+                let tables = drafts.into_iter().filter_map(|draft| draft.finish().transpose());
+                let tables = tables.collect::<Result<_, _>>().map_err(ImageError::TooMany)?;
+                match kind {
+                    0 => share.of_channels = tables,
+                    _ => share.of_compartments = tables,
+                }
+            }
         }
+        Ok(())
+    }
+
+    /// Flattens the axon tables of consecutive sources.
+    fn connect_sources(&mut self, sources: Range<u32>, shortest_row: usize, drafts: &mut [Vec<Draft>]) {
+        let parts = self.program.parts();
         let mut rows = vec![Vec::new(); self.shares.len()];
-        for source in 0..self.sources() as u32 {
+        for source in sources {
             let messages = match source.checked_sub(self.channels) {
                 None => self.program.channel(ChannelId(source)),
                 Some(compartment) => {
@@ -507,27 +449,24 @@ impl<'p> Image<'p> {
             for message in messages {
                 let image = &parts.cores[message.core];
                 let synapses = image.synapses.get(usize::from(message.axon));
-                self.append(image, synapses, shortest_row, &mut rows);
+                self.append(image, synapses, shortest_row, &mut rows, drafts);
             }
-            for (share, rows) in self.shares.iter_mut().zip(&mut rows) {
+            for ((share, rows), drafts) in self.shares.iter_mut().zip(&mut rows).zip(drafts.iter_mut()) {
                 share.close(source, rows);
+                drafts.iter_mut().for_each(Draft::close);
             }
         }
-        for share in &mut self.shares {
-            let most = share.sparse.iter().map(|table| table.synapses.len()).max().unwrap_or(0);
-            if u32::try_from(most).is_err() {
-                return Err(ImageError::TooMany(most));
-            }
-            share.sparse.retain(|table| table.synapses.len() > 0);
-            for table in &mut share.sparse {
-                table.synapses.shrink_to_fit();
-            }
-        }
-        Ok(())
     }
 
     /// Adds one axon's list to the source that is being connected: consecutive lanes as a row, others one by one.
-    fn append(&mut self, image: &CoreImage, synapses: &[Synapse], shortest_row: usize, rows: &mut [Vec<Row>]) {
+    fn append(
+        &mut self,
+        image: &CoreImage,
+        synapses: &[Synapse],
+        shortest_row: usize,
+        rows: &mut [Vec<Row>],
+        drafts: &mut [Vec<Draft>],
+    ) {
         let place = |image_of: &Self, synapse: &Synapse| {
             let (share, lane) = image_of.lane(image.ids[usize::from(synapse.slot)]);
             (share, lane, synapse.delay.get())
@@ -546,10 +485,10 @@ impl<'p> Image<'p> {
                 let chunk = |_| std::array::from_fn(|_| weights.next().unwrap_or(0));
                 data.weights.extend((0..chunks).map(chunk));
             } else {
-                let table = data.sparse.iter_mut().find(|table| table.delay == delay);
-                let table = table.expect("every delay has a table");
+                let draft = drafts[share].iter_mut().find(|draft| draft.delay() == delay);
+                let draft = draft.expect("every delay has a table");
                 for (lane, weight) in (lane..).zip(weights) {
-                    table.synapses.push(lane as u32, weight);
+                    draft.push(lane as u32, weight);
                 }
             }
             from += run;
@@ -558,30 +497,23 @@ impl<'p> Image<'p> {
 }
 
 impl Share {
-    /// The place of its first compartment in the order of lanes.
-    #[inline(always)]
-    pub(super) fn first_id(&self) -> usize {
-        self.blocks.first().map_or(0, |block| block.id as usize)
-    }
-
     fn empty() -> Self {
         Share {
             lanes: 0,
+            names: Vec::new(),
             blocks: Vec::new(),
             stretches: Vec::new(),
             granules: Vec::new(),
             driven: Vec::new(),
             panels: Vec::new(),
             weights: Vec::new(),
-            sparse: Vec::new(),
+            of_channels: Vec::new(),
+            of_compartments: Vec::new(),
         }
     }
 
     /// Ends a source's lists; its rows, whose weights are the last, continue a panel or begin one.
     fn close(&mut self, source: u32, rows: &mut Vec<Row>) {
-        for table in &mut self.sparse {
-            table.first.push(table.synapses.len() as u32);
-        }
         if rows.is_empty() {
             return;
         }

@@ -11,6 +11,7 @@
 //! All arithmetic fits 32 bits: |u|, |v| <= 2^23 and q is below 2^21, so sums stay below 2^25. The 36-bit product of a
 //! decay is split at bit 12: with x = 4096 h + l, (x k) >> 12 = h k + ((l k) >> 12) exactly.
 
+use crate::base::fixed::{DECAY_ONE, UV_BITS, WEIGHT_SHIFT};
 use crate::machine::neuron::Fields;
 
 /// Compartments of a chunk.
@@ -19,6 +20,8 @@ pub const LANES: usize = 16;
 /// Fields that a whole block shares.
 #[derive(Debug, Clone, Copy)]
 pub struct Shared {
+    /// Whether neither field below needs more than the plain update: no bias, and both decays forget something.
+    pub(super) plain: bool,
     pub(super) keep_u: i32,
     pub(super) keep_v: i32,
     pub(super) bias: i32,
@@ -26,18 +29,36 @@ pub struct Shared {
     pub(super) vmin: i32,
     pub(super) vmax: i32,
     pub(super) refractory: i32,
+    /// What is kept of u and v in units of 2^-32, where it is less than 1.
+    pub(super) factor_u: i32,
+    pub(super) factor_v: i32,
+    /// All lanes where it is 1.
+    pub(super) whole_u: u16,
+    pub(super) whole_v: u16,
+    /// From `vmin` to `vmax`.
+    pub(super) span: i32,
 }
 
 impl From<&Fields> for Shared {
     fn from(f: &Fields) -> Self {
+        const ONE: i32 = DECAY_ONE as i32;
+        let (keep_u, keep_v) = (ONE - i32::from(f.neuron.du.get()), ONE - i32::from(f.neuron.dv.get()));
+        let factor = |keep: i32| keep << (32 - ONE.trailing_zeros());
+        let whole = |keep| if keep == ONE { u16::MAX } else { 0 };
         Shared {
-            keep_u: 4096 - i32::from(f.neuron.du.get()),
-            keep_v: 4096 - i32::from(f.neuron.dv.get()),
+            plain: f.bias == 0 && keep_u < ONE && keep_v < ONE,
+            keep_u,
+            keep_v,
             bias: f.bias,
             fires_from: f.fires_from,
             vmin: f.vmin,
             vmax: f.vmax,
             refractory: i32::from(f.refractory),
+            factor_u: factor(keep_u),
+            factor_v: factor(keep_v),
+            whole_u: whole(keep_u),
+            whole_v: whole(keep_v),
+            span: f.vmax - f.vmin,
         }
     }
 }
@@ -47,8 +68,8 @@ impl From<&Fields> for Shared {
 pub struct Effects {
     /// A bit for each lane that spiked.
     pub spiked: u64,
-    /// Lanes of each chunk of sixteen that were not at rest.
-    pub active: [u32; 4],
+    /// A bit for each lane that was not at rest.
+    pub moved: u64,
     /// Whether any lane is not at rest afterwards.
     pub busy: bool,
     /// A bit for each chunk of sixteen lanes in which a value left its field.
@@ -86,6 +107,8 @@ pub fn load(stored: i32) -> (i32, u8) {
 
 /// A sum of arrivals in units of 64.
 pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
+    /// Whether its values can leave the 16 bits that the accumulator has for them.
+    const WIDE: bool;
     /// Adds a weight.
     #[must_use]
     fn plus(self, weight: i16) -> Self;
@@ -94,6 +117,7 @@ pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'sta
 }
 
 impl Sum for i32 {
+    const WIDE: bool = true;
     #[inline(always)]
     fn plus(self, weight: i16) -> Self {
         self + i32::from(weight)
@@ -106,6 +130,7 @@ impl Sum for i32 {
 
 /// For compartments whose synapses together cannot exceed it, so that it never wraps.
 impl Sum for i16 {
+    const WIDE: bool = false;
     #[inline(always)]
     fn plus(self, weight: i16) -> Self {
         self.wrapping_add(weight)
@@ -127,10 +152,10 @@ fn kept(x: i32, keep: i32) -> i32 {
     (kept ^ sign) - sign
 }
 
-/// Two's complement of 23 bits and a sign.
+/// Not 0 where a value does not fit 23 bits and a sign.
 #[inline(always)]
-fn wrap24(x: i32) -> i32 {
-    (x << 8) >> 8
+fn outside(x: i32) -> i32 {
+    ((x + (1 << UV_BITS)) as u32 >> (UV_BITS + 1)) as i32
 }
 
 /// Sixteen compartments.
@@ -149,16 +174,17 @@ pub struct Chunk<'a, S> {
 pub struct Effect {
     /// A bit for each lane that spiked.
     pub spiked: u16,
-    /// Lanes that were not at rest.
-    pub active: u32,
+    /// A bit for each lane that was not at rest.
+    pub moved: u16,
     /// Whether any lane is not at rest afterwards.
     pub busy: bool,
 }
 
 /// Instructions for a chunk.
 pub trait Vectors: Copy {
-    /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing has changed.
-    fn update<S: Sum>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect>;
+    /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing has changed. `PLAIN` only
+    /// for fields that are.
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect>;
 }
 
 /// Whatever vectors the compiler makes of loops.
@@ -167,8 +193,9 @@ pub struct Portable;
 
 impl Vectors for Portable {
     #[inline(always)]
-    fn update<S: Sum>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect> {
-        let Shared { keep_u, keep_v, bias, fires_from, vmin, vmax, refractory } = *shared;
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect> {
+        let Shared { keep_u, keep_v, fires_from, vmin, vmax, refractory, .. } = *shared;
+        let bias = if PLAIN { 0 } else { shared.bias };
         let Chunk { u, v, sums } = chunk;
         let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
         let (mut fired, mut moved, mut overflowed) = ([false; LANES], [false; LANES], [false; LANES]);
@@ -177,11 +204,9 @@ impl Vectors for Portable {
             let old_v = if stored < HELD { stored } else { 0 };
             let is_free = stored < HELD + 2;
             // The truncation to 16 bits of a sum in units of 64 is the wrap to 22.
-            let q = (sum << 16) >> 10;
-            let current = kept(old_u, keep_u) + q;
-            let next_u = wrap24(current);
-            let with_bias = next_u + bias;
-            let input = wrap24(with_bias);
+            let q = if S::WIDE { (sum << 16) >> 10 } else { sum << WEIGHT_SHIFT };
+            let next_u = kept(old_u, keep_u) + q;
+            let input = next_u + bias;
             let free = kept(old_v, keep_v) + input;
             let clipped = free.max(vmin).min(vmax);
             let fires = is_free & (clipped >= fires_from);
@@ -190,8 +215,8 @@ impl Vectors for Portable {
             new_u[lane] = next_u;
             fired[lane] = fires;
             moved[lane] = ((old_u | old_v | sum | bias) != 0) | !is_free;
-            overflowed[lane] =
-                ((q >> 6) != sum) | (next_u != current) | (input != with_bias) | (is_free & (clipped != free));
+            let wrapped = outside(next_u) | outside(input) | if S::WIDE { (q >> WEIGHT_SHIFT) ^ sum } else { 0 };
+            overflowed[lane] = (wrapped != 0) | (is_free & (clipped != free));
         }
         if bytes(overflowed) != 0 {
             return None;
@@ -199,7 +224,7 @@ impl Vectors for Portable {
         (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
         Some(Effect {
             spiked: bits(fired),
-            active: bytes(moved).count_ones(),
+            moved: bits(moved),
             busy: bytes(std::array::from_fn(|lane| (new_u[lane] | new_v[lane]) != 0)) != 0,
         })
     }
@@ -211,15 +236,23 @@ impl Vectors for Portable {
 /// them has to be told lane by lane.
 #[inline(always)]
 pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
+    match shared.plain {
+        true => chunks::<S, true>(block, shared, vectors),
+        false => chunks::<S, false>(block, shared, vectors),
+    }
+}
+
+#[inline(always)]
+fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
     let mut effects = Effects::default();
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
     for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
-        match vectors.update(Chunk { u, v, sums }, shared) {
+        match vectors.update::<S, PLAIN>(Chunk { u, v, sums }, shared) {
             Some(effect) => {
                 effects.spiked |= u64::from(effect.spiked) << (index * LANES);
-                effects.active[index] = effect.active;
+                effects.moved |= u64::from(effect.moved) << (index * LANES);
                 effects.busy |= effect.busy;
             }
             None => effects.overflowed |= 1 << index,
@@ -347,7 +380,7 @@ mod tests {
                 let r = registers[lane];
                 let at_rest = r.u == 0 && r.v == 0 && !f.holds(&r) && arrived[lane].value() == 0 && f.bias == 0;
                 expected.spiked |= u64::from(effect.spiked) << lane;
-                expected.active[chunk] += u32::from(!at_rest);
+                expected.moved |= u64::from(!at_rest) << lane;
                 expected.busy |= new != Registers::default();
             }
             assert_eq!(sums[lanes], [S::default(); LANES], "seed {seed} chunk {chunk}");

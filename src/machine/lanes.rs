@@ -9,8 +9,9 @@ use std::ops::Range;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
-use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Sparse, Stretch, Synapses};
+use crate::machine::image::{Block, BlockFields, GRANULE, Image, Panel, Row, Share, Stretch};
 use crate::machine::kernel::{self, LANES, Portable, Sum, Vectors};
+use crate::machine::lists::{ADDRESSED, Lists, Synapses, Table};
 use crate::machine::neuron::{Registers, update};
 use crate::machine::prefetch::{prefetch, prefetch_range};
 
@@ -87,7 +88,9 @@ enum Sums {
 /// What arrives in the coming steps, a slot each.
 #[derive(Debug)]
 struct Ring<S> {
-    /// Sums in units of 64, by lane.
+    /// Lanes of the share.
+    lanes: usize,
+    /// Sums in units of 64, by lane; small lists may name more lanes than there are.
     sums: Vec<Vec<S>>,
     /// Granules with arrivals, a bit each.
     arrivals: Vec<Vec<u64>>,
@@ -103,11 +106,13 @@ pub(super) struct State {
     hold: Vec<u8>,
     /// Granules that are not at rest.
     busy: Vec<u64>,
-    /// Places of the compartments that spiked in the last step, in the order of blocks.
+    /// The lanes that spiked in the last step, ascending, and room for more.
     spiked: Vec<u32>,
+    /// How many.
+    spiking: usize,
     /// Compartments that spiked in the last step, in the order of lanes.
     pub spikes: Vec<CompartmentId>,
-    /// Spikes of each compartment, in the order of blocks, since they were last taken.
+    /// Spikes of each lane since they were last taken.
     pub fired: Vec<u32>,
     /// Compartments of a core that were not at rest in the last step, block by block, if asked for.
     pub active: Vec<(CoreId, u32)>,
@@ -147,9 +152,10 @@ impl Lanes {
             v: vec![0; share.lanes],
             hold: vec![0; holds],
             busy: vec![0; words],
-            spiked: Vec::new(),
+            spiked: vec![0; share.lanes + FORESEEN],
+            spiking: 0,
             spikes: Vec::new(),
-            fired: vec![0; share.blocks.iter().map(|block| block.length as usize).sum()],
+            fired: vec![0; share.lanes],
             active: Vec::new(),
             active_now: 0,
             active_by_block: vec![0; share.blocks.len()],
@@ -157,9 +163,11 @@ impl Lanes {
             overflow: Overflow::default(),
             visited: 0,
         };
+        let mut tables = share.of_channels.iter().chain(&share.of_compartments);
+        let small = tables.any(|table| matches!(table.synapses, Synapses::Small(_)));
         let ring = match image.narrow {
-            true => Sums::Narrow(Ring::new(share.lanes, words, slots)),
-            false => Sums::Wide(Ring::new(share.lanes, words, slots)),
+            true => Sums::Narrow(Ring::new(share.lanes, small, words, slots)),
+            false => Sums::Wide(Ring::new(share.lanes, small, words, slots)),
         };
         Lanes { state, ring }
     }
@@ -167,8 +175,11 @@ impl Lanes {
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
         let state = &self.state;
-        let words =
-            state.u.len() + state.v.len() + state.fired.len() + 2 * (state.busy.len() + state.active_by_block.len());
+        let words = state.u.len()
+            + state.v.len()
+            + state.fired.len()
+            + state.spiked.len()
+            + 2 * (state.busy.len() + state.active_by_block.len());
         let ring = match &self.ring {
             Sums::Narrow(ring) => ring.bytes(),
             Sums::Wide(ring) => ring.bytes(),
@@ -213,18 +224,20 @@ impl Lanes {
 }
 
 impl<S: Sum> Ring<S> {
-    fn new(lanes: usize, words: usize, slots: usize) -> Self {
-        Ring { sums: vec![vec![S::default(); lanes]; slots], arrivals: vec![vec![0; words]; slots] }
+    fn new(lanes: usize, small: bool, words: usize, slots: usize) -> Self {
+        // What lies beyond the lanes is never written, so it is memory by name only.
+        let sums = if small { lanes.max(ADDRESSED) } else { lanes };
+        Ring { lanes, sums: vec![vec![S::default(); sums]; slots], arrivals: vec![vec![0; words]; slots] }
     }
 
     fn bytes(&self) -> usize {
-        let of = |(sums, words): (&Vec<S>, &Vec<u64>)| size_of_val(sums.as_slice()) + size_of_val(words.as_slice());
-        self.sums.iter().zip(&self.arrivals).map(of).sum()
+        let of = |words: &Vec<u64>| size_of::<S>() * self.lanes + size_of_val(words.as_slice());
+        self.arrivals.iter().map(of).sum()
     }
 
     fn clear(&mut self) {
         for (sums, arrivals) in self.sums.iter_mut().zip(&mut self.arrivals) {
-            sums.fill(S::default());
+            sums[..self.lanes].fill(S::default());
             arrivals.fill(0);
         }
     }
@@ -250,9 +263,9 @@ impl<S: Sum> Ring<S> {
         if !share.panels.is_empty() {
             events += self.deliver_panels::<NOTE, I>(share, sources, cursor, left);
         }
-        for table in &share.sparse {
+        for table in sources.lists {
             let slot = self.slot(cursor, table.delay);
-            let synapses = self.deliver_sparse::<NOTE, I>(table, sources, slot);
+            let synapses = self.deliver_lists::<NOTE, I>(table, sources.ids, slot);
             events += if u32::from(table.delay) < left { synapses } else { 0 };
         }
         events
@@ -272,9 +285,8 @@ impl<S: Sum> Ring<S> {
             let passed = first_at_least(panels, |panel| panel.end > next);
             panels = &panels[passed..];
             let Some(panel) = panels.first() else { break };
-            let before = rest.iter().take_while(|&&id| (sources.number(id) as u32) < panel.first).count();
-            rest = &rest[before..];
-            let within = rest.iter().take_while(|&&id| (sources.number(id) as u32) < panel.end).count();
+            rest = &rest[sources.before(rest, panel.first)..];
+            let within = sources.before(rest, panel.end);
             let (spiking, after) = rest.split_at(within);
             rest = after;
             if !spiking.is_empty() {
@@ -337,51 +349,61 @@ impl<S: Sum> Ring<S> {
     }
 
     #[inline(always)]
-    fn deliver_sparse<const NOTE: bool, I: Id>(&mut self, table: &Sparse, sources: Sources<'_, I>, slot: usize) -> u64 {
+    fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
         let (sums, arrivals) = (self.sums[slot].as_mut_slice(), self.arrivals[slot].as_mut_slice());
-        let mut add = |target: usize, weight: i16| {
-            sums[target] = sums[target].plus(weight);
+        let mut note = |target: usize| {
             if NOTE {
                 let granule = target / GRANULE;
                 arrivals[granule / 64] |= 1 << (granule % 64);
             }
         };
-        let range = |s: usize| table.first[s] as usize..table.first[s + 1] as usize;
-        let mut events = 0;
         match &table.synapses {
-            Synapses::Packed(packing, words) => {
-                let packing = *packing;
-                for index in 0..sources.ids.len() {
-                    if let Some(s) = sources.get(index + FAR) {
-                        prefetch(&table.first, s);
-                    }
-                    if let Some(s) = sources.get(index + NEAR) {
-                        prefetch_range(words, range(s));
-                    }
-                    let list = &words[range(sources.number(sources.ids[index]))];
-                    events += list.len();
-                    for &word in list {
-                        let (target, weight) = packing.unpack(word);
-                        add(target, weight);
-                    }
-                }
+            Synapses::Small(lists) => {
+                // As many sums as a lane of 16 bits can name, so that none has to be looked at.
+                let sums: &mut [S; ADDRESSED] =
+                    sums.first_chunk_mut().expect("small lists have all sums they can name");
+                deliver_each(table, ids, lists, |target: u16, weight: i8| {
+                    let target = usize::from(target);
+                    sums[target] = sums[target].plus(i16::from(weight));
+                    note(target);
+                })
             }
-            Synapses::Apart { targets, weights } => {
-                for s in sources.numbers() {
-                    events += range(s).len();
-                    for (&target, &weight) in targets[range(s)].iter().zip(&weights[range(s)]) {
-                        add(target as usize, weight);
-                    }
-                }
-            }
+            Synapses::Packed(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
+                sums[target] = sums[target].plus(weight);
+                note(target);
+            }),
+            Synapses::Apart(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
+                sums[target] = sums[target].plus(weight);
+                note(target);
+            }),
         }
-        events as u64
     }
 }
 
-/// Sources ahead whose list is fetched, and whose place in the table is.
-const NEAR: usize = 3;
-const FAR: usize = 16;
+/// Calls with every synapse that these sources reach over a table, while the lists of the next are fetched; returns how many.
+#[inline(always)]
+fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: impl FnMut(L::Lane, L::Weight)) -> u64 {
+    let mut events = 0;
+    for (index, id) in ids.iter().enumerate() {
+        if let Some(far) = ids.get(index + table.ahead + FAR) {
+            prefetch(&table.places, far.index());
+        }
+        if let Some(near) = ids.get(index + table.ahead) {
+            let (bytes, range) = lists.lines(table.places[near.index()]);
+            prefetch_range(bytes, range);
+        }
+        let place = table.places[id.index()];
+        events += place.len() as u64;
+        lists.each(place, &mut add);
+    }
+    events
+}
+
+/// Sources from one whose list is fetched to one whose place in the table is.
+const FAR: usize = 12;
+
+/// Spikes so few that they are counted faster than searched.
+const COUNTED: usize = 64;
 
 /// Spikes of one kind, ascending.
 #[derive(Debug, Clone, Copy)]
@@ -389,6 +411,8 @@ struct Sources<'a, I> {
     ids: &'a [I],
     /// The number as a source of the kind's first.
     first: usize,
+    /// Lists of the kind.
+    lists: &'a [Table],
 }
 
 impl<'a, I: Id> Sources<'a, I> {
@@ -397,14 +421,22 @@ impl<'a, I: Id> Sources<'a, I> {
         self.first + id.index()
     }
 
+    /// How many of these come before a source; often it is none or all.
     #[inline(always)]
-    fn numbers(self) -> impl Iterator<Item = usize> + use<'a, I> {
-        self.ids.iter().map(move |&id| self.number(id))
+    fn before(self, ids: &[I], number: u32) -> usize {
+        let is = |id: &I| (self.number(*id) as u32) < number;
+        match (ids.first().is_some_and(is), ids.last().is_some_and(is)) {
+            (false, _) => 0,
+            (true, true) => ids.len(),
+            // Counting all of a few needs no decisions.
+            (true, false) if ids.len() <= COUNTED => ids.iter().map(|id| usize::from(is(id))).sum(),
+            (true, false) => ids.partition_point(is),
+        }
     }
 
     #[inline(always)]
-    fn get(self, index: usize) -> Option<usize> {
-        self.ids.get(index).map(|&id| self.number(id))
+    fn numbers(self) -> impl Iterator<Item = usize> + use<'a, I> {
+        self.ids.iter().map(move |&id| self.number(id))
     }
 }
 
@@ -459,8 +491,9 @@ impl State {
     #[inline(always)]
     fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
         let cursor = order.step as usize % ring.sums.len();
-        let channels = Sources { ids: order.channels, first: 0 };
-        let carried = Sources { ids: order.carried, first: image.channels as usize };
+        let channels = Sources { ids: order.channels, first: 0, lists: &share.of_channels };
+        let first = image.channels as usize;
+        let carried = Sources { ids: order.carried, first, lists: &share.of_compartments };
         self.events_now = 0;
         if order.everywhere {
             let granules = share.granules.len() - 1;
@@ -473,7 +506,7 @@ impl State {
             self.events_now += ring.deliver::<true, _>(share, carried, cursor, order.left);
         }
         self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, share, order, vectors);
-        self.note_spikes(image, share);
+        self.note_spikes(share);
     }
 
     #[inline(always)]
@@ -485,7 +518,7 @@ impl State {
         order: Order,
         vectors: impl Vectors,
     ) {
-        self.spiked.clear();
+        self.spiking = 0;
         self.active.clear();
         self.active_now = 0;
         let granules = share.granules.len() - 1;
@@ -533,9 +566,8 @@ impl State {
             return false;
         }
         let Some(fields) = stretch.vector else {
-            let (active, busy) = self.scalar(sums, image, *first, 0..first.length as usize, order);
-            self.count_active(stretch.first as usize, first, active, order);
-            return busy;
+            let did = self.scalar(sums, image, share, *first, 0..first.length as usize, order);
+            return self.note(share, stretch, did, order);
         };
         let start = first.start as usize;
         let end = blocks.last().map_or(start, |last| (last.start + last.length) as usize).next_multiple_of(LANES);
@@ -549,63 +581,84 @@ impl State {
         let mut registers =
             kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
         let effects = kernel::hardware(&mut registers, &image.shared[fields as usize], vectors);
-        let mut busy = effects.busy;
-        for (index, block) in (stretch.first as usize..).zip(blocks) {
-            let (chunk, length) = ((block.start - first.start) as usize / LANES, block.length as usize);
-            let chunks = chunk..chunk + length.div_ceil(LANES);
-            let mut active = effects.active[chunks.clone()].iter().sum();
-            let spiked = effects.spiked >> (chunk * LANES) & ones(length);
-            if effects.overflowed == 0 {
-                self.spike(*block, spiked);
-            } else {
-                for chunk in chunks {
-                    let from = chunk * LANES - (block.start - first.start) as usize;
-                    let lanes = from..(from + LANES).min(length);
-                    if effects.overflowed >> chunk & 1 == 1 {
-                        let (moved, moves) = self.scalar(sums, image, *block, lanes, order);
-                        active += moved;
-                        busy |= moves;
-                    } else {
-                        self.spike(*block, spiked & ones(lanes.end) & !ones(lanes.start));
-                    }
+        let mut did = Did { spiked: effects.spiked, moved: effects.moved, busy: effects.busy };
+        if effects.overflowed != 0 {
+            did.merge(self.redo(sums, image, share, stretch, effects.overflowed, order));
+        }
+        // Padding is never at rest under a bias, and always without.
+        let moved = if image.fields[fields as usize].bias != 0 { stretch.mask } else { did.moved };
+        self.note(share, stretch, Did { spiked: did.spiked & stretch.mask, moved, ..did }, order)
+    }
+
+    /// Updates those chunks of a stretch one by one in which a value leaves its field.
+    #[cold]
+    fn redo<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        share: &Share,
+        stretch: Stretch,
+        overflowed: u32,
+        order: Order,
+    ) -> Did {
+        let mut did = Did::default();
+        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
+        for block in blocks {
+            let at = (block.start - blocks[0].start) as usize;
+            for from in (0..block.length as usize).step_by(LANES) {
+                if overflowed >> ((at + from) / LANES) & 1 == 1 {
+                    let lanes = from..(from + LANES).min(block.length as usize);
+                    did.merge(self.scalar(sums, image, share, *block, lanes, order).after(at));
                 }
             }
-            // Padding is never at rest under a bias, and always without.
-            let active = if image.fields[fields as usize].bias != 0 { block.length } else { active };
-            self.count_active(index, block, active, order);
         }
-        busy
+        did
     }
 
-    /// Counts a block that was visited.
+    /// Counts what a stretch did; says whether it is busy.
     #[inline(always)]
-    fn count_active(&mut self, index: usize, block: &Block, active: u32, order: Order) {
-        self.visited += u64::from(block.length);
-        self.active_now += u64::from(active);
-        self.active_by_block[index] += u64::from(active);
-        if order.list_active && active > 0 {
-            self.active.push((block.core, active));
+    fn note(&mut self, share: &Share, stretch: Stretch, did: Did, order: Order) -> bool {
+        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
+        let Some(start) = blocks.first().map(|block| block.start) else { return false };
+        self.visited += u64::from(stretch.mask.count_ones());
+        self.active_now += u64::from(did.moved.count_ones());
+        for (block, sum) in blocks.iter().zip(&mut self.active_by_block[stretch.first as usize..]) {
+            let active = (did.moved >> (block.start - start) & ones(block.length as usize)).count_ones();
+            *sum += u64::from(active);
+            if order.list_active && active > 0 {
+                self.active.push((block.core, active));
+            }
         }
+        self.spike(start, did.spiked);
+        did.busy
     }
 
-    /// Notes the spikes of a block's lanes, by place.
+    /// Notes lanes that spiked. Few do, and how many cannot be foretold: the first few are written whether they are or not.
     #[inline(always)]
-    fn spike(&mut self, block: Block, mut lanes: u64) {
-        while lanes != 0 {
-            self.spiked.push(block.id + lanes.trailing_zeros());
-            lanes &= lanes - 1;
+    fn spike(&mut self, start: u32, mut lanes: u64) {
+        let end = self.spiking + lanes.count_ones() as usize;
+        for place in &mut self.spiked[self.spiking..][..FORESEEN] {
+            *place = start.wrapping_add(lanes.trailing_zeros());
+            lanes &= lanes.wrapping_sub(1);
         }
+        if lanes != 0 {
+            for place in &mut self.spiked[self.spiking + FORESEEN..end] {
+                *place = start + lanes.trailing_zeros();
+                lanes &= lanes - 1;
+            }
+        }
+        self.spiking = end;
     }
 
     /// Names and counts who spiked. Not while they are found: names and counts are far apart in memory, and here nothing
     /// stands between one fetch and the next.
     #[inline(always)]
-    fn note_spikes(&mut self, image: &Image, share: &Share) {
+    fn note_spikes(&mut self, share: &Share) {
+        let spiked = &self.spiked[..self.spiking];
         self.spikes.clear();
-        self.spikes.extend(self.spiked.iter().map(|&place| image.ids[place as usize]));
-        let first = share.first_id();
-        for &place in &self.spiked {
-            self.fired[place as usize - first] += 1;
+        self.spikes.extend(spiked.iter().map(|&lane| share.names[lane as usize]));
+        for &lane in spiked {
+            self.fired[lane as usize] += 1;
         }
     }
 
@@ -614,11 +667,12 @@ impl State {
         &mut self,
         sums: &mut [S],
         image: &Image,
+        share: &Share,
         block: Block,
         lanes: Range<usize>,
         order: Order,
-    ) -> (u32, bool) {
-        let (mut active, mut busy) = (0, false);
+    ) -> Did {
+        let mut did = Did::default();
         for offset in lanes {
             let lane = block.start as usize + offset;
             let fields = match block.fields {
@@ -634,23 +688,48 @@ impl State {
                 old = Registers::default();
             }
             let rest = old.u == 0 && old.v == 0 && !fields.holds(&old) && arrived == 0 && fields.bias == 0;
-            active += u32::from(!rest);
+            did.moved |= u64::from(!rest) << offset;
             let (new, effect) = update(old, arrived, fields, image.semantics);
             self.set(lane, new);
-            busy |= new != Registers::default();
-            if effect.spiked {
-                self.spike(block, 1 << offset);
-            }
+            did.busy |= new != Registers::default();
+            did.spiked |= u64::from(effect.spiked) << offset;
             if effect.q_wrapped | effect.u_wrapped | effect.v_clipped {
                 self.overflow.q_wrapped += u64::from(effect.q_wrapped);
                 self.overflow.u_wrapped += u64::from(effect.u_wrapped);
                 self.overflow.v_clipped += u64::from(effect.v_clipped);
-                self.overflow.note(order.step, image.ids[block.id as usize + offset]);
+                self.overflow.note(order.step, share.names[lane]);
             }
         }
-        (active, busy)
+        did
     }
 }
+
+/// What a stretch's update did.
+#[derive(Debug, Clone, Copy, Default)]
+struct Did {
+    /// A bit for each lane that spiked.
+    spiked: u64,
+    /// A bit for each lane that was not at rest.
+    moved: u64,
+    /// Whether any lane is not at rest afterwards.
+    busy: bool,
+}
+
+impl Did {
+    fn merge(&mut self, other: Did) {
+        self.spiked |= other.spiked;
+        self.moved |= other.moved;
+        self.busy |= other.busy;
+    }
+
+    /// The same so many lanes later.
+    fn after(self, lanes: usize) -> Did {
+        Did { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
+    }
+}
+
+/// Spikes of a granule that are written in any case.
+const FORESEEN: usize = 4;
 
 /// The lowest `count` bits, all 64 from there on.
 #[inline(always)]

@@ -17,8 +17,10 @@
 pub mod image;
 pub mod kernel;
 mod lanes;
+mod lists;
 pub mod neuron;
 mod prefetch;
+mod store;
 pub mod tally;
 #[cfg(target_arch = "x86_64")]
 mod vectors;
@@ -158,9 +160,8 @@ impl<'i> Machine<'i> {
         let mut fired: Vec<u32> = self.fired.iter_mut().map(std::mem::take).collect();
         fired.resize(self.image.sources(), 0);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
-            let ids = &self.image.ids[share.first_id()..];
-            for (&id, count) in ids.iter().zip(&mut lanes.fired) {
-                fired[self.image.channels as usize + id.index()] += std::mem::take(count);
+            for (&name, count) in share.names.iter().zip(&mut lanes.fired).filter(|(_, count)| **count > 0) {
+                fired[self.image.channels as usize + name.index()] += std::mem::take(count);
             }
         }
         fired
@@ -192,8 +193,9 @@ impl Engine for Machine<'_> {
         let image = self.image;
         let left = self.steps.saturating_sub(self.step);
         std::mem::swap(&mut self.spikes, &mut self.carried);
+        let fired = self.fired.as_mut_slice();
         for channel in channels {
-            self.fired[channel.index()] += 1;
+            fired[channel.index()] += 1;
         }
         if left <= image.longest_delay {
             self.note_late(channels.iter().map(|&channel| SpikeSource::Channel(channel)), left);
@@ -224,11 +226,11 @@ impl Engine for Machine<'_> {
             self.last_events += lanes.events_now;
         }
         if !image.in_order {
-            sort(&mut self.spikes, &mut self.marks, image.ids.len());
+            sort(&mut self.spikes, &mut self.marks, image.compartments());
         }
         self.totals.spikes_in += channels.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
-        self.totals.compartment_updates += image.ids.len() as u64;
+        self.totals.compartment_updates += image.compartments() as u64;
         self.totals.synaptic_events += self.last_events;
         if left <= image.longest_delay + 1 {
             let spikes = std::mem::take(&mut self.spikes);
@@ -253,7 +255,7 @@ impl Engine for Machine<'_> {
         }
         self.step += steps;
         self.run_steps += u64::from(steps);
-        self.totals.compartment_updates += u64::from(steps) * self.image.ids.len() as u64;
+        self.totals.compartment_updates += u64::from(steps) * self.image.compartments() as u64;
         if self.settings.per_step {
             self.last.clear();
             tally::add_visits(self.image.program(), 1, &mut self.last);

@@ -18,13 +18,14 @@ use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::compile::{Options, compile_quantised};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::golden::Golden;
+use nsim::io::stimulus::read_source;
 use nsim::io::target::load_target;
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::program::Program;
 use nsim::ir::quantised::{
     Connectivity, Neuron, Neurons, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
 };
-use nsim::ir::spikes::Engine;
+use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 
 /// Every engine that must give the same answers, ready to begin: the interpreter, and the machine on as few cores as
@@ -52,6 +53,17 @@ pub fn data(folder: &str) -> Option<PathBuf> {
     }
     say(&format!("skipped: no data at {}", path.display()));
     None
+}
+
+/// The recordings of containers in these parts (`train`, `test`), in order, under their folder.
+pub fn recordings(folder: &Path, parts: &[&str]) -> Vec<Sample> {
+    let spikes = parts.iter().flat_map(|part| read_source(&folder.join(part), 78).unwrap());
+    spikes
+        .map(|sample| {
+            let events: Vec<_> = sample.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
+            Sample::new(sample.steps, &events, sample.label).unwrap()
+        })
+        .collect()
 }
 
 /// Says something that is seen even when the test passes: the harness keeps what `println!` prints to itself.

@@ -1,0 +1,172 @@
+//! What each kind of skipping saves, apart from the others, on whole samples: at run time (`--skip`), at map time
+//! (`--prune`), at decision time (`--early-exit`).
+//!
+//! Scenes: recorded tactile samples (where they are: `NSIM_DATA` or `../shared/data`) on the shipped tactile network, slip
+//! scenes on the shipped slip network, and silence on it. Each row runs all samples over and over on one thread; rows take
+//! turns, so that what else the machine does falls on all alike. Prints a table; besides times it has what a time comes from.
+
+// A bench that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use nsim::base::id::ChannelId;
+use nsim::compile::prune::{Plan, prune};
+use nsim::compile::{Options, compile_quantised, front};
+use nsim::desc::stimulus::SceneArg;
+use nsim::drive::decision::{EarlyExit, Rule};
+use nsim::drive::{Keep, digest, run_sample};
+use nsim::io;
+use nsim::ir::program::Program;
+use nsim::ir::quantised::Quantised;
+use nsim::ir::spikes::{Sample, Stimulus};
+use nsim::machine::{Image, Machine, Settings};
+
+/// Rounds in which every row is timed once.
+const ROUNDS: usize = 25;
+
+/// A network and its samples.
+struct Scene {
+    name: &'static str,
+    network: Quantised,
+    samples: Vec<Sample>,
+}
+
+fn model(name: &str) -> Quantised {
+    front(&io::model::load_model(name).unwrap()).unwrap().into_quantised()
+}
+
+fn tactile() -> Option<Scene> {
+    let root = std::env::var_os("NSIM_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let folder = root.join("ev-containers/test");
+    if !folder.is_dir() {
+        println!("skipped: no data at {}", folder.display());
+        return None;
+    }
+    let network = model("container-tactile");
+    let sample = |spikes: io::stimulus::PopulationSpikes| {
+        let events: Vec<_> = spikes.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
+        Sample::new(spikes.steps, &events, spikes.label).unwrap()
+    };
+    let read = io::stimulus::read_source(&folder, u64::from(network.channels())).unwrap();
+    Some(Scene { name: "tactile", network, samples: read.into_iter().map(sample).collect() })
+}
+
+fn slip() -> Scene {
+    let network = model("vtsnn-slip");
+    let scene = SceneArg::parse("slip?samples=20&seed=3").unwrap();
+    let samples = nsim::scene::stimulus(&network, &scene).unwrap().samples;
+    Scene { name: "slip", network, samples }
+}
+
+fn silence() -> Scene {
+    let sample = Sample::new(150, &[], None).unwrap();
+    Scene { name: "silence", network: model("vtsnn-slip"), samples: vec![sample; 20] }
+}
+
+/// One way to run a scene.
+struct Row {
+    kind: &'static str,
+    setting: String,
+    network: Quantised,
+    program: Program,
+    skip: bool,
+    rule: Option<Rule>,
+}
+
+fn rows(scene: &Scene) -> Vec<Row> {
+    let target = io::target::load_target("nahuku-32").unwrap();
+    let row = |kind, setting: &str, network: &Quantised, skip, rule| {
+        let program = compile_quantised(network.clone(), &target, &Options::default()).unwrap().program;
+        Row { kind, setting: setting.to_string(), network: network.clone(), program, skip, rule }
+    };
+    let whole = &scene.network;
+    let stimulus = Stimulus { samples: scene.samples.clone(), origin: vec![scene.name.to_string()], seed: None };
+    let fixed = prune(whole, &Plan::fixed()).unwrap();
+    let shown = prune(whole, &Plan::for_stimulus(whole, &stimulus)).unwrap();
+    let margin = Rule::Margin(8.try_into().unwrap());
+    // Nothing else is skipped where a kind is measured.
+    vec![
+        row("none", "", whole, false, None),
+        row("run time", "--skip on", whole, true, None),
+        row("map time", "--prune static", &fixed, false, None),
+        row("map time", "--prune INPUT", &shown, false, None),
+        row("decision time", "--early-exit certain", whole, false, Some(Rule::Certain)),
+        row("decision time", "--early-exit 8", whole, false, Some(margin)),
+        row("all", "--skip on --prune INPUT --early-exit certain", &shown, true, Some(Rule::Certain)),
+    ]
+}
+
+/// What a row's samples did: digest, timesteps run, compartments visited, synaptic events.
+type Did = (String, u64, u64, u64);
+
+fn measure(scene: &Scene) {
+    let rows = rows(scene);
+    let images: Vec<Image> = rows.iter().map(|row| Image::new(&row.program, 1).unwrap()).collect();
+    let mut machines: Vec<Machine> = (rows.iter().zip(&images))
+        .map(|(row, image)| Machine::new(image, Settings { skip: row.skip, per_step: false }))
+        .collect();
+    let keeps: Vec<Keep> = rows
+        .iter()
+        .map(|row| {
+            let early_exit = row.rule.map(|rule| EarlyExit::new(rule, &row.network));
+            Keep { output: row.program.output(), probes: Vec::new(), early_exit }
+        })
+        .collect();
+    let mut times: Vec<Vec<f64>> = vec![Vec::new(); rows.len()];
+    let mut did: Vec<Did> = Vec::new();
+    for (machine, keep) in machines.iter_mut().zip(&keeps) {
+        let (mut outcomes, mut visited) = (Vec::new(), 0);
+        for sample in &scene.samples {
+            let outcome = run_sample(machine, sample, keep, |_, _| ());
+            visited += outcome.totals.compartment_updates - machine.skipped_updates();
+            outcomes.push(outcome);
+        }
+        let sum = |of: fn(&nsim::drive::Outcome) -> u64| outcomes.iter().map(of).sum::<u64>();
+        let steps = sum(|outcome| outcome.steps.into());
+        did.push((digest(&outcomes), steps, visited, sum(|outcome| outcome.totals.synaptic_events)));
+    }
+    // What takes a few microseconds is timed several times over.
+    let repeats = (20_000 / (did[0].1 as usize).max(1)).max(1);
+    for _ in 0..ROUNDS {
+        for ((machine, keep), times) in machines.iter_mut().zip(&keeps).zip(&mut times) {
+            let begin = Instant::now();
+            for sample in std::iter::repeat_n(&scene.samples, repeats).flatten() {
+                black_box(run_sample(machine, sample, keep, |_, _| ()));
+            }
+            times.push(begin.elapsed().as_secs_f64() * 1e6 / repeats as f64);
+        }
+    }
+    let median = |times: &Vec<f64>| {
+        let mut times = times.clone();
+        times.sort_unstable_by(f64::total_cmp);
+        times[times.len() / 2]
+    };
+    let whole = median(&times[0]);
+    for ((row, times), (digest, steps, visited, events)) in rows.iter().zip(&times).zip(&did) {
+        // Only what ends a sample early may change its outputs.
+        assert!(row.rule.is_some() || *digest == did[0].0, "{} {}: other outputs", scene.name, row.setting);
+        let us = median(times);
+        println!(
+            "| {}, {} samples | {} | `{}` | {us:.1} | {:.2} | {steps} | {visited} | {events} |",
+            scene.name,
+            scene.samples.len(),
+            row.kind,
+            row.setting,
+            whole / us,
+        );
+    }
+}
+
+fn main() {
+    println!(
+        "| scene | kind | setting | us, all samples | gain | timesteps | compartments visited | synaptic events |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for scene in tactile().into_iter().chain([slip(), silence()]) {
+        measure(&scene);
+    }
+}

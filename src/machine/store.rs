@@ -1,0 +1,78 @@
+//! Bytes that are read in random order: lists of synapses.
+//!
+//! Comes in: how many. Goes out: as many, zeros, to be filled once. A list that a spike reaches lies in no cache, so what its
+//! place costs is paid for every spike: large stores are asked of the operating system in pages of 2 MiB, of which the
+//! processor can remember where all are, and begin where a line of the cache does. Either is a wish: nothing but time depends
+//! on it. What it leaves out on purpose: what the bytes mean.
+
+use memmap2::MmapMut;
+
+/// Bytes from which on large pages can be had.
+const LARGE: usize = 2 << 20;
+
+/// Bytes, fixed in number.
+#[derive(Debug)]
+pub(super) enum Store {
+    /// Few of them, or where no map can be had.
+    Heap(Vec<u8>),
+    /// Whole pages.
+    Pages(MmapMut),
+}
+
+impl Store {
+    /// So many zeros.
+    pub fn new(size: usize) -> Self {
+        // Miri knows no advice about memory.
+        if size < LARGE || cfg!(miri) {
+            return Store::Heap(vec![0; size]);
+        }
+        match MmapMut::map_anon(size) {
+            Ok(map) => {
+                #[cfg(target_os = "linux")]
+                if let Err(refused) = map.advise(memmap2::Advice::HugePage) {
+                    tracing::debug!("no large pages: {refused}");
+                }
+                Store::Pages(map)
+            }
+            Err(refused) => {
+                tracing::debug!("no map of {size} bytes: {refused}");
+                Store::Heap(vec![0; size])
+            }
+        }
+    }
+
+    /// The bytes.
+    #[inline(always)]
+    pub fn bytes(&self) -> &[u8] {
+        match self {
+            Store::Heap(bytes) => bytes,
+            Store::Pages(map) => map,
+        }
+    }
+
+    /// The bytes, to be filled.
+    pub fn bytes_mut(&mut self) -> &mut [u8] {
+        match self {
+            Store::Heap(bytes) => bytes,
+            Store::Pages(map) => map,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_and_many_bytes_are_zeros_to_be_filled() {
+        for size in [0, 1, LARGE - 1, LARGE, LARGE + 4097] {
+            let mut store = Store::new(size);
+            assert_eq!(store.bytes().len(), size);
+            assert!(store.bytes().iter().all(|&byte| byte == 0));
+            if let Some(last) = store.bytes_mut().last_mut() {
+                *last = 7;
+            }
+            assert_eq!(store.bytes().last().copied(), (size > 0).then_some(7));
+        }
+    }
+}
