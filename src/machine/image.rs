@@ -12,7 +12,7 @@ use std::ops::Range;
 use crate::base::fixed::WEIGHT_SHIFT;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
-use crate::ir::program::{CoreImage, Program, Synapse};
+use crate::ir::program::{CoreImage, Program, Selected, Synapse};
 use crate::ir::quantised::{Neuron, Reset, SpikeSource};
 use crate::machine::kernel::{LANES, Shared};
 use crate::machine::lists::{Draft, Table};
@@ -318,8 +318,8 @@ impl<'p> Image<'p> {
         let mut most = 0;
         for image in self.program.cores() {
             let mut weight = vec![0u64; image.compartments.len()];
-            for synapse in image.synapses.items() {
-                weight[usize::from(synapse.slot)] += u64::from(units(image, synapse).unsigned_abs());
+            for synapse in image.inputs.synapses() {
+                weight[usize::from(synapse.slot)] += u64::from(units(image, &synapse).unsigned_abs());
             }
             if let Some(slot) = weight.iter().position(|&weight| weight > i32::MAX as u64) {
                 return Err(ImageError::FanIn(image.ids[slot]));
@@ -406,7 +406,7 @@ impl<'p> Image<'p> {
         let parts = self.program.parts();
         let mut delays: Vec<u8> = Vec::new();
         for image in &parts.cores {
-            for synapse in image.synapses.items() {
+            for synapse in image.inputs.lists.items() {
                 let delay = synapse.delay.get();
                 if !delays.contains(&delay) {
                     delays.push(delay);
@@ -414,7 +414,7 @@ impl<'p> Image<'p> {
             }
         }
         delays.sort_unstable();
-        let lists = || parts.cores.iter().flat_map(|image| image.synapses.iter().map(<[Synapse]>::len));
+        let lists = || parts.cores.iter().flat_map(|image| image.inputs.iter().map(|list| list.stored.len()));
         let in_short: usize = lists().filter(|&length| length < SHORTEST_ROW).sum();
         let shortest_row = if in_short * MANY < lists().sum() { 1 } else { SHORTEST_ROW };
         let kinds = [0..self.channels, self.channels..self.sources() as u32];
@@ -448,8 +448,8 @@ impl<'p> Image<'p> {
             };
             for message in messages {
                 let image = &parts.cores[message.core];
-                let synapses = image.synapses.get(usize::from(message.axon));
-                self.append(image, synapses, shortest_row, &mut rows, drafts);
+                let list = image.inputs.get(usize::from(message.axon));
+                self.append(image, list, shortest_row, &mut rows, drafts);
             }
             for ((share, rows), drafts) in self.shares.iter_mut().zip(&mut rows).zip(drafts.iter_mut()) {
                 share.close(source, rows);
@@ -462,16 +462,16 @@ impl<'p> Image<'p> {
     fn append(
         &mut self,
         image: &CoreImage,
-        synapses: &[Synapse],
+        list: Selected<'_>,
         shortest_row: usize,
         rows: &mut [Vec<Row>],
         drafts: &mut [Vec<Draft>],
     ) {
         let place = |image_of: &Self, synapse: &Synapse| {
-            let (share, lane) = image_of.lane(image.ids[usize::from(synapse.slot)]);
+            let (share, lane) = image_of.lane(image.ids[usize::from(synapse.slot + list.base)]);
             (share, lane, synapse.delay.get())
         };
-        let mut from = 0;
+        let (synapses, mut from) = (list.stored, 0);
         while from < synapses.len() {
             let (share, lane, delay) = place(self, &synapses[from]);
             let follows = |(i, synapse): &(usize, &Synapse)| place(self, synapse) == (share, lane + i, delay);

@@ -91,7 +91,7 @@ fn enumerated(
         axons_out_per_compartment: most,
         compartment_profiles: of_compartments.len() as u32,
         threshold_profiles: thresholds.len() as u32,
-        ..filling.usage()
+        ..filling.usage_shared()
     }
 }
 

@@ -3,18 +3,22 @@
 //! In comes a network in which every projection is a window or all to all; out go its [`Layer`]s, the ways of cutting a
 //! layer into boxes, and what a core that holds a box uses. A window reaches rows and columns independently of each other,
 //! so the lists of a box are the products of patterns of rows, of columns and of channels: sources with the same patterns
-//! have lists of the same make-up, which is counted once. The counts are those of [`crate::compile::usage`], output axons
-//! excepted; a test holds them to it.
+//! have lists of the same make-up, which is counted once, and places whose patterns are the same but for where they begin
+//! are a class that may share a table ([`crate::compile::share`]). The counts are those of [`crate::compile::usage`], output
+//! axons excepted; a test holds them to it. They could only be greater where two different parts of a kernel have the same
+//! weights.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
 use crate::base::fixed::Delay;
 use crate::base::id::{Id, IdVec, PopulationId};
+use crate::compile::axis::{Axis, Pattern, relative};
 use crate::compile::formats::Formats;
 use crate::compile::packing::{self, Group, Widths};
 use crate::compile::partition::tiles::{self, Grid};
-use crate::compile::usage::{Tallies, skip_of};
+use crate::compile::share::{self, Class, Places};
+use crate::compile::usage::{Tallies, Words, skip_of};
 use crate::desc::target::Limits;
 use crate::ir::graph::Window;
 use crate::ir::partition::CoreUsage;
@@ -32,6 +36,10 @@ pub struct Incoming {
     pub window: Window,
     /// Whether every source reaches every target.
     pub all_to_all: bool,
+    /// Channels and positions of a source population that has places.
+    placed: Option<(u32, u64)>,
+    /// Whether all its weights are the same.
+    uniform: bool,
     /// Its format among those of the network.
     format: u16,
     delay: Delay,
@@ -52,7 +60,7 @@ pub struct Layer {
 /// same populations.
 #[must_use]
 pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
-    let formats = Formats::of(network);
+    let (formats, places) = (Formats::of(network), Places::of(network));
     let shape = |id: PopulationId| {
         let shape = network.populations()[id].shape;
         shape.volume().unwrap_or((shape.len(), 1, 1))
@@ -78,10 +86,18 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
             return None;
         }
         let format = formats.by_projection()[id.index()];
+        let placed = match network.populations()[projection.source].shape.volume() {
+            Some((channels, height, width)) if places.holds(network, projection.source) => {
+                Some((channels, u64::from(height) * u64::from(width)))
+            }
+            _ => None,
+        };
         layer.incoming.push(Incoming {
             source: projection.source,
             window,
             all_to_all,
+            placed,
+            uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
             format,
             delay: projection.delay,
         });
@@ -94,80 +110,26 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
     Some(layers)
 }
 
-/// One axis of a window.
-#[derive(Debug, Clone, Copy)]
-pub struct Axis {
-    kernel: u64,
-    stride: u64,
-    padding: u64,
-    dilation: u64,
-    source: u32,
-    target: u32,
-}
-
-impl Axis {
-    /// From north to south.
-    #[must_use]
-    pub fn rows(window: &Window) -> Self {
-        Axis::of(window, |pair| pair.0, window.source.1, window.target.1)
-    }
-
-    /// From west to east.
-    #[must_use]
-    pub fn columns(window: &Window) -> Self {
-        Axis::of(window, |pair| pair.1, window.source.2, window.target.2)
-    }
-
-    fn of(window: &Window, side: fn((u32, u32)) -> u32, source: u32, target: u32) -> Self {
-        let of = |pair| u64::from(side(pair));
-        let (kernel, stride) = (of(window.kernel), of(window.stride));
-        Axis { kernel, stride, padding: of(window.padding), dilation: of(window.dilation), source, target }
-    }
-
-    /// Target positions, ascending, whose windows cover a source position.
-    pub fn reached(self, source: u32) -> impl Iterator<Item = u32> {
-        // Output o covers s at k when o stride - padding + k dilation = s.
-        (0..self.kernel).rev().filter_map(move |k| {
-            let at = (u64::from(source) + self.padding).checked_sub(k * self.dilation)?;
-            let inside = at % self.stride == 0 && at / self.stride < u64::from(self.target);
-            inside.then_some((at / self.stride) as u32)
-        })
-    }
-
-    /// Source positions that may reach a part of the targets.
-    fn under(self, part: &Range<u32>) -> Range<u32> {
-        let first = (u64::from(part.start) * self.stride).saturating_sub(self.padding);
-        let last = (u64::from(part.end) - 1) * self.stride + self.kernel.saturating_sub(1) * self.dilation;
-        let end = (last + 1).saturating_sub(self.padding).min(u64::from(self.source));
-        first.min(end) as u32..end as u32
-    }
-
-    /// The positions within a part that sources reach, and how many sources reach the same.
-    fn patterns(self, part: &Range<u32>) -> Vec<(Vec<u16>, u64)> {
-        let mut patterns: BTreeMap<Vec<u16>, u64> = BTreeMap::new();
-        for source in self.under(part) {
-            let reached: Vec<u16> =
-                self.reached(source).filter(|at| part.contains(at)).map(|at| (at - part.start) as u16).collect();
-            if !reached.is_empty() {
-                *patterns.entry(reached).or_default() += 1;
-            }
-        }
-        patterns.into_iter().collect()
-    }
-}
-
 /// A part of an axis, with the patterns of every projection into the layer.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Side {
     size: u32,
-    patterns: Vec<Vec<(Vec<u16>, u64)>>,
+    patterns: Vec<Vec<(Pattern, u64)>>,
 }
 
-/// A part of the channels: how many of them sources reach, and how many sources reach so many.
+impl Side {
+    fn of(layer: &Layer, axis: fn(&Window) -> Axis, part: &Range<u32>) -> Self {
+        let patterns = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).patterns(part);
+        Side { size: part.end - part.start, patterns: layer.incoming.iter().map(patterns).collect() }
+    }
+}
+
+/// A part of the channels: how many of them sources reach, and how many sources reach so many; and the last such source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Channels {
     size: u32,
     reached: Vec<Vec<(u32, u64)>>,
+    last: Vec<u32>,
 }
 
 impl Channels {
@@ -182,7 +144,13 @@ impl Channels {
             }
             reached.into_iter().collect()
         };
-        Channels { size: part.end - part.start, reached: layer.incoming.iter().map(of).collect() }
+        let last = |incoming: &Incoming| {
+            let window = &incoming.window;
+            let group = (part.end - 1) / (window.target.0 / window.groups);
+            (group + 1) * (window.source.0 / window.groups) - 1
+        };
+        let (reached, last) = layer.incoming.iter().map(|incoming| (of(incoming), last(incoming))).unzip();
+        Channels { size: part.end - part.start, reached, last }
     }
 }
 
@@ -203,21 +171,26 @@ fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, 
     let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::of(compartments, longest, limits.packing);
     let (mut tallies, mut synapses, mut dense) = (Tallies::default(), 0, 0);
+    let mut classes = Classes::default();
     let mut slots: Vec<u16> = Vec::new();
     for &i in &reaching {
-        let Incoming { format, delay, .. } = layer.incoming[i];
+        let Incoming { format, delay, placed, all_to_all, .. } = layer.incoming[i];
         for (reached_rows, of_rows) in &rows.patterns[i] {
             for (reached_columns, of_columns) in &columns.patterns[i] {
+                let mut place = Place::default();
                 for &(reached, of_channels) in &channels.reached[i] {
                     slots.clear();
                     if layer.own_only {
                         let height = rows.size;
                         let row = |c: u32, y: u16| (c * height + u32::from(y)) * columns.size;
-                        let starts = (0..reached).flat_map(|c| reached_rows.iter().map(move |&y| row(c, y)));
-                        slots.extend(starts.flat_map(|start| reached_columns.iter().map(move |&x| start as u16 + x)));
+                        let starts = (0..reached).flat_map(|c| reached_rows.iter().map(move |&(y, _)| row(c, y)));
+                        slots.extend(
+                            starts.flat_map(|start| reached_columns.iter().map(move |&(x, _)| start as u16 + x)),
+                        );
                     } else {
-                        for &y in reached_rows {
-                            let starts = reached_columns.iter().map(|&x| u32::from(y) * columns.size + u32::from(x));
+                        for &(y, _) in reached_rows {
+                            let starts =
+                                reached_columns.iter().map(|&(x, _)| u32::from(y) * columns.size + u32::from(x));
                             slots.extend(
                                 starts.flat_map(|at| (0..reached).map(move |c| (at * channels.size + c) as u16)),
                             );
@@ -231,25 +204,87 @@ fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, 
                         skip: skip_of(slots.windows(2).map(|pair| pair[1] - pair[0])),
                     };
                     let lists = of_rows * of_columns * of_channels;
-                    tallies.lists(format, group, lists, widths, limits);
+                    place.lists(of_channels, tallies.lists(format, group, lists, widths, limits));
                     synapses += lists * slots.len() as u64;
                     dense += if group.dense { lists * slots.len() as u64 } else { 0 };
+                }
+                let first_slot = {
+                    let at = u32::from(reached_rows[0].0) * columns.size + u32::from(reached_columns[0].0);
+                    if layer.own_only { at } else { at * channels.size }
+                };
+                let (Some((atoms, positions)), Some(base)) = (placed, share::base_of(first_slot as u16)) else {
+                    continue;
+                };
+                if all_to_all {
+                    // Every source has weights of its own; all channels of a position reach the box.
+                    let place = place.part(positions);
+                    (0..positions).for_each(|_| classes.alone(place, atoms as u16));
+                } else {
+                    let kind = (i, relative(reached_rows), relative(reached_columns), first_slot as u16 - base);
+                    classes.add(kind, of_rows * of_columns, place, channels.last[i] as u16 + 1);
                 }
             }
         }
     }
-    let stored = tallies.stored(limits);
-    let usage = CoreUsage {
-        compartments,
-        axons_in: tallies.axons,
-        synapses,
-        synapse_words: stored.words,
-        synapse_words_per_axon: stored.widest,
-        synapse_formats: stored.formats.len() as u32,
-        accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
-        ..CoreUsage::default()
-    };
-    BoxUse { usage, dense }
+    tallies.share([&classes.ways[0], &classes.ways[1]], limits);
+    BoxUse { usage: tallies.usage(compartments, synapses, longest, limits), dense }
+}
+
+/// The lists of one place.
+#[derive(Debug, Clone, Copy, Default)]
+struct Place {
+    lists: u64,
+    /// Without and with runs: words as lists of discrete axons, and the fewest and the most of a list in a table.
+    ways: [(u64, Option<(u32, u32)>); 2],
+}
+
+impl Place {
+    fn lists(&mut self, lists: u64, words: [Words; 2]) {
+        self.lists += lists;
+        for (way, words) in self.ways.iter_mut().zip(words) {
+            way.0 += lists * u64::from(words.discrete);
+            let (least, most) = way.1.unwrap_or((words.in_table, words.in_table));
+            way.1 = Some((least.min(words.in_table), most.max(words.in_table)));
+        }
+    }
+
+    /// One of so many places with the same lists each.
+    fn part(mut self, places: u64) -> Self {
+        self.lists /= places;
+        self.ways.iter_mut().for_each(|way| way.0 /= places);
+        self
+    }
+
+    fn class(&self, way: usize, atoms: u16) -> Class {
+        let (words, list_words) = self.ways[way];
+        let list_words = list_words.unwrap_or_default();
+        Class { places: 1, lists: self.lists as u32, atoms, words: words as u32, list_words }
+    }
+}
+
+/// Projection, relative patterns of rows and columns, and how far behind its base a place begins.
+type Kind = (usize, Pattern, Pattern, u16);
+
+/// Classes of places of a box.
+#[derive(Debug, Default)]
+struct Classes {
+    known: HashMap<Kind, usize>,
+    ways: [Vec<Class>; 2],
+}
+
+impl Classes {
+    fn alone(&mut self, place: Place, atoms: u16) {
+        self.ways.iter_mut().enumerate().for_each(|(way, classes)| classes.push(place.class(way, atoms)));
+    }
+
+    fn add(&mut self, kind: Kind, places: u64, place: Place, atoms: u16) {
+        let at = *self.known.entry(kind).or_insert(self.ways[0].len());
+        if at == self.ways[0].len() {
+            self.alone(place, atoms);
+            self.ways.iter_mut().for_each(|classes| classes[at].places = 0);
+        }
+        self.ways.iter_mut().for_each(|classes| classes[at].places += places as u32);
+    }
 }
 
 /// A layer cut into boxes, a core each.
@@ -289,13 +324,9 @@ fn excess(used: &BoxUse, limits: &Limits) -> bool {
 impl Cut {
     fn new(layer: &Layer, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> Self {
         let (c, h, w) = layer.shape;
-        let side = |axis: fn(&Window) -> Axis, part: Range<u32>| Side {
-            size: part.end - part.start,
-            patterns: layer.incoming.iter().map(|incoming| axis(&incoming.window).patterns(&part)).collect(),
-        };
         let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of(layer, &part)));
-        let (rows, of_rows) = kinds(parts(h, size.1).map(|part| side(Axis::rows, part)));
-        let (columns, of_columns) = kinds(parts(w, size.2).map(|part| side(Axis::columns, part)));
+        let (rows, of_rows) = kinds(parts(h, size.1).map(|part| Side::of(layer, Axis::rows, &part)));
+        let (columns, of_columns) = kinds(parts(w, size.2).map(|part| Side::of(layer, Axis::columns, &part)));
         let mut uses = HashMap::new();
         for (i, channels) in channels.iter().enumerate() {
             for (j, rows) in rows.iter().enumerate() {
@@ -341,13 +372,9 @@ impl Cut {
     fn middle(layer: &Layer, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
         let at = tiles::middle(layer.shape, size);
         let part = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
-        let side = |axis: fn(&Window) -> Axis, part: Range<u32>| Side {
-            size: part.end - part.start,
-            patterns: layer.incoming.iter().map(|incoming| axis(&incoming.window).patterns(&part)).collect(),
-        };
         let channels = Channels::of(layer, &part(layer.shape.0, size.0, at.0));
-        let rows = side(Axis::rows, part(layer.shape.1, size.1, at.1));
-        let columns = side(Axis::columns, part(layer.shape.2, size.2, at.2));
+        let rows = Side::of(layer, Axis::rows, &part(layer.shape.1, size.1, at.1));
+        let columns = Side::of(layer, Axis::columns, &part(layer.shape.2, size.2, at.2));
         use_of(layer, formats, limits, (&channels, &rows, &columns))
     }
 

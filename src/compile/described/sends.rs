@@ -11,7 +11,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::base::id::{IdVec, PopulationId};
-use crate::compile::described::layer::{Axis, Cut, Layer};
+use crate::compile::axis::Axis;
+use crate::compile::described::layer::{Cut, Layer};
 use crate::compile::fanin::first_source;
 use crate::compile::partition::Members;
 use crate::compile::rates::Rates;

@@ -112,12 +112,12 @@ pub fn tiles(
     let Units::Loihi { first, neurons, .. } = &description.units else { return None };
     let fits = |filling: &mut Filling, indices: &[u32]| {
         filling.next_core();
-        let fits = indices.iter().all(|&index| {
+        let fits = filling.add_whole(indices.iter().map(|&index| {
             let id = CompartmentId(first.0 + index);
-            filling.add(&Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 }).is_ok()
-        });
+            Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 }
+        }));
         filling.next_core();
-        fits
+        fits.is_ok()
     };
     let all = grids(&windows, shape, limits, most.min(limits.compartments));
     let found = first_that_fits(&all, TRIALS, |grid| {
@@ -184,7 +184,7 @@ fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u
         for x in 0..nw {
             let x = if y % 2 == 0 { x } else { nw - 1 - x };
             for c in 0..nc {
-                let indices = Indices::Listed(cell(shape, size, (c, y, x), own_only));
+                let indices = Indices::Tile(cell(shape, size, (c, y, x), own_only));
                 segments.push(Segment { population, indices });
             }
         }
@@ -204,8 +204,8 @@ mod tests {
                 let mut all: Vec<u32> = segments
                     .into_iter()
                     .flat_map(|segment| match segment.indices {
-                        Indices::Listed(indices) => indices,
-                        Indices::All(_) => panic!("tiles are listed"),
+                        Indices::Tile(indices) => indices,
+                        _ => panic!("tiles are tiles"),
                     })
                     .collect();
                 all.sort_unstable();
