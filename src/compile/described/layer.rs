@@ -16,7 +16,7 @@ use crate::base::id::{Id, IdVec, PopulationId};
 use crate::compile::axis::{Axis, Pattern, relative};
 use crate::compile::formats::Formats;
 use crate::compile::packing::{self, Group, Widths};
-use crate::compile::partition::tiles::{self, Grid};
+use crate::compile::partition::tiles::{self, Grid, Reaching};
 use crate::compile::share::{self, Class, Places};
 use crate::compile::usage::{Tallies, Words, skip_of};
 use crate::desc::target::Limits;
@@ -346,7 +346,12 @@ impl Cut {
     /// # Errors
     /// What one compartment alone uses, when no grid was found.
     pub fn of(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, BoxUse> {
-        let windows: Vec<Window> = layer.incoming.iter().map(|incoming| incoming.window).collect();
+        let reaching = |incoming: &Incoming| Reaching {
+            window: incoming.window,
+            weight_bits: formats.get(incoming.format).bits.get(),
+            uniform: incoming.uniform,
+        };
+        let windows: Vec<Reaching> = layer.incoming.iter().map(reaching).collect();
         let most = most.min(limits.compartments).min(packing::MOST_SLOTS);
         let mut cut = None;
         tiles::first_that_fits(&tiles::grids(&windows, layer.shape, limits, most), TRIALS, |Grid { size, .. }| {

@@ -5,12 +5,16 @@
 //! under the rectangle and its rim; a core that holds as many compartments in the order of the file, channel by channel,
 //! needs nearly all sources of the layer before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks
 //! for the fewest cores with a beam search over them, here every grid is counted in closed form and the first that fits,
-//! in the order of cores and then of messages, is taken.
+//! in the order of cores and then of messages, is taken. Grids whose sources or whose weights alone are too many for a core
+//! are not tried, with lists of their own or shared ([`crate::compile::share`]), whichever are fewer.
 //!
 //! Compartments of a tile stand position by position, channels together, so that the targets of a spike follow each
 //! other; channel by channel where each channel only sees its own (pooling, depthwise convolution).
 
+use std::collections::BTreeSet;
+
 use crate::base::id::{CompartmentId, PopulationId};
+use crate::compile::axis::{Axis, Pattern, relative};
 use crate::compile::fill::{Filling, Newcomer};
 use crate::compile::partition::order::{Indices, Segment};
 use crate::desc::target::Limits;
@@ -19,14 +23,33 @@ use crate::ir::quantised::{Connectivity, Quantised, Units};
 
 /// Grids that are tried on a core before giving up.
 const TRIALS: usize = 60;
+/// Grids of as many tiles that are tried one after the other.
+const OF_AS_MANY: usize = 3;
+
+/// A window that reaches a population.
+#[derive(Debug, Clone, Copy)]
+pub struct Reaching {
+    /// The window.
+    pub window: Window,
+    /// Bits of a weight.
+    pub weight_bits: u8,
+    /// Whether all its weights are the same.
+    pub uniform: bool,
+}
 
 /// Windows that reach a population, when that is all that reaches it.
-fn windows(network: &Quantised, population: PopulationId) -> Option<Vec<Window>> {
+fn windows(network: &Quantised, population: PopulationId) -> Option<Vec<Reaching>> {
     let into = network.projections().iter().filter(|p| p.target == population);
-    let windows: Option<Vec<Window>> = into
-        .map(|projection| match &projection.connectivity {
-            Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. } => Some(*window),
-            _ => None,
+    let windows: Option<Vec<Reaching>> = into
+        .map(|projection| {
+            let weight_bits = projection.format.bits.get();
+            match &projection.connectivity {
+                Connectivity::Conv2d { window, .. } => Some(Reaching { window: *window, weight_bits, uniform: false }),
+                Connectivity::SumPool2d { window, .. } => {
+                    Some(Reaching { window: *window, weight_bits, uniform: true })
+                }
+                _ => None,
+            }
         })
         .collect();
     windows.filter(|windows| !windows.is_empty())
@@ -55,6 +78,16 @@ fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64
     reach.min(seen).min(u64::from(source))
 }
 
+/// What the sources of the part in the middle of an axis reach of it: targets of all sources, and of those whose targets
+/// and places in the kernel are not another's shifted.
+fn reached(axis: Axis, length: u32, size: u32) -> (u64, u64) {
+    let at = middle_of(length, size);
+    let patterns = axis.patterns(&(at * size..((at + 1) * size).min(length)));
+    let all = patterns.iter().map(|(pattern, sources)| pattern.len() as u64 * sources).sum();
+    let distinct: BTreeSet<Pattern> = patterns.iter().map(|(pattern, _)| relative(pattern)).collect();
+    (all, distinct.iter().map(|pattern| pattern.len() as u64).sum())
+}
+
 /// A grid of tiles: (channels, height, width) of one, how many, and the messages that a spike everywhere would cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Grid {
@@ -66,26 +99,41 @@ pub struct Grid {
 
 /// Grids that may fit a core of so many compartments, the best first.
 #[must_use]
-pub fn grids(windows: &[Window], (c, h, w): (u32, u32, u32), limits: &Limits, most: u32) -> Vec<Grid> {
+pub fn grids(windows: &[Reaching], (c, h, w): (u32, u32, u32), limits: &Limits, most: u32) -> Vec<Grid> {
+    let along = |length: u32, axis: fn(&Window) -> Axis| -> Vec<(u32, u32, Vec<(u64, u64)>)> {
+        let cuts = cuts(length).into_iter().filter(|&(_, size)| size <= most);
+        let reached =
+            |size| windows.iter().map(|w| reached(axis(&w.window).uniform(w.uniform), length, size)).collect();
+        cuts.map(|(parts, size)| (parts, size, reached(size))).collect()
+    };
+    let (rows, columns) = (along(h, Axis::rows), along(w, Axis::columns));
     let mut grids = Vec::new();
     for (nc, tc) in cuts(c) {
-        for (nh, th) in cuts(h) {
-            for (nw, tw) in cuts(w) {
+        for &(nh, th, ref of_rows) in &rows {
+            for &(nw, tw, ref of_columns) in &columns {
                 let size = u64::from(tc) * u64::from(th) * u64::from(tw);
                 if size > u64::from(most) {
                     continue;
                 }
                 let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
-                let mut sources = 0;
-                for window in windows {
+                // Sources, input axons at least, and bits of weights at least.
+                let (mut sources, mut axons, mut bits) = (0, 0, 0);
+                for (&Reaching { window, weight_bits, .. }, (rows, columns)) in
+                    windows.iter().zip(of_rows.iter().zip(of_columns))
+                {
                     let out_of_group = (window.target.0 / window.groups).max(1);
                     let groups = tc.div_ceil(out_of_group).min(window.groups);
                     let channels = u64::from(groups) * u64::from(window.source.0 / window.groups);
-                    let rows = under(th, window.kernel.0, window.stride.0, window.dilation.0, window.source.1);
-                    let columns = under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
-                    sources += channels * rows * columns;
+                    let places = under(th, window.kernel.0, window.stride.0, window.dilation.0, window.source.1)
+                        * under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
+                    let (all, distinct) = ((rows.0, columns.0), (rows.1, columns.1));
+                    sources += channels * places;
+                    axons += places;
+                    // Of every group the sources reach its own channels, which are the tile's together.
+                    let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
+                    bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
-                if sources <= u64::from(limits.axons_in) {
+                if axons <= u64::from(limits.axons_in) && bits <= 64 * u64::from(limits.synapse_words) {
                     grids.push(Grid { tiles, messages: tiles * sources, size: (tc, th, tw) });
                 }
             }
@@ -108,7 +156,7 @@ pub fn tiles(
     let description = &network.populations()[population];
     let shape = description.shape.volume()?;
     let windows = windows(network, population)?;
-    let own_only = windows.iter().all(|window| window.groups == window.source.0 && window.groups > 1);
+    let own_only = windows.iter().all(|Reaching { window, .. }| window.groups == window.source.0 && window.groups > 1);
     let Units::Loihi { first, neurons, .. } = &description.units else { return None };
     let fits = |filling: &mut Filling, indices: &[u32]| {
         filling.next_core();
@@ -128,16 +176,21 @@ pub fn tiles(
 
 /// The first of these grids that fits, as far as trials tell.
 pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
-    // A grid that failed for its synapses says that others with as many compartments of as many sources fail too; so the
-    // trials thin out as they go on.
-    let mut tried = 0;
-    let mut at = 0;
+    // Of as many tiles some are tried, which differ in what their lists have in common; a grid that failed says that others
+    // with a few more tiles are likely to fail too, so the trials thin out as they go on.
+    let (mut tried, mut of_as_many, mut at) = (0, 0, 0);
     while at < all.len() && tried < trials {
         let grid = all[at];
         if fits(&grid) {
             return Some(grid);
         }
         tried += 1;
+        of_as_many += 1;
+        at += 1;
+        if of_as_many < OF_AS_MANY && at < all.len() && all[at].tiles == grid.tiles {
+            continue;
+        }
+        of_as_many = 0;
         // Skip ahead to grids with more tiles, the faster the more have failed.
         let wanted = grid.tiles + 1 + grid.tiles * tried as u64 / 64;
         while at < all.len() && all[at].tiles < wanted {
@@ -150,8 +203,11 @@ pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) 
 /// The tile in the middle of a grid, whose windows are whole.
 #[must_use]
 pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
-    let of = |length: u32, size: u32| (length.div_ceil(size) - 1) / 2;
-    (of(shape.0, size.0), of(shape.1, size.1), of(shape.2, size.2))
+    (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
+}
+
+fn middle_of(length: u32, size: u32) -> u32 {
+    (length.div_ceil(size) - 1) / 2
 }
 
 /// Indices of one tile, in the order in which they stand on its core.
