@@ -65,9 +65,8 @@ struct PlacedAxon {
 impl PlacedAxon {
     fn tell(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
         let from_base = u64::from(slot - self.base.unwrap_or(0));
-        for word in [from_base << 48 | u64::from(format) << 32 | projection as u64, part] {
-            self.told = rng::digest(self.told, word);
-        }
+        let which = from_base << 48 | u64::from(format) << 32 | projection as u64;
+        self.told = rng::digest(rng::digest(self.told, which), part);
     }
 }
 
@@ -269,7 +268,11 @@ impl<'a> Filling<'a> {
     ///
     /// # Errors
     /// As [`Filling::add`]; begin another core then.
-    pub fn add_whole(&mut self, newcomers: impl Iterator<Item = Newcomer>) -> Result<(), CoreUsage> {
+    pub fn add_whole(&mut self, newcomers: impl ExactSizeIterator<Item = Newcomer>) -> Result<(), CoreUsage> {
+        let compartments = (self.members.len() + newcomers.len()) as u32;
+        if compartments > self.limits.compartments.min(MOST_SLOTS) {
+            return Err(CoreUsage { compartments, ..self.usage() });
+        }
         for newcomer in newcomers {
             self.put(&newcomer)?;
         }

@@ -40,6 +40,8 @@ pub struct Incoming {
     placed: Option<(u32, u64)>,
     /// Whether all its weights are the same.
     uniform: bool,
+    /// Compartments of the source; `None` for inputs.
+    from: Option<u32>,
     /// Its format among those of the network.
     format: u16,
     delay: Delay,
@@ -97,6 +99,9 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
             window,
             all_to_all,
             placed,
+            from: network.populations()[projection.source]
+                .first_compartment()
+                .map(|_| network.populations()[projection.source].shape.len()),
             uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
             format,
             delay: projection.delay,
@@ -350,6 +355,7 @@ impl Cut {
             window: incoming.window,
             weight_bits: formats.get(incoming.format).bits.get(),
             uniform: incoming.uniform,
+            from: incoming.from,
         };
         let windows: Vec<Reaching> = layer.incoming.iter().map(reaching).collect();
         let most = most.min(limits.compartments).min(packing::MOST_SLOTS);

@@ -5,7 +5,8 @@
 //! under the rectangle and its rim; a core that holds as many compartments in the order of the file, channel by channel,
 //! needs nearly all sources of the layer before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks
 //! for the fewest cores with a beam search over them, here every grid is counted in closed form and the first that fits,
-//! in the order of cores and then of messages, is taken. Grids whose sources or whose weights alone are too many for a core
+//! in the order of cores and then of messages, is taken; cores are tiles and those that the layer before takes more because
+//! its output axons reach many tiles. Grids whose sources or whose weights alone are too many for a core
 //! are not tried, with lists of their own or shared ([`crate::compile::share`]), whichever are fewer.
 //!
 //! Compartments of a tile stand position by position, channels together, so that the targets of a spike follow each
@@ -23,7 +24,7 @@ use crate::ir::quantised::{Connectivity, Quantised, Units};
 
 /// Grids that are tried on a core before giving up.
 const TRIALS: usize = 60;
-/// Grids of as many tiles that are tried one after the other.
+/// Grids of as many cores that are tried one after the other.
 const OF_AS_MANY: usize = 3;
 
 /// A window that reaches a population.
@@ -35,6 +36,8 @@ pub struct Reaching {
     pub weight_bits: u8,
     /// Whether all its weights are the same.
     pub uniform: bool,
+    /// Compartments that it comes from; `None` for input channels, which take no output axon.
+    pub from: Option<u32>,
 }
 
 /// Windows that reach a population, when that is all that reaches it.
@@ -43,13 +46,14 @@ fn windows(network: &Quantised, population: PopulationId) -> Option<Vec<Reaching
     let windows: Option<Vec<Reaching>> = into
         .map(|projection| {
             let weight_bits = projection.format.bits.get();
-            match &projection.connectivity {
-                Connectivity::Conv2d { window, .. } => Some(Reaching { window: *window, weight_bits, uniform: false }),
-                Connectivity::SumPool2d { window, .. } => {
-                    Some(Reaching { window: *window, weight_bits, uniform: true })
-                }
-                _ => None,
-            }
+            let source = &network.populations()[projection.source];
+            let from = source.first_compartment().map(|_| source.shape.len());
+            let (window, uniform) = match &projection.connectivity {
+                Connectivity::Conv2d { window, .. } => (*window, false),
+                Connectivity::SumPool2d { window, .. } => (*window, true),
+                _ => return None,
+            };
+            Some(Reaching { window, weight_bits, uniform, from })
         })
         .collect();
     windows.filter(|windows| !windows.is_empty())
@@ -88,10 +92,11 @@ fn reached(axis: Axis, length: u32, size: u32) -> (u64, u64) {
     (all, distinct.iter().map(|pattern| pattern.len() as u64).sum())
 }
 
-/// A grid of tiles: (channels, height, width) of one, how many, and the messages that a spike everywhere would cost.
+/// A grid of tiles: how many cores it takes, the messages that a spike everywhere would cost, and what a tile is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Grid {
-    tiles: u64,
+    /// Tiles, and cores that the sources take beyond those of their compartments because of the output axons to the tiles.
+    cores: u64,
     messages: u64,
     /// Channels, height and width of a tile; those at the end may be smaller.
     pub size: (u32, u32, u32),
@@ -117,8 +122,8 @@ pub fn grids(windows: &[Reaching], (c, h, w): (u32, u32, u32), limits: &Limits, 
                 }
                 let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
                 // Sources, input axons at least, and bits of weights at least.
-                let (mut sources, mut axons, mut bits) = (0, 0, 0);
-                for (&Reaching { window, weight_bits, .. }, (rows, columns)) in
+                let (mut sources, mut axons, mut bits, mut cores) = (0, 0, 0, tiles);
+                for (&Reaching { window, weight_bits, from, .. }, (rows, columns)) in
                     windows.iter().zip(of_rows.iter().zip(of_columns))
                 {
                     let out_of_group = (window.target.0 / window.groups).max(1);
@@ -128,13 +133,18 @@ pub fn grids(windows: &[Reaching], (c, h, w): (u32, u32, u32), limits: &Limits, 
                         * under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
                     let (all, distinct) = ((rows.0, columns.0), (rows.1, columns.1));
                     sources += channels * places;
+                    // As many targets on the same chip as on another are assumed.
+                    let slots = u64::from(limits.axon_out_slots) + u64::from(limits.axon_out_slots_off_chip);
+                    let senders = (tiles * channels * places * slots).div_ceil(2 * u64::from(limits.axons_out.max(1)));
+                    let anyway = from.map(|from| u64::from(from.div_ceil(limits.compartments.max(1))));
+                    cores += anyway.map_or(0, |anyway| senders.saturating_sub(anyway));
                     axons += places;
                     // Of every group the sources reach its own channels, which are the tile's together.
                     let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
                     bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
                 if axons <= u64::from(limits.axons_in) && bits <= 64 * u64::from(limits.synapse_words) {
-                    grids.push(Grid { tiles, messages: tiles * sources, size: (tc, th, tw) });
+                    grids.push(Grid { cores, messages: tiles * sources, size: (tc, th, tw) });
                 }
             }
         }
@@ -176,8 +186,8 @@ pub fn tiles(
 
 /// The first of these grids that fits, as far as trials tell.
 pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
-    // Of as many tiles some are tried, which differ in what their lists have in common; a grid that failed says that others
-    // with a few more tiles are likely to fail too, so the trials thin out as they go on.
+    // Of as many cores some are tried, which differ in what their lists have in common; a grid that failed says that others
+    // with a few more cores are likely to fail too, so the trials thin out as they go on.
     let (mut tried, mut of_as_many, mut at) = (0, 0, 0);
     while at < all.len() && tried < trials {
         let grid = all[at];
@@ -187,13 +197,13 @@ pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) 
         tried += 1;
         of_as_many += 1;
         at += 1;
-        if of_as_many < OF_AS_MANY && at < all.len() && all[at].tiles == grid.tiles {
+        if of_as_many < OF_AS_MANY && at < all.len() && all[at].cores == grid.cores {
             continue;
         }
         of_as_many = 0;
-        // Skip ahead to grids with more tiles, the faster the more have failed.
-        let wanted = grid.tiles + 1 + grid.tiles * tried as u64 / 64;
-        while at < all.len() && all[at].tiles < wanted {
+        // Skip ahead to grids with more cores, the faster the more have failed.
+        let wanted = grid.cores + 1 + grid.cores * tried as u64 / 64;
+        while at < all.len() && all[at].cores < wanted {
             at += 1;
         }
     }
