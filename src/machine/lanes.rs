@@ -309,7 +309,7 @@ impl<S: Sum> Ring<S> {
         left: u32,
     ) -> u64 {
         let (mut events, mut chunk) = (0, 0);
-        for row in &panel.rows {
+        for (place, row) in panel.rows.iter().enumerate() {
             let slot = self.slot(cursor, row.delay);
             if NOTE {
                 self.note(slot, row, share.lanes);
@@ -332,10 +332,16 @@ impl<S: Sum> Ring<S> {
                     sources.numbers().map(|s| (s - first) * panel.stride + offset),
                 );
             }
-            events += if u32::from(row.delay) < left { u64::from(row.synapses) } else { 0 };
+            if u32::from(row.delay) < left {
+                let synapses = |s| u64::from(panel.synapses[(s - first) * panel.rows.len() + place]);
+                events += match panel.synapses.is_empty() {
+                    true => u64::from(row.synapses) * sources.ids.len() as u64,
+                    false => sources.numbers().map(synapses).sum(),
+                };
+            }
             chunk += count;
         }
-        events * sources.ids.len() as u64
+        events
     }
 
     /// Notes that something arrives at a row's granules.
