@@ -99,9 +99,6 @@ pub fn score_of(
     })
 }
 
-/// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends on threads.
-const PARTS: usize = 8;
-
 /// Expected counts of as many steps as rates count.
 fn expected(program: &Program, rates: &Rates) -> StepActivity {
     let cores = program.cores().as_slice();
@@ -141,8 +138,8 @@ fn expected(program: &Program, rates: &Rates) -> StepActivity {
         a.merge(&b);
         a
     };
-    let channels = parts(program.channels() as usize, PARTS).into_par_iter().map(of_channels);
-    let mut sum = parts(cores.len(), PARTS).into_par_iter().map(of_cores).chain(channels).reduce(none, together);
+    let channels = parts(program.channels() as usize).into_par_iter().map(of_channels);
+    let mut sum = parts(cores.len()).into_par_iter().map(of_cores).chain(channels).reduce(none, together);
     arrive(&mut sum, program, rates);
     sum
 }

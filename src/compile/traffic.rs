@@ -176,9 +176,9 @@ fn counted<T: Iterator<Item = CoreId> + Clone>(
 /// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends on threads.
 const PARTS: usize = 8;
 
-/// So many items in at most so many ranges of nearly the same size.
-pub(super) fn parts(items: usize, parts: usize) -> Vec<Range<usize>> {
-    let size = items.div_ceil(parts).max(1);
+/// So many items in at most [`PARTS`] ranges of nearly the same size.
+pub(super) fn parts(items: usize) -> Vec<Range<usize>> {
+    let size = items.div_ceil(PARTS).max(1);
     (0..items).step_by(size).map(|from| from..(from + size).min(items)).collect()
 }
 
@@ -204,8 +204,8 @@ fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
         }
         counts
     };
-    let channels = parts(program.channels() as usize, PARTS).into_par_iter().map(of_channels);
-    let all = parts(cores.len(), PARTS).into_par_iter().map(of_cores).chain(channels);
+    let channels = parts(program.channels() as usize).into_par_iter().map(of_channels);
+    let all = parts(cores.len()).into_par_iter().map(of_cores).chain(channels);
     all.reduce(|| Counts::new(program.mesh()), |a, b| a.together(&b))
 }
 
