@@ -585,3 +585,74 @@ fn a_scene_is_drawn_with_its_onset() {
     assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name]).0, 3);
     assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name, "--force", "--plot-sample", "4"]).0, 2);
 }
+
+/// Files of other tools, as they wrote them: the corpus that is damaged elsewhere.
+#[test]
+fn what_other_tools_wrote_is_inspected() {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus");
+    let folder = tempfile::tempdir().unwrap();
+    let inspected = |from: &str, skip: usize, name: &str, status: i32| {
+        let bytes = std::fs::read(corpus.join(from)).unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, &bytes[skip..]).unwrap();
+        object(&["inspect", path.to_str().unwrap()], status)
+    };
+    let arrays = |found: &Value| -> Vec<String> {
+        let rows = found["arrays"].as_array().unwrap();
+        rows.iter().map(|row| row["name"].as_str().unwrap().to_string()).collect()
+    };
+    let net = inspected("hdf5/netx_every_layer", 0, "a.net", 0);
+    assert_eq!(net["kind"], "netx network");
+    assert!(arrays(&net).iter().any(|name| name == "layer/1/neuron/vThMant"), "{net}");
+    assert!(net["import"].as_str().unwrap().starts_with("as it is: "), "{net}");
+    // What cannot be imported can be looked at, and says why.
+    let alif = inspected("hdf5/netx_alif", 0, "alif.net", 0);
+    assert!(alif["import"].as_str().unwrap().contains("ALIF"), "{alif}");
+    let nir = inspected("hdf5/nir_recurrent", 0, "a.nir", 0);
+    assert_eq!(nir["kind"], "nir network");
+    assert_eq!(inspected("hdf5/nir_events", 0, "events.nir", 0)["kind"], "nir recording");
+    assert_eq!(inspected("hdf5/no_network", 0, "other.h5", 0)["kind"], "hdf5");
+    let torch = inspected("checkpoint/zip", 0, "a.pt", 0);
+    assert_eq!(torch["kind"], "torch checkpoint");
+    assert!(torch["arrays"].as_array().unwrap().iter().all(|row| row["shape"].is_array()), "{torch}");
+    inspected("checkpoint/module", 0, "module.pt", 3);
+
+    let text = std::fs::read_to_string(corpus.join("../events.csv")).unwrap();
+    let times: Vec<i64> = text.lines().skip(1).map(|line| line.split(',').next().unwrap().parse().unwrap()).collect();
+    for (from, name) in [("events/aedat4_lz4", "a.aedat4"), ("events/evt3", "a.raw"), ("events/dat", "a.dat")] {
+        let recording = inspected(from, 1, name, 0);
+        assert_eq!((&recording["kind"], &recording["events"]), (&"recording".into(), &times.len().into()), "{name}");
+        assert_eq!(recording["last_us"], *times.iter().max().unwrap(), "{name}");
+        assert_eq!(recording["sensor_columns_rows"], serde_json::json!([16, 16]), "{name}");
+    }
+}
+
+/// Eight thousand million synapses, said in a line: no program is begun that memory would not hold.
+#[test]
+fn a_network_too_large_to_write_out_is_refused_where_its_program_is_needed() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = "Network(name: \"wide\", timestep_ms: 1.0,
+        populations: [
+            Input(name: \"in\", shape: [1, 600, 600]),
+            Loihi(name: \"out\", shape: [1, 301, 301], du: 1, dv: 1, vth_mant: 1),
+        ],
+        projections: [SumPool2d(from: [\"in\"], to: \"out\", kernel: (300, 300), stride: (1, 1), weight: 1)],
+        output: \"out\",
+    )";
+    let model = write(folder.path(), "wide.ron", model);
+    for arguments in [vec!["run", &model, "--engine", "fast"], vec!["map", &model, "--pareto", "front.svg"]] {
+        let (status, _, stderr) = said(&arguments);
+        assert_eq!(status, 3, "{stderr}");
+        assert!(stderr.contains("8154090000 synapses") && stderr.contains("map.described"), "{stderr}");
+    }
+}
+
+/// A target and its chip may have one name, each in its folder.
+#[test]
+fn a_target_that_is_named_as_its_chip_finds_it() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("mapping/targets");
+    for entry in std::fs::read_dir(root).unwrap() {
+        let path = entry.unwrap().path();
+        assert_eq!(object(&["inspect", path.to_str().unwrap()], 0)["kind"], "target", "{}", path.display());
+    }
+}

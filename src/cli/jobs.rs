@@ -7,8 +7,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
 use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, complain};
-use crate::compile::saved;
-use crate::compile::{self, CompileError, Compiled, Options, Reason};
+use crate::compile::{self, CompileError, Compiled, Options, Reason, described, saved};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
 use crate::desc::target::Target;
@@ -280,6 +279,9 @@ pub fn compiled(
     args.prune.not_with_mapping(mapping.is_some())?;
     let Some(file) = mapping else {
         let front = front(args, network, probed)?;
+        if described::applies(front.quantised(), options) {
+            return Err(described::needs_synapses("running it on cores", front.quantised()).into());
+        }
         let pruned = front.quantised().pruned().cloned();
         return Ok((front.map(target, options), pruned));
     };

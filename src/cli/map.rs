@@ -8,6 +8,7 @@ use crate::cli::jobs::{self, JobArgs};
 use crate::cli::{Answer, Context, common, inputs};
 use crate::compile::described::{self, Described};
 use crate::compile::rates::Rates;
+use crate::compile::traffic::Traffic;
 use crate::compile::{CompileError, Compiled, Layout, Objective, Options, Strategy, expect, remedy, traffic};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
@@ -145,7 +146,10 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let model = &network.file().name;
     let question = Question { model, target: &target, options: &options, pruned, remedies: &remedies };
     let outcome = match &mapped {
-        Ok(mapped) => Outcome::Fits(mapped.layout(), mapped.traffic(), mapped.score(&target)?),
+        Ok(mapped) => {
+            let traffic = mapped.traffic();
+            Outcome::Fits(mapped.layout(), traffic, mapped.score(&traffic, &target)?)
+        }
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
     // A mapping that goes to stdout goes there alone.
@@ -190,7 +194,7 @@ impl Mapped {
         }
     }
 
-    fn traffic(&self) -> traffic::Traffic {
+    fn traffic(&self) -> Traffic {
         match self {
             Mapped::Written(compiled) => traffic::traffic(&compiled.program, &compiled.rates),
             Mapped::Described(described) => described.traffic(),
@@ -204,10 +208,10 @@ impl Mapped {
         }
     }
 
-    fn score(&self, target: &Target) -> Result<expect::Score, Diagnostic> {
+    fn score(&self, traffic: &Traffic, target: &Target) -> Result<expect::Score, Diagnostic> {
         match self {
-            Mapped::Written(compiled) => expect::score(compiled, target),
-            Mapped::Described(described) => described.score(target),
+            Mapped::Written(compiled) => expect::score_with(compiled, &compiled.rates, traffic, target),
+            Mapped::Described(described) => described.score(traffic, target),
         }
     }
 }
@@ -217,14 +221,7 @@ fn not_described(args: &MapArgs, network: &Quantised) -> Result<(), Diagnostic> 
     let asked =
         [(args.output.is_some(), "-o"), (args.pareto.is_some(), "--pareto"), (!args.profile.is_empty(), "--profile")];
     match asked.into_iter().find(|(asked, _)| *asked) {
-        Some((_, option)) => {
-            let synapses = network.synapses();
-            let message =
-                format!("{option} needs the {synapses} synapses of the network written out, which are too many");
-            let help =
-                format!("networks of more than {} synapses are mapped by their kernels alone", described::MOST_WRITTEN);
-            Err(Diagnostic::new("map.described", message).help(help))
-        }
+        Some((_, option)) => Err(described::needs_synapses(option, network)),
         None => Ok(()),
     }
 }

@@ -13,14 +13,24 @@
 //! 4. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
 //!
 //! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing of the stages between.
-//! Memory is that of the largest fan-out for each thread.
+//! Sources are compared a piece at a time, `PIECE_SYNAPSES` of the network on average; memory is that of a piece for each
+//! thread.
+
+use std::ops::Range;
 
 use rayon::prelude::*;
 
 use crate::base::fixed::{Delay, SignMode};
-use crate::base::id::{ChannelId, CompartmentId};
+use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::ir::program::{AxonTarget, Compartment, Program};
 use crate::ir::quantised::{Projection, Quantised, SynapseFormat, Units};
+
+/// Synapses of the sources that are decoded together, on average: they should stay in a processor's cache.
+const PIECE_SYNAPSES: u64 = 1 << 18;
+/// Sources that are decoded together at most.
+const MOST_SOURCES: u16 = 1 << 13;
+/// Cores whose lists are read together.
+const NEIGHBOURS: usize = 256;
 
 /// A difference between a program and its network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -73,20 +83,25 @@ pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
     check_parameters(network, program)?;
     for (id, population) in network.populations().enumerate() {
         let outgoing: Vec<&Projection> = network.projections().iter().filter(|p| p.source == id).collect();
-        let failed = (0..population.shape.len())
+        let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
+        let size = population.shape.len();
+        let piece = (u64::from(size) * PIECE_SYNAPSES / synapses.max(1)).clamp(1, MOST_SOURCES.into()) as u32;
+        let failed = (0..size.div_ceil(piece))
             .into_par_iter()
-            .map_init(
-                || (Vec::new(), Vec::new()),
-                |(meant, decoded), index| {
-                    decode(program, messages_of(program, &population.units, index), decoded);
-                    mean(network, &outgoing, index, meant);
-                    if meant == decoded {
-                        return Ok(());
+            .map_init(Decoder::default, |decoder, number| {
+                let sources = number * piece..((number + 1) * piece).min(size);
+                decoder.decode(program, &population.units, sources.clone());
+                for index in sources.clone() {
+                    let decoded = decoder.of_source(index - sources.start);
+                    mean(network, &outgoing, index, &mut decoder.meant);
+                    if decoder.meant != decoder.decoded[decoded.clone()] {
+                        let source_name = name_of(&population.units, index);
+                        let (decoded, meant) = (decoded.len(), decoder.meant.len());
+                        return Err(Difference::Synapses { source_name, decoded, meant });
                     }
-                    let source_name = name_of(&population.units, index);
-                    Err(Difference::Synapses { source_name, decoded: decoded.len(), meant: meant.len() })
-                },
-            )
+                }
+                Ok(())
+            })
             .find_map_first(Result::err);
         if let Some(difference) = failed {
             return Err(difference);
@@ -150,17 +165,64 @@ fn messages_of<'a>(program: &'a Program, units: &Units, index: u32) -> &'a [Axon
     }
 }
 
-/// D(s): what the messages lead to.
-fn decode(program: &Program, messages: &[AxonTarget], decoded: &mut Vec<Told>) {
-    decoded.clear();
-    for message in messages {
-        let image = &program.cores()[message.core];
-        for synapse in image.synapses.get(usize::from(message.axon)) {
-            let format = image.formats[usize::from(synapse.format)].synapse;
-            decoded.push(Told::new(image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay));
+/// D(s) of consecutive sources. Their messages are followed for some neighbouring cores at a time: the lists of a million
+/// sources lie all over the memory of tens of thousands of cores.
+#[derive(Default)]
+struct Decoder {
+    /// (core, axon, source within the piece) by range of cores.
+    messages: Vec<Vec<(AxonTarget, u16)>>,
+    /// Every synapse with its source.
+    told: Vec<(u16, Told)>,
+    /// Where each source's synapses begin among the decoded, and one more.
+    first: Vec<usize>,
+    decoded: Vec<Told>,
+    /// R(s) of one source.
+    meant: Vec<Told>,
+}
+
+impl Decoder {
+    fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>) {
+        self.messages.resize_with(program.cores().len().div_ceil(NEIGHBOURS), Vec::new);
+        for (source, index) in (0u16..).zip(sources.clone()) {
+            for message in messages_of(program, units, index) {
+                self.messages[message.core.index() / NEIGHBOURS].push((*message, source));
+            }
+        }
+        self.told.clear();
+        self.first.clear();
+        self.first.resize(sources.len() + 1, 0);
+        for (message, source) in self.messages.iter_mut().flat_map(|messages| messages.drain(..)) {
+            let image = &program.cores()[message.core];
+            let list = image.synapses.get(usize::from(message.axon));
+            self.first[usize::from(source) + 1] += list.len();
+            self.told.extend(list.iter().map(|synapse| {
+                let format = image.formats[usize::from(synapse.format)].synapse;
+                (source, Told::new(image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay))
+            }));
+        }
+        for source in 0..sources.len() {
+            self.first[source + 1] += self.first[source];
+        }
+        self.decoded.clear();
+        self.decoded.resize(self.told.len(), Told(0));
+        for &(source, told) in self.told.iter().rev() {
+            // Ends move to beginnings.
+            let place = &mut self.first[usize::from(source) + 1];
+            *place -= 1;
+            self.decoded[*place] = told;
+        }
+        self.first.push(self.told.len());
+        self.first.remove(0);
+        for source in 0..sources.len() as u32 {
+            let range = self.of_source(source);
+            self.decoded[range].sort_unstable();
         }
     }
-    decoded.sort_unstable();
+
+    /// Where the synapses of a source of the piece are among the decoded.
+    fn of_source(&self, source: u32) -> Range<usize> {
+        self.first[source as usize]..self.first[source as usize + 1]
+    }
 }
 
 /// R(s): what the network says.

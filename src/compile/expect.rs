@@ -6,18 +6,22 @@
 //! longer than this one, since spikes come together; which of two mappings is better is what it is for.
 
 use std::cmp::Ordering;
+use std::ops::Range;
+
+use rayon::prelude::*;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{ChannelId, CoreId, Id};
 use crate::base::units::Picoseconds;
 use crate::compile::rates::{Rates, UNIT};
-use crate::compile::traffic::traffic;
+use crate::compile::traffic::{Traffic, parts, traffic};
 use crate::compile::{Compiled, Objective};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::model::{core_time, route_time, step_energy};
 use crate::desc::target::Target;
 use crate::ir::activity::StepActivity;
-use crate::ir::placement::Placement;
+use crate::ir::placement::{Placement, Site};
 use crate::ir::program::{AxonTarget, Program};
 
 /// What a mapping is expected to be worth.
@@ -48,18 +52,25 @@ pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> 
 /// # Errors
 /// As [`score`].
 pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<Score, Diagnostic> {
-    let activity = expected(&compiled.program, rates);
-    let busiest = traffic(&compiled.program, rates).max_link_load;
-    score_of(&activity, busiest, &compiled.placement, target, compiled.options.copies)
+    score_with(compiled, rates, &traffic(&compiled.program, rates), target)
 }
 
-/// The expected cost of what happens in as many steps as rates count, and of so many messages over the busiest link in one.
+/// [`score_at`] where the traffic at these rates is known.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_with(compiled: &Compiled, rates: &Rates, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
+    let activity = expected(&compiled.program, rates);
+    score_of(&activity, traffic, &compiled.placement, target, compiled.options.copies)
+}
+
+/// The expected cost of what happens in as many steps as rates count, and of the traffic of one.
 ///
 /// # Errors
 /// As [`score`].
 pub fn score_of(
     activity: &StepActivity,
-    busiest: f64,
+    traffic: &Traffic,
     placement: &Placement,
     target: &Target,
     copies: u32,
@@ -71,8 +82,9 @@ pub fn score_of(
     let injection = table.injection.microseconds() * activity.spikes_in as f64;
     let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used)];
     let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
-    // Messages of a step wait for each other at the busiest link.
-    let wait = busiest * table.link.microseconds();
+    // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
+    let wait = (traffic.max_link_load * table.link.microseconds())
+        .max(traffic.max_chip_link_load * table.link_chip.microseconds());
     let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
     let events = step_energy(activity, &table, 0).total().microjoules() / UNIT;
     let powered = (table.core_step * deployment.cores_powered).microjoules();
@@ -89,51 +101,81 @@ pub fn score_of(
 
 /// Expected counts of as many steps as rates count.
 fn expected(program: &Program, rates: &Rates) -> StepActivity {
-    let mut sum = StepActivity::new(program.cores().len());
-    // Synaptic events of one spike over each input axon: (dense, with indices).
-    let events: Vec<Vec<(u32, u32)>> = program
-        .cores()
-        .iter()
-        .map(|image| {
-            let of = |list: &[crate::ir::program::Synapse]| {
-                let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
-                (dense as u32, (list.len() - dense) as u32)
-            };
-            image.synapses.iter().map(of).collect()
-        })
-        .collect();
-    let arrive = |sum: &mut StepActivity, message: &AxonTarget, rate: u64| {
-        let (dense, sparse) = events[message.core.0 as usize][usize::from(message.axon)];
-        let core = &mut sum.cores[message.core];
-        core.messages_in += rate;
-        core.events_dense += u64::from(dense) * rate;
-        core.events_sparse += u64::from(sparse) * rate;
+    let cores = program.cores().as_slice();
+    let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
+    let of_cores = |part: Range<usize>| {
+        let mut sum = StepActivity::new(cores.len());
+        for (core, image) in part.clone().zip(&cores[part]) {
+            let core = CoreId::new(core);
+            for (slot, messages) in image.axons_out.iter().enumerate() {
+                let rate = rates.of(program.channels() + image.ids[slot].0);
+                sum.cores[core].spikes += rate;
+                sum.cores[core].messages_out += rate * messages.len() as u64;
+                for message in messages {
+                    sum.add_routes(program.mesh().route(image.site, sites[message.core.index()]), rate);
+                }
+            }
+            let steps = image.compartments.len() as u64 * UNIT as u64;
+            sum.cores[core].visited += steps;
+            sum.cores[core].active += steps;
+        }
+        sum
     };
-    for (core, image) in program.cores().enumerate() {
-        for (slot, messages) in image.axons_out.iter().enumerate() {
-            let rate = rates.of(program.channels() + image.ids[slot].0);
-            sum.cores[core].spikes += rate;
-            sum.cores[core].messages_out += rate * messages.len() as u64;
+    let of_channels = |part: Range<usize>| {
+        let mut sum = StepActivity::new(cores.len());
+        for channel in part {
+            let (rate, messages) = (rates.of(channel as u32), program.channel(ChannelId::new(channel)));
+            sum.spikes_in += rate;
+            sum.messages_from_inputs += rate * messages.len() as u64;
             for message in messages {
-                arrive(&mut sum, message, rate);
-                let route = program.mesh().route(image.site, program.cores()[message.core].site);
-                sum.add_routes(route, rate);
+                sum.add_routes(program.mesh().route_from_corner(sites[message.core.index()]), rate);
             }
         }
-        let steps = image.compartments.len() as u64 * UNIT as u64;
-        sum.cores[core].visited += steps;
-        sum.cores[core].active += steps;
-    }
-    for (channel, messages) in program.parts().channels.iter().enumerate() {
-        let rate = rates.of(channel as u32);
-        sum.spikes_in += rate;
-        sum.messages_from_inputs += rate * messages.len() as u64;
-        for message in messages {
-            arrive(&mut sum, message, rate);
-            sum.add_routes(program.mesh().route_from_corner(program.cores()[message.core].site), rate);
+        sum
+    };
+    let none = || StepActivity::new(cores.len());
+    let together = |mut a: StepActivity, b: StepActivity| {
+        a.merge(&b);
+        a
+    };
+    let channels = parts(program.channels() as usize).into_par_iter().map(of_channels);
+    let mut sum = parts(cores.len()).into_par_iter().map(of_cores).chain(channels).reduce(none, together);
+    arrive(&mut sum, program, rates);
+    sum
+}
+
+/// Adds what arrives at each core: an input axon is the end of one message, so it has the rate of one source.
+fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
+    let cores = program.cores().as_slice();
+    let of_axons = match rates {
+        Rates::Assumed(_) => None,
+        Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
+    };
+    sum.cores.as_mut_slice().par_iter_mut().zip(cores).enumerate().for_each(|(core, (counts, image))| {
+        for (axon, list) in image.synapses.iter().enumerate() {
+            let rate = of_axons.as_ref().map_or_else(|| rates.of(0), |of_axons| of_axons[core][axon]);
+            let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
+            counts.messages_in += rate;
+            counts.events_dense += dense as u64 * rate;
+            counts.events_sparse += (list.len() - dense) as u64 * rate;
+        }
+    });
+}
+
+/// The rate of the source that leads to each input axon, by core.
+fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
+    let mut of_axons: Vec<Vec<u64>> = program.cores().iter().map(|image| vec![0; image.synapses.len()]).collect();
+    let mut leads = |message: &AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
+    for image in program.cores() {
+        for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {
+            let rate = rates.of(program.channels() + id.0);
+            messages.iter().for_each(|message| leads(message, rate));
         }
     }
-    sum
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        messages.iter().for_each(|message| leads(message, rates.of(channel as u32)));
+    }
+    of_axons
 }
 
 impl Score {
@@ -156,5 +198,28 @@ impl Score {
         let pairs =
             [(self.cores as f64, other.cores as f64), (self.energy_uj, other.energy_uj), (self.step_us, other.step_us)];
         pairs.iter().all(|(a, b)| a <= b) && pairs.iter().any(|(a, b)| a < b)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::testing::{limits, random_network, target};
+    use crate::compile::{Options, compile_quantised};
+
+    #[test]
+    fn one_rate_for_all_is_the_same_as_that_rate_of_each() {
+        for seed in 0..20 {
+            let target = target(2, 2, limits());
+            let compiled = compile_quantised(random_network(seed), &target, &Options::default()).unwrap();
+            let (network, one) = (&compiled.quantised, Rates::assumed(0.25));
+            let each = |units: u32| vec![1; units as usize];
+            let of_each = Rates::profile(&each(network.channels()), &each(network.compartments()), 4);
+            let counts = expected(&compiled.program, &one);
+            assert_eq!(counts, expected(&compiled.program, &of_each), "seed {seed}");
+            let (sent, arrived): (u64, u64) =
+                counts.cores.iter().fold((0, 0), |sum, core| (sum.0 + core.messages_out, sum.1 + core.messages_in));
+            assert_eq!(sent + counts.messages_from_inputs, arrived, "seed {seed}");
+        }
     }
 }

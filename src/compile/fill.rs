@@ -77,6 +77,61 @@ impl Entry {
     }
 }
 
+/// The input axon that each source has on a core, in a table that stays in a processor's cache: a network's sources are
+/// millions, those of a core thousands.
+#[derive(Debug)]
+struct AxonOf {
+    /// (core by count, source, axon), open addressing; at most half of the places are of the present core.
+    places: Vec<(u32, u32, u32)>,
+    core: u32,
+    held: usize,
+}
+
+impl AxonOf {
+    /// The table's first size.
+    const PLACES: usize = 1 << 12;
+
+    fn new() -> Self {
+        AxonOf { places: vec![(0, 0, 0); Self::PLACES], core: 1, held: 0 }
+    }
+
+    /// Begins another core.
+    fn clear(&mut self) {
+        (self.core, self.held) = (self.core + 1, 0);
+    }
+
+    /// Where a source is, or is to be. Neighbours stay neighbours; sources that lie a table apart do not meet.
+    fn place(&self, source: u32) -> usize {
+        let mask = self.places.len() - 1;
+        let apart = (source >> Self::PLACES.trailing_zeros()).wrapping_mul(0x9e37_79b1);
+        let mut at = (source.wrapping_add(apart >> 8)) as usize & mask;
+        while self.places[at].0 == self.core && self.places[at].1 != source {
+            at = (at + 1) & mask;
+        }
+        at
+    }
+
+    /// The axon of a source, which becomes `next` if it has none.
+    fn get_or_insert(&mut self, source: u32, next: u32) -> u32 {
+        let at = self.place(source);
+        if self.places[at].0 == self.core {
+            return self.places[at].2;
+        }
+        self.places[at] = (self.core, source, next);
+        self.held += 1;
+        if 2 * self.held > self.places.len() {
+            let twice = vec![(0, 0, 0); 2 * self.places.len()];
+            for place in std::mem::replace(&mut self.places, twice) {
+                if place.0 == self.core {
+                    let at = self.place(place.1);
+                    self.places[at] = place;
+                }
+            }
+        }
+        next
+    }
+}
+
 /// A core that is being filled.
 #[derive(Debug)]
 pub struct Filling<'a> {
@@ -85,9 +140,7 @@ pub struct Filling<'a> {
     formats: Formats,
     weight_bits: Vec<WeightBits>,
     delays: Vec<Delay>,
-    /// The core (by count) that last saw each source, and the source's axon there.
-    marks: Vec<(u32, u32)>,
-    count: u32,
+    axon_of: AxonOf,
     members: Vec<CompartmentId>,
     axons: Vec<Axon>,
     entries: Vec<Entry>,
@@ -111,14 +164,12 @@ impl<'a> Filling<'a> {
     #[must_use]
     pub fn new(network: &Quantised, fan_in: &'a FanIn, limits: &'a Limits) -> Self {
         let formats = Formats::of(network);
-        let sources = network.channels() as usize + network.compartments() as usize;
         Filling {
             fan_in,
             limits,
             weight_bits: network.projections().iter().map(|p| p.format.bits).collect(),
             delays: network.projections().iter().map(|p| p.delay).collect(),
-            marks: vec![(0, 0); sources],
-            count: 1,
+            axon_of: AxonOf::new(),
             members: Vec::new(),
             axons: Vec::new(),
             entries: Vec::new(),
@@ -138,7 +189,7 @@ impl<'a> Filling<'a> {
 
     /// Begins another core and hands out the compartments of this one.
     pub fn next_core(&mut self) -> Vec<CompartmentId> {
-        self.count += 1;
+        self.axon_of.clear();
         self.axons.clear();
         self.entries.clear();
         self.groups.fill([0; 4]);
@@ -203,12 +254,10 @@ impl<'a> Filling<'a> {
     fn synapse(&mut self, source: u32, projection: usize, slot: u16) {
         let format = self.formats.by_projection()[projection];
         let weight_bits = self.weight_bits[projection];
-        let mark = &mut self.marks[source as usize];
-        if mark.0 != self.count {
-            *mark = (self.count, self.axons.len() as u32);
+        let axon_index = self.axon_of.get_or_insert(source, self.axons.len() as u32);
+        if axon_index as usize == self.axons.len() {
             self.axons.push(Axon { last: None, words: [0; 2] });
         }
-        let axon_index = mark.1;
         let axon = &mut self.axons[axon_index as usize];
         let mut at = axon.last;
         while let Some(index) = at {

@@ -169,6 +169,9 @@ pub fn words_as(group: Group, compression: Compression, widths: Widths, limits: 
         let rest = used % 64;
         (used.div_ceil(64) + u64::from(nxtf && (rest == 0 || rest >= 59))) as u32
     };
+    if group.synapses <= most {
+        return if group.synapses > 0 { entry(group.synapses) } else { 0 };
+    }
     let (full, rest) = (group.synapses / most, group.synapses % most);
     full * entry(most) + if rest > 0 { entry(rest) } else { 0 }
 }

@@ -5,9 +5,9 @@
 //! candidates are always the sequential order, unplaced as the public tools leave it and placed.
 //!
 //! The expected step of mean rates is not the simulated one: spikes come together, and more cores mean more messages over
-//! the busiest link when they do. For the time of a step a candidate must therefore also be no slower than the unplaced
-//! sequential one when every source spikes at once, and when all sources of one population do; and, unless it holds the
-//! same compartments on the same cores, shorter by `MARGIN` at the rates that it is made for.
+//! the busiest link when they do. For the time of a step a candidate must therefore be no slower than the unplaced
+//! sequential one when every source spikes at once, and when all sources of one population do unless that is `SHORT`; and,
+//! unless it holds the same compartments on the same cores, faster by `MARGIN` at the rates that it is made for.
 
 use std::sync::Mutex;
 
@@ -24,6 +24,8 @@ use crate::ir::quantised::Quantised;
 const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 /// How much less a mean step must take to be trusted to take no longer when spikes come together.
 const MARGIN: f64 = 0.9;
+/// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
+const SHORT: f64 = 0.1;
 /// Populations whose bursts candidates are compared in.
 const MOST_BURSTS: usize = 16;
 /// Synapses that a second of effort allows to be mapped anew, over all candidates.
@@ -147,7 +149,7 @@ pub fn best(one: &Quantised, target: &Target, options: &Options, rates: &Rates) 
         };
         let least = if others.is_empty() { Vec::new() } else { times(&plain)? };
         for other in others {
-            if times(&other)?.iter().zip(&least).all(|(time, plain)| time <= plain) {
+            if no_slower(&times(&other)?, &least) {
                 best = Some(other);
                 break;
             }
@@ -166,6 +168,17 @@ fn better(other: &Found, plain: &Found, objective: Objective) -> bool {
     let margin = if same_cores { 1.0 } else { MARGIN };
     other.score.better(&plain.score, objective).is_lt()
         && (objective != Objective::Latency || other.score.step_us < margin * plain.score.step_us)
+}
+
+/// Whether no burst takes longer than in the unplaced sequential mapping, but for those of one population that are short
+/// in both beside the first, in which all sources spike.
+fn no_slower(times: &[f64], plain: &[f64]) -> bool {
+    let short = plain.first().map_or(0.0, |all| SHORT * all);
+    times
+        .iter()
+        .zip(plain)
+        .enumerate()
+        .all(|(burst, (time, plain))| *time <= if burst == 0 { *plain } else { plain.max(short) })
 }
 
 /// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.

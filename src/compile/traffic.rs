@@ -7,9 +7,12 @@
 //! is copied where ways part crosses each link once, however many of its messages do: those are multicast hops. Everything
 //! is counted in whole numbers ([`Rates`]) before it is brought to a step.
 
+use std::ops::Range;
+
+use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::base::id::CoreId;
+use crate::base::id::{ChannelId, CoreId, Id};
 use crate::compile::place::nets::Columns;
 use crate::compile::rates::{Rates, UNIT};
 use crate::ir::placement::{Mesh, Placement, Site};
@@ -31,6 +34,8 @@ pub struct Traffic {
     pub mean_link_load: f64,
     /// Messages over the busiest link.
     pub max_link_load: f64,
+    /// Messages over the busiest link between two chips, which takes longer for each.
+    pub max_chip_link_load: f64,
 }
 
 /// Loads of the links of one direction: lines of tiles, each with a link between neighbours.
@@ -65,18 +70,21 @@ impl Lines {
         loads
     }
 
-    /// The greatest load and the sum of loads.
-    fn loads(&self) -> (u64, u64) {
-        let (mut most, mut sum) = (0, 0);
+    /// The greatest load, the greatest after every so many tiles, where a chip ends, and the sum of loads.
+    fn loads(&self, of_chip: u32) -> [u64; 3] {
+        let (mut most, mut between, mut sum) = (0, 0, 0);
         for line in self.differences.chunks(self.length.max(1)) {
             let mut load = 0i64;
-            for difference in line {
+            for (tile, difference) in (1..).zip(line) {
                 load += difference;
                 most = most.max(load as u64);
                 sum += load as u64;
+                if tile % of_chip.max(1) == 0 {
+                    between = between.max(load as u64);
+                }
             }
         }
-        (most, sum)
+        [most, between, sum]
     }
 }
 
@@ -165,19 +173,40 @@ fn counted<T: Iterator<Item = CoreId> + Clone>(
     counts
 }
 
+/// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends on threads.
+const PARTS: usize = 8;
+
+/// So many items in at most [`PARTS`] ranges of nearly the same size.
+pub(super) fn parts(items: usize) -> Vec<Range<usize>> {
+    let size = items.div_ceil(PARTS).max(1);
+    (0..items).step_by(size).map(|from| from..(from + size).min(items)).collect()
+}
+
 fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
-    let mut counts = Counts::new(program.mesh());
-    let site = |message: &AxonTarget| program.cores()[message.core].site;
-    for (core, image) in program.cores().enumerate() {
-        for (slot, messages) in image.axons_out.iter().enumerate() {
-            let weight = rates.of(program.channels() + image.ids[slot].0);
-            counts.spikes(core, image.site, messages.iter().map(|m| (m.core, site(m))), weight);
+    let cores = program.cores().as_slice();
+    let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
+    let site = |message: &AxonTarget| sites[message.core.index()];
+    let of_cores = |part: Range<usize>| {
+        let mut counts = Counts::new(program.mesh());
+        for (core, image) in part.clone().zip(&cores[part]) {
+            for (slot, messages) in image.axons_out.iter().enumerate() {
+                let weight = rates.of(program.channels() + image.ids[slot].0);
+                counts.spikes(CoreId::new(core), image.site, messages.iter().map(|m| (m.core, site(m))), weight);
+            }
         }
-    }
-    for (channel, messages) in program.parts().channels.iter().enumerate() {
-        counts.inputs(messages.iter().map(site), rates.of(channel as u32));
-    }
-    counts
+        counts
+    };
+    let of_channels = |part: Range<usize>| {
+        let mut counts = Counts::new(program.mesh());
+        for channel in part {
+            let messages = program.channel(ChannelId::new(channel));
+            counts.inputs(messages.iter().map(site), rates.of(channel as u32));
+        }
+        counts
+    };
+    let channels = parts(program.channels() as usize).into_par_iter().map(of_channels);
+    let all = parts(cores.len()).into_par_iter().map(of_cores).chain(channels);
+    all.reduce(|| Counts::new(program.mesh()), |a, b| a.together(&b))
 }
 
 impl<'a> Counts<'a> {
@@ -186,6 +215,16 @@ impl<'a> Counts<'a> {
         let (of_rows, of_columns) = (|| Lines::new(rows, columns), || Lines::new(columns, rows));
         let lines = [of_rows(), of_rows(), of_columns(), of_columns()];
         Counts { mesh, lines, cut: 0, multicast: 0, tree: Columns::new(mesh), of_chip: Vec::new() }
+    }
+
+    /// What both have counted.
+    fn together(mut self, other: &Self) -> Self {
+        for (lines, others) in self.lines.iter_mut().zip(&other.lines) {
+            lines.differences.iter_mut().zip(&others.differences).for_each(|(sum, other)| *sum += other);
+        }
+        self.cut += other.cut;
+        self.multicast += other.multicast;
+        self
     }
 
     fn add(&mut self, (fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64) {
@@ -230,8 +269,10 @@ impl<'a> Counts<'a> {
 
     fn traffic(&self) -> Traffic {
         let (columns, rows) = (self.mesh.chips_x * self.mesh.width, self.mesh.chips_y * self.mesh.height);
-        let loads = self.lines.iter().map(Lines::loads);
-        let (most, hops) = loads.fold((0, 0), |(most, sum), load| (load.0.max(most), load.1 + sum));
+        let of_chips = [self.mesh.width, self.mesh.width, self.mesh.height, self.mesh.height];
+        let loads = self.lines.iter().zip(of_chips).map(|(lines, of_chip)| lines.loads(of_chip));
+        let [most, between, hops] = loads
+            .fold([0, 0, 0], |[most, between, sum], load| [load[0].max(most), load[1].max(between), load[2] + sum]);
         let (columns, rows) = (u64::from(columns), u64::from(rows));
         let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
         let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
@@ -241,6 +282,7 @@ impl<'a> Counts<'a> {
             hops_multicast_per_step: self.multicast as f64 / UNIT,
             mean_link_load: mean,
             max_link_load: most as f64 / UNIT,
+            max_chip_link_load: between as f64 / UNIT,
         }
     }
 

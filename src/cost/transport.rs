@@ -173,19 +173,34 @@ impl Ways {
 
     /// Messages over the busiest link of a chip and over the busiest between chips.
     fn busiest_links(&self, step: &StepActivity) -> [u32; 2] {
-        let mut busiest = [0; 2];
         if step.channels.is_empty() && step.fired.is_empty() {
-            return busiest;
+            return [0; 2];
         }
-        let mut load = vec![0u32; self.links()];
+        // Rows eastwards and westwards, columns southwards and northwards: a message adds one where it enters a line of
+        // tiles and takes it away where it leaves, so that a long way costs as much as a short one.
+        let (columns, rows) = (self.columns as usize, self.rows as usize);
+        let mut lines = [(); 4].map(|()| vec![0i32; columns * rows]);
         self.each_message(step, |sender, message| {
-            self.each_link(sender, message.core.index(), |link, between_chips| {
-                let load = &mut load[link as usize];
-                *load += 1;
-                let most = &mut busiest[usize::from(between_chips)];
-                *most = (*most).max(*load);
-            });
+            let ((fx, fy), (tx, ty)) = (self.tiles[sender], self.tiles[message.core.index()]);
+            let mut add = |direction: usize, line: usize, from: u32, to: u32| {
+                lines[direction][line + from as usize] += 1;
+                lines[direction][line + to as usize] -= 1;
+            };
+            add(usize::from(fx > tx), fy as usize * columns, fx.min(tx), fx.max(tx));
+            add(2 + usize::from(fy > ty), tx as usize * rows, fy.min(ty), fy.max(ty));
         });
+        let mut busiest = [0; 2];
+        for (direction, line) in lines.iter().enumerate() {
+            let (length, of_chip) = if direction < 2 { (columns, self.chip_width) } else { (rows, self.chip_height) };
+            for tiles in line.chunks(length.max(1)) {
+                let mut load = 0;
+                for (tile, difference) in (1..).zip(tiles) {
+                    load += difference;
+                    let most: &mut u32 = &mut busiest[usize::from(tile % of_chip.max(1) == 0)];
+                    *most = (*most).max(load as u32);
+                }
+            }
+        }
         busiest
     }
 
@@ -418,6 +433,7 @@ impl<'w> Queue<'w> {
 pub(crate) mod tests {
     use super::*;
     use crate::base::id::{ChannelId, CompartmentId};
+    use crate::base::rng;
     use crate::cost::constants::tests::{preset, table};
     use crate::ir::activity::CoreCounts;
 
@@ -450,6 +466,34 @@ pub(crate) mod tests {
             spikes: lists(spikes),
             seats: (0..spikes.len() as u32).map(|i| (CoreId(i / 10), i % 10, 10)).collect(),
             chips_x: 1,
+        }
+    }
+
+    #[test]
+    fn the_busiest_links_are_those_of_messages_followed_link_by_link() {
+        let draw = |below: u64, k: u64| rng::below(below, 77, k, 0) as u32;
+        for seed in 0..20 {
+            let tiles: Vec<(u32, u32)> =
+                (0..9).map(|i| (draw(8, 100 * seed + i), draw(4, 100 * seed + 50 + i))).collect();
+            let list = |from: u64| -> Vec<(u32, u32)> {
+                (0..4).map(|k| (draw(9, 1_000 + 100 * seed + 10 * from + k), 1)).collect()
+            };
+            let lists: Vec<Vec<(u32, u32)>> = (0..90).map(list).collect();
+            let spikes: Vec<&[(u32, u32)]> = lists.iter().map(Vec::as_slice).collect();
+            // Chips of 4 by 2 tiles; the ports of all but the first are not drawn.
+            let ways = Ways { chip_width: 4, chip_height: 2, ..ways(&tiles, &[], &spikes) };
+            let fired: Vec<u32> = (0..90).filter(|&i| draw(3, 7_000 + 100 * seed + i) == 0).map(|i| i as u32).collect();
+            let step = step(9, &[], &fired);
+            let (mut load, mut busiest) = (vec![0u32; ways.links()], [0; 2]);
+            ways.each_message(&step, |sender, message| {
+                ways.each_link(sender, message.core.index(), |link, between_chips| {
+                    load[link as usize] += 1;
+                    let most: &mut u32 = &mut busiest[usize::from(between_chips)];
+                    *most = (*most).max(load[link as usize]);
+                });
+            });
+            assert!(busiest[0] > 0 && busiest[1] > 0, "{busiest:?}");
+            assert_eq!(ways.busiest_links(&step), busiest, "seed {seed}");
         }
     }
 

@@ -117,7 +117,10 @@ fn part(
     if origin == Origin::File {
         let file = format!("{}.ron", name.value);
         for path in [beside(source.path(), &file), beside(source.path(), &format!("../{folder}/{file}"))] {
-            if Path::is_file(&path) {
+            // A target may be named as its chip is.
+            let itself =
+                path.canonicalize().is_ok_and(|path| source.path().canonicalize().is_ok_and(|own| own == path));
+            if Path::is_file(&path) && !itself {
                 return read_text(&path);
             }
         }

@@ -214,6 +214,22 @@ impl StepActivity {
         self.fired.clear();
     }
 
+    /// Adds what other messages and compartments of the same step did, spikes by name left out.
+    ///
+    /// # Panics
+    /// When it is of a program with another number of cores.
+    pub fn merge(&mut self, other: &StepActivity) {
+        assert_eq!(self.cores.len(), other.cores.len(), "a step of another program");
+        for (sum, core) in self.cores.iter_mut().zip(&other.cores) {
+            *sum += *core;
+        }
+        self.hops += other.hops;
+        self.longest = self.longest.max(other.longest);
+        self.spikes_in += other.spikes_in;
+        self.messages_from_inputs += other.messages_from_inputs;
+        self.spikes_out += other.spikes_out;
+    }
+
     /// Notes the way of so many messages.
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.hops.add_routes(route, times);

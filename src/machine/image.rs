@@ -47,7 +47,7 @@ pub(super) struct Row {
     pub target: u32,
     /// Chunks of sixteen lanes.
     pub chunks: u16,
-    /// Synapses: lanes without the zeros that stand where there is none.
+    /// Synapses: lanes without the zeros that fill the last chunk.
     pub synapses: u16,
     /// Delay field.
     pub delay: u8,
@@ -66,45 +66,6 @@ pub(super) struct Panel {
     pub weights: usize,
     /// Chunks of a source.
     pub stride: usize,
-    /// Synapses of each source's rows, source after source, where they are not those that the rows say.
-    pub synapses: Vec<u16>,
-}
-
-impl Panel {
-    /// Whether a later source's rows are its own, but for chunks of zeros at their ends, and few sources before it have none.
-    fn has_room_for(&self, source: u32, rows: &[Row]) -> bool {
-        let fits =
-            |(own, row): (&Row, &Row)| (own.target, own.delay) == (row.target, row.delay) && row.chunks <= own.chunks;
-        let without = source - self.end;
-        without <= (self.end - self.first) / 4 && rows.len() == self.rows.len() && self.rows.iter().zip(rows).all(fits)
-    }
-
-    /// Takes a source in, whose weights are the last of all.
-    fn extend(&mut self, source: u32, rows: &[Row], weights: &mut Vec<[i16; LANES]>) {
-        let own: usize = rows.iter().map(|row| usize::from(row.chunks)).sum();
-        let without = (source - self.end) as usize;
-        let same = |(own, row): (&Row, &Row)| own.synapses == row.synapses;
-        if !self.synapses.is_empty() || without > 0 || !self.rows.iter().zip(rows).all(same) {
-            if self.synapses.is_empty() {
-                let each = self.rows.iter().map(|row| row.synapses);
-                self.synapses = (self.first..self.end).flat_map(|_| each.clone()).collect();
-            }
-            self.synapses.resize(self.synapses.len() + without * rows.len(), 0);
-            self.synapses.extend(rows.iter().map(|row| row.synapses));
-        }
-        if without > 0 || own < self.stride {
-            let last = weights.split_off(weights.len() - own);
-            let mut rest = last.as_slice();
-            weights.resize(weights.len() + without * self.stride, [0; LANES]);
-            for (wide, row) in self.rows.iter().zip(rows) {
-                let (chunks, after) = rest.split_at(row.chunks.into());
-                weights.extend(chunks);
-                weights.resize(weights.len() + usize::from(wide.chunks - row.chunks), [0; LANES]);
-                rest = after;
-            }
-        }
-        self.end = source + 1;
-    }
 }
 
 /// Fields of a block.
@@ -280,8 +241,7 @@ impl<'p> Image<'p> {
     pub fn bytes(&self) -> usize {
         let of = |share: &Share| {
             let sparse: usize = share.of_channels.iter().chain(&share.of_compartments).map(Table::bytes).sum();
-            let panel =
-                |panel: &Panel| size_of::<Panel>() + size_of::<Row>() * panel.rows.len() + 2 * panel.synapses.len();
+            let panel = |panel: &Panel| size_of::<Panel>() + size_of::<Row>() * panel.rows.len();
             let panels = share.panels.iter().map(panel).sum::<usize>() + size_of_val(share.weights.as_slice());
             size_of::<Block>() * share.blocks.len()
                 + size_of_val(share.stretches.as_slice())
@@ -498,7 +458,7 @@ impl<'p> Image<'p> {
         }
     }
 
-    /// Adds one axon's list to the source that is being connected: lanes that follow each other as a row, others one by one.
+    /// Adds one axon's list to the source that is being connected: consecutive lanes as a row, others one by one.
     fn append(
         &mut self,
         image: &CoreImage,
@@ -515,22 +475,6 @@ impl<'p> Image<'p> {
         while from < synapses.len() {
             let (share, lane, delay) = place(self, &synapses[from]);
             let follows = |(i, synapse): &(usize, &Synapse)| place(self, synapse) == (share, lane + i, delay);
-            let near = from + self.near(image, &synapses[from..]);
-            let end = place(self, &synapses[near - 1]).1 + 1;
-            let aligned = lane / LANES * LANES;
-            let chunks = (end - aligned).div_ceil(LANES);
-            if near - from < end - lane && near - from >= SHORTEST_ROW * chunks {
-                let mut row = vec![[0; LANES]; chunks];
-                for synapse in &synapses[from..near] {
-                    let at = place(self, synapse).1 - aligned;
-                    row[at / LANES][at % LANES] = units(image, synapse) as i16;
-                }
-                let synapses = (near - from) as u16;
-                rows[share].push(Row { target: aligned as u32, chunks: chunks as u16, synapses, delay });
-                self.shares[share].weights.extend(row);
-                from = near;
-                continue;
-            }
             let run = synapses[from..].iter().enumerate().take_while(follows).count();
             let weights = synapses[from..from + run].iter().map(|synapse| units(image, synapse) as i16);
             let data = &mut self.shares[share];
@@ -549,22 +493,6 @@ impl<'p> Image<'p> {
             }
             from += run;
         }
-    }
-
-    /// How many of these synapses, the first and on, have ascending lanes of which none is far from the one before and at
-    /// least half have a synapse: where pruning took some out, the zeros that stand for them cost less than a list.
-    fn near(&self, image: &CoreImage, synapses: &[Synapse]) -> usize {
-        let place = |synapse: &Synapse| (self.lane(image.ids[usize::from(synapse.slot)]), synapse.delay);
-        let ((share, first), delay) = place(&synapses[0]);
-        let mut last = first;
-        let follows = |(i, synapse): &(usize, &Synapse)| {
-            let ((other, lane), its) = place(synapse);
-            let before = last;
-            last = lane;
-            let ascends = *i == 0 || (lane > before && lane - before < LANES);
-            (other, its) == (share, delay) && ascends && lane - first < 2 * (i + 1)
-        };
-        synapses.iter().enumerate().take_while(follows).count()
     }
 }
 
@@ -590,22 +518,16 @@ impl Share {
             return;
         }
         if let Some(panel) = self.panels.last_mut()
-            && panel.has_room_for(source, rows)
+            && panel.end == source
+            && panel.rows == *rows
         {
-            panel.extend(source, rows, &mut self.weights);
+            panel.end += 1;
             rows.clear();
             return;
         }
         let stride = rows.iter().map(|row| usize::from(row.chunks)).sum();
         let weights = self.weights.len() - stride;
-        self.panels.push(Panel {
-            first: source,
-            end: source + 1,
-            rows: std::mem::take(rows),
-            weights,
-            stride,
-            synapses: Vec::new(),
-        });
+        self.panels.push(Panel { first: source, end: source + 1, rows: std::mem::take(rows), weights, stride });
     }
 }
 

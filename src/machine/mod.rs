@@ -20,6 +20,7 @@ mod lanes;
 mod lists;
 pub mod neuron;
 mod prefetch;
+mod ring;
 mod store;
 pub mod tally;
 #[cfg(target_arch = "x86_64")]

@@ -173,6 +173,7 @@ mod tests {
             hops_multicast_per_step: hops,
             mean_link_load: 0.0,
             max_link_load: 0.0,
+            max_chip_link_load: 0.0,
         };
         Mapped {
             network,

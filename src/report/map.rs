@@ -505,8 +505,14 @@ mod tests {
             "synapses": 39_420, "synapse_words": 7_452,
         });
         assert_eq!(fits["cores"][2], core);
-        let of_traffic =
-            ["cut_spikes_per_step", "hops_per_step", "hops_multicast_per_step", "mean_link_load", "max_link_load"];
+        let of_traffic = [
+            "cut_spikes_per_step",
+            "hops_per_step",
+            "hops_multicast_per_step",
+            "mean_link_load",
+            "max_link_load",
+            "max_chip_link_load",
+        ];
         assert_eq!(keys(&fits["traffic"]), of_traffic);
         assert_eq!(fits["limits"]["axons_in"], 4096);
         assert!(fits["seconds"]["partition"].is_f64());

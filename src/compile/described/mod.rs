@@ -69,6 +69,15 @@ pub struct Described {
     pub rates: Rates,
 }
 
+/// Why something that needs every synapse of such a network cannot be done.
+#[must_use]
+pub fn needs_synapses(what: &str, network: &Quantised) -> Diagnostic {
+    let synapses = network.synapses();
+    let message = format!("{what} needs the {synapses} synapses of the network written out, which are too many");
+    let help = format!("networks of more than {MOST_WRITTEN} synapses are mapped by their kernels alone");
+    Diagnostic::new("map.described", message).help(help)
+}
+
 /// Whether a network is so large that it is described, and made of layers so that it can be.
 #[must_use]
 pub fn applies(one: &Quantised, options: &Options) -> bool {
@@ -318,11 +327,11 @@ impl Described {
         traffic::links_of_flows(&self.placement, self.flows())
     }
 
-    /// What a mean step is expected to cost.
+    /// What a mean step with this traffic is expected to cost.
     ///
     /// # Errors
     /// As [`expect::score`].
-    pub fn score(&self, target: &Target) -> Result<Score, Diagnostic> {
+    pub fn score(&self, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
         let mut sum = StepActivity::new(self.partition.cores());
         let rate = self.rates.of(0);
         for (core, used) in self.uses.iter().enumerate() {
@@ -352,7 +361,6 @@ impl Described {
                 sum.add_routes(route, weight);
             }
         }
-        let busiest = self.traffic().max_link_load;
-        expect::score_of(&sum, busiest, &self.placement, target, self.options.copies)
+        expect::score_of(&sum, traffic, &self.placement, target, self.options.copies)
     }
 }

@@ -179,29 +179,34 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
         keep(filler.fewest_cores(&order, chips));
     }
     if let Some(graph) = &graph {
-        let grown = levels::grown(graph, &fixed, typical);
-        keep(filler.fewest_cores(&with_ids(network, &tiled, &grown), chips));
-    }
-    if search.strategy == Strategy::Multilevel
-        && let Some(graph) = &graph
-    {
-        let levels = Levels::new(graph, &fixed);
-        keep(filler.fewest_cores(&with_ids(network, &tiled, &levels.order()), chips));
-        if let Some(best) = fewest(filler, &found, search.rates) {
-            for percent in WORD_MARGINS {
-                let refined = refined(graph, &levels, best, target, percent, search.work);
-                if counted(network, refined.clone(), target).is_ok() {
-                    found.push(refined);
-                    break;
+        let grown = || filler.fewest_cores(&with_ids(network, &tiled, &levels::grown(graph, &fixed, typical)), chips);
+        let in_levels = || {
+            let levels = (search.strategy == Strategy::Multilevel).then(|| Levels::new(graph, &fixed))?;
+            let members = filler.fewest_cores(&with_ids(network, &tiled, &levels.order()), chips);
+            Some((levels, members))
+        };
+        let (grown, in_levels) = rayon::join(grown, in_levels);
+        keep(grown);
+        if let Some((levels, members)) = in_levels {
+            keep(members);
+            // The levels have taken their part of the effort.
+            let mut work = search.work.saturating_sub(free.saturating_mul(WORK_PER_PIN));
+            if let Some(best) = fewest(filler, &found, search.rates) {
+                for percent in WORD_MARGINS {
+                    let refined = refined(graph, &levels, best, target, percent, &mut work);
+                    if counted(network, refined.clone(), target).is_ok() {
+                        found.push(refined);
+                        break;
+                    }
                 }
             }
-        }
-        for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
-            let Some(best) = fewest(filler, &found, search.rates) else { break };
-            let shaken = shaken(best, &fixed, attempt);
-            let refined = refined(graph, &levels, &shaken, target, WORD_MARGINS[0], search.work);
-            if counted(network, refined.clone(), target).is_ok() {
-                found.push(refined);
+            for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
+                let Some(best) = fewest(filler, &found, search.rates) else { break };
+                let shaken = shaken(best, &fixed, attempt);
+                let refined = refined(graph, &levels, &shaken, target, WORD_MARGINS[0], &mut work);
+                if counted(network, refined.clone(), target).is_ok() {
+                    found.push(refined);
+                }
             }
         }
     }
@@ -328,24 +333,27 @@ fn with_ids(network: &Quantised, tiled: &[Segment], ids: &[u32]) -> Vec<Segment>
     order
 }
 
-/// Members after groups of every level have been moved, the largest first.
+/// Members after groups of every level have been moved, the largest first, while there is work left.
 fn refined(
     graph: &Hypergraph,
     levels: &Levels,
     members: &Members,
     target: &Target,
     percent: i64,
-    mut work: u64,
+    work: &mut u64,
 ) -> Members {
     let mut state = State::new(graph, members, target, percent);
     let core_size = graph.own.len() / members.len().max(1);
     for labels in levels.labels.iter().rev() {
+        if *work == 0 {
+            break;
+        }
         let groups = Groups::new(graph, within_cores(labels, &state.core_of));
         // Groups of half a core and more cannot go anywhere.
         if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
             continue;
         }
-        work = refine::refine(&mut state, &groups, Effort { passes: PASSES, work });
+        *work = refine::refine(&mut state, &groups, Effort { passes: PASSES, work: *work });
     }
     state.members(members)
 }

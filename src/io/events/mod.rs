@@ -268,6 +268,29 @@ pub fn decode(format: EventFormat, input: &mut dyn BufRead, sink: &mut dyn Sink)
     }
 }
 
+/// Passes every event of a file to a sink.
+///
+/// # Errors
+/// `input.events`, those of the sink, `io.*`.
+pub fn each(path: &Path, format: EventFormat, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+    let in_file = |problem: Diagnostic| if problem.place.is_some() { problem } else { problem.in_file(path) };
+    decode(format, &mut open(path)?, sink).map_err(in_file)
+}
+
+/// Opens a recording; what is none is told as for any other file.
+fn open(path: &Path) -> Result<BufReader<File>, Diagnostic> {
+    super::text::read_bytes(path, 256).map(drop).or_else(|problem| match problem.code {
+        "io.too-large" => Ok(()),
+        _ => Err(problem),
+    })?;
+    let unreadable = |error| unreadable(&error).in_file(path);
+    let mut input = BufReader::with_capacity(1 << 16, File::open(path).map_err(unreadable)?);
+    if input.fill_buf().map_err(unreadable)?.starts_with(b"version https://git-lfs") {
+        super::text::read_bytes(path, 1 << 20)?;
+    }
+    Ok(input)
+}
+
 /// Reads a recording for a population.
 ///
 /// # Errors
@@ -279,20 +302,7 @@ pub fn read(
     options: &EventOptions,
 ) -> Result<(PopulationSpikes, Counts), Diagnostic> {
     let in_file = |problem: Diagnostic| if problem.place.is_some() { problem } else { problem.in_file(path) };
-    // What stands in the place of a file is told as for any other.
-    super::text::read_bytes(path, 256).map(drop).or_else(|problem| match problem.code {
-        "io.too-large" => Ok(()),
-        _ => Err(problem),
-    })?;
-    let file = File::open(path).map_err(|error| in_file(unreadable(&error)))?;
-    let mut input = BufReader::with_capacity(1 << 16, file);
-    let begin = input.fill_buf().map_err(|error| in_file(unreadable(&error)))?;
-    if begin.starts_with(b"version https://git-lfs") {
-        // Says the same as for any other file.
-        super::text::read_bytes(path, 1 << 20)?;
-    }
-    let name = path.display().to_string();
-    of_input(&mut input, &name, format, expected, options).map_err(in_file)
+    of_input(&mut open(path)?, &path.display().to_string(), format, expected, options).map_err(in_file)
 }
 
 /// Reads a recording from any input.

@@ -102,6 +102,17 @@ impl Numbers {
         !matches!(self.element, Element::F(_))
     }
 
+    /// The type of an element as NumPy writes it: kind and bytes.
+    #[must_use]
+    pub fn dtype(&self) -> String {
+        let (kind, size) = match self.element {
+            Element::I(size) => ('i', size),
+            Element::U(size) => ('u', size),
+            Element::F(size) => ('f', size),
+        };
+        format!("{kind}{size}")
+    }
+
     /// Reals of 64 bits.
     ///
     /// # Panics

@@ -306,6 +306,23 @@ impl Checkpoint {
         self.views.iter().map(|(name, view)| (name.as_str(), view.shape.as_slice()))
     }
 
+    /// The type of a tensor's numbers as NumPy writes it, or `bf16`.
+    #[must_use]
+    pub fn dtype(&self, name: &str) -> Option<&'static str> {
+        let (_, view) = self.views.iter().find(|(key, _)| key == name)?;
+        Some(match view.element {
+            Element::F64 => "f8",
+            Element::F32 => "f4",
+            Element::F16 => "f2",
+            Element::Bf16 => "bf16",
+            Element::I64 => "i8",
+            Element::I32 => "i4",
+            Element::I16 => "i2",
+            Element::I8 => "i1",
+            Element::U8 => "u1",
+        })
+    }
+
     /// The numbers of a tensor in C order.
     ///
     /// # Errors

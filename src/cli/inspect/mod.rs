@@ -3,20 +3,25 @@
 //! Comes in: a file, a folder, or the name of something shipped. Goes out: its kind, what it says about itself, and tables
 //! of its parts. Nothing is compiled: a model that is inspected may still be refused by `nsim map`.
 
+mod foreign;
+mod hardware;
+mod network;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde_json::{Value, json};
 
+use self::hardware::{of_baseline, of_chip, of_constants, of_target};
+use self::network::of_network;
 use super::{Answer, Context, common};
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::desc::mapping::{MappingFile, PrunedFile};
-use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
 use crate::desc::spanned::parse;
-use crate::desc::target::{Chip, Constants, Target};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
+use crate::io::events::EventFormat;
 use crate::io::shipped::{self, Origin};
 use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text};
 use crate::report::inspect::{Findings, Rows};
@@ -27,9 +32,12 @@ use crate::report::inspect::{Findings, Rows};
   nsim inspect vtsnn-slip                 a shipped model
   nsim inspect nahuku-32                  a shipped target and its constants
   nsim inspect weights.npy --format json  shape, type and range of an array
+  nsim inspect network.nir                arrays of a model of another tool, and what its import would need
+  nsim inspect recording.aedat4           events, extent and duration
   nsim inspect recordings/                a folder of sample_<i>_label_<c>.npy")]
 pub struct Args {
-    /// A model, target, mapping, data set, .npy, .safetensors or .csv file, a folder of recordings, or a shipped name
+    /// A model, target, mapping, data set, .npy, .safetensors or .csv file, a model of another tool (.net, .nir, .pt), a
+    /// recording of events, a folder of recordings, or a shipped name
     pub file: String,
 }
 
@@ -58,16 +66,10 @@ fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
         Some("csv") => inspect_csv(path),
         Some("ron") => inspect_ron(text::read_text(path)?, Origin::File),
         None if text::is_standard_stream(path) => inspect_ron(text::read_text(path)?, Origin::File),
-        _ => {
-            // A file that is not there is a better answer than an extension that is not known.
-            text::read_bytes(path, 1 << 10).map(drop).or_else(|problem| match problem.code {
-                "io.too-large" => Ok(()),
-                _ => Err(problem),
-            })?;
-            Err(Diagnostic::new("inspect.kind", "files of this kind are not known")
-                .help("known are .ron, .npy, .safetensors and .csv, and folders of recordings")
-                .in_file(path))
-        }
+        _ => match EventFormat::of(path) {
+            Some(format) => foreign::recording(path, format),
+            None => foreign::model(path),
+        },
     }
 }
 
@@ -130,253 +132,6 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
         )
         .help("a .ron file begins with Network(, Target(, Chip(, Constants(, Baseline(, Mapping( or DataSet(")
         .in_file(source.path())),
-    }
-}
-
-fn units_of(shape: &[u64]) -> Option<u64> {
-    shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
-}
-
-/// How many of the places of a window that slides over an axis lie on the axis, over all its positions.
-fn taps(input: u64, output: u64, kernel: u64, stride: u64, padding: u64, dilation: u64) -> Option<u64> {
-    if output.checked_mul(kernel)? > 1 << 24 {
-        return None;
-    }
-    let on_axis = |o: u64, k: u64| {
-        let place = o.checked_mul(stride)?.checked_add(k.checked_mul(dilation)?)?.checked_sub(padding)?;
-        (place < input).then_some(())
-    };
-    Some((0..output).map(|o| (0..kernel).filter(|&k| on_axis(o, k).is_some()).count() as u64).sum())
-}
-
-/// The synapses that a projection makes, when its shapes let them be counted.
-fn synapses(network: &Network, projection: &ProjectionDesc) -> Option<u64> {
-    let shape_of = |name: &str| {
-        let found = network.file().populations.iter().find(|population| population.value.name().value == name)?;
-        Some(found.value.shape().value.as_slice())
-    };
-    let ends = projection.synapse();
-    let sources = ends.from.iter().try_fold(0u64, |sum, name| sum.checked_add(units_of(shape_of(&name.value)?)?))?;
-    let volumes = || match (shape_of(&ends.from.first()?.value)?, shape_of(&ends.to.value)?) {
-        (&[_, h, w], &[c, to_h, to_w]) => Some((h, w, c, to_h, to_w)),
-        _ => None,
-    };
-    match projection {
-        ProjectionDesc::Dense(_) => sources.checked_mul(units_of(shape_of(&ends.to.value)?)?),
-        ProjectionDesc::Sparse(sparse) => Some(sparse.synapses.len() as u64),
-        ProjectionDesc::Random(random) => sources.checked_mul(random.fan_out.value),
-        ProjectionDesc::Conv2d(conv) => {
-            let (h, w, c, to_h, to_w) = volumes()?;
-            let kernel = match &conv.weights.source {
-                Source::InPlace(tensor, _) => tensor.shape(),
-                Source::File(reference) => network.array(reference).shape(),
-                Source::Uniform { .. } => return None,
-            };
-            let &[_, per_group, kh, kw] = kernel else { return None };
-            let of =
-                |pair: &Option<crate::desc::spanned::Spanned<(u64, u64)>>, or| pair.as_ref().map_or(or, |p| p.value);
-            let (stride, padding, dilation) =
-                (of(&conv.stride, (1, 1)), of(&conv.padding, (0, 0)), of(&conv.dilation, (1, 1)));
-            let y = taps(h, to_h, kh as u64, stride.0, padding.0, dilation.0)?;
-            let x = taps(w, to_w, kw as u64, stride.1, padding.1, dilation.1)?;
-            c.checked_mul(per_group as u64)?.checked_mul(y)?.checked_mul(x)
-        }
-        ProjectionDesc::SumPool2d(pool) => {
-            let (h, w, c, to_h, to_w) = volumes()?;
-            let kernel = pool.kernel.value;
-            let stride = pool.stride.as_ref().map_or(kernel, |stride| stride.value);
-            let padding = pool.padding.as_ref().map_or((0, 0), |padding| padding.value);
-            let y = taps(h, to_h, kernel.0, stride.0, padding.0, 1)?;
-            let x = taps(w, to_w, kernel.1, stride.1, padding.1, 1)?;
-            c.checked_mul(y)?.checked_mul(x)
-        }
-    }
-}
-
-fn of_network(network: &Network) -> Findings {
-    let file = network.file();
-    let populations = file
-        .populations
-        .iter()
-        .map(|population| {
-            let desc = &population.value;
-            let (kind, parameters) = match desc {
-                PopulationDesc::Input { .. } => ("input", String::new()),
-                PopulationDesc::Srm(srm) => (
-                    "srm",
-                    format!(
-                        "tau_sr_ms {}, tau_ref_ms {}, scale_ref {}, theta {}",
-                        srm.tau_sr_ms.value, srm.tau_ref_ms.value, srm.scale_ref.value, srm.theta.value
-                    ),
-                ),
-                PopulationDesc::Loihi(loihi) => {
-                    let shown = [
-                        ("du", &loihi.du),
-                        ("dv", &loihi.dv),
-                        ("tau_u_ms", &loihi.tau_u_ms),
-                        ("tau_v_ms", &loihi.tau_v_ms),
-                        ("vth_mant", &loihi.vth_mant),
-                        ("vth", &loihi.vth),
-                        ("bias_mant", &loihi.bias_mant),
-                        ("bias", &loihi.bias),
-                        ("refractory", &loihi.refractory),
-                    ];
-                    let given = shown.into_iter().filter_map(|(name, parameter)| {
-                        Some(match &parameter.as_ref()?.value {
-                            ParameterValue::Same(x) => format!("{name} {x}"),
-                            ParameterValue::Each(_) => format!("{name} each"),
-                        })
-                    });
-                    ("loihi", given.collect::<Vec<_>>().join(", "))
-                }
-            };
-            let shape = &desc.shape().value;
-            vec![json!(desc.name().value), json!(kind), json!(shape), json!(units_of(shape)), json!(parameters)]
-        })
-        .collect();
-    let projections: Vec<Vec<Value>> = file
-        .projections
-        .iter()
-        .map(|projection| {
-            let desc = &projection.value;
-            let kind = match desc {
-                ProjectionDesc::Dense(_) => "dense",
-                ProjectionDesc::Sparse(_) => "sparse",
-                ProjectionDesc::Conv2d(_) => "conv2d",
-                ProjectionDesc::SumPool2d(_) => "sumpool2d",
-                ProjectionDesc::Random(_) => "random",
-            };
-            let ends = desc.synapse();
-            let from: Vec<&str> = ends.from.iter().map(|name| name.value.as_str()).collect();
-            let delay = ends.delay.map_or(0, |delay| delay.value);
-            vec![
-                json!(from.join(" + ")),
-                json!(ends.to.value),
-                json!(kind),
-                json!(synapses(network, desc)),
-                json!(delay),
-            ]
-        })
-        .collect();
-    let together = projections.iter().map(|row| row[3].as_u64()).try_fold(0u64, |sum, n| sum.checked_add(n?));
-    let classes = file.classes.as_ref().map(|classes| &classes.value);
-    Findings {
-        kind: "model",
-        facts: vec![
-            ("name", json!(file.name)),
-            ("timestep_ms", json!(file.timestep_ms.value)),
-            ("semantics", json!(file.semantics)),
-            ("threshold", json!(file.threshold)),
-            ("output", json!(file.output.value)),
-            ("classes", json!(classes)),
-            ("synapses", json!(together)),
-            ("scene", json!(file.scene)),
-            ("provenance", json!(file.provenance)),
-        ],
-        tables: vec![
-            Rows { key: "populations", columns: &["name", "kind", "shape", "units", "parameters"], rows: populations },
-            Rows { key: "projections", columns: &["from", "to", "kind", "synapses", "delay"], rows: projections },
-        ],
-    }
-}
-
-fn limits_table(chip: &Chip) -> Rows {
-    let row = |(name, value): (String, Value)| {
-        let origin = chip.limit_sources.iter().find(|entry| entry.limit.value == name);
-        let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
-        vec![json!(name), value, json!(status), json!(source)]
-    };
-    let rows = match json!(chip.limits) {
-        Value::Object(map) => map.into_iter().map(row).collect(),
-        _ => Vec::new(),
-    };
-    Rows { key: "limits", columns: &["limit", "value", "status", "source"], rows }
-}
-
-fn constants_table(presets: &[Constants]) -> Rows {
-    let mut rows = Vec::new();
-    for preset in presets {
-        let mut add = |name: String, constant: &crate::desc::target::Constant| {
-            rows.push(vec![
-                json!(preset.name),
-                json!(name),
-                json!(constant.value.value),
-                json!(constant.unit),
-                json!(constant.status),
-                json!(constant.source),
-            ]);
-        };
-        for (name, constant) in preset.list() {
-            add(name.to_string(), constant);
-        }
-        for entry in &preset.barrier {
-            add(format!("barrier, {} tiles", entry.tiles), &entry.time);
-        }
-    }
-    Rows { key: "constants", columns: &["preset", "name", "value", "unit", "status", "source"], rows }
-}
-
-fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {
-    vec![
-        ("tiles", json!([chip.width, chip.height])),
-        ("cores_per_tile", json!(chip.cores_per_tile)),
-        ("cores_per_chip", json!(chip.cores)),
-        ("x86_cores_per_chip", json!(chip.x86_cores)),
-        ("power_unit", json!(chip.power_unit)),
-        ("chip_notes", json!(chip.notes)),
-    ]
-}
-
-fn of_target(target: &Target) -> Findings {
-    let mut facts = vec![
-        ("name", json!(target.name())),
-        ("chip", json!(target.chip().name)),
-        ("chips", json!(target.chips())),
-        ("chips_x", json!(target.chips_x())),
-        ("cores", json!(target.cores())),
-    ];
-    facts.extend(chip_facts(target.chip()));
-    Findings { kind: "target", facts, tables: vec![constants_table(target.constants()), limits_table(target.chip())] }
-}
-
-fn of_chip(chip: &Chip) -> Findings {
-    let mut facts = vec![("name", json!(chip.name))];
-    facts.extend(chip_facts(chip));
-    Findings { kind: "chip", facts, tables: vec![limits_table(chip)] }
-}
-
-fn of_constants(constants: &Constants) -> Findings {
-    let facts = vec![("name", json!(constants.name)), ("notes", json!(constants.notes))];
-    Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
-}
-
-fn of_baseline(baseline: &Baseline) -> Findings {
-    let file = baseline.file();
-    let on = &file.measured_on;
-    let rows = file.rows.iter().map(|row| {
-        let figures = [&row.static_mw, &row.dynamic_mw, &row.total_mw, &row.latency_us];
-        let printed = [&row.printed_energy_uj, &row.printed_edp];
-        let figures = figures.into_iter().chain(printed).map(|figure| json!(figure.value));
-        std::iter::once(json!(row.mode.name())).chain(figures).collect()
-    });
-    Findings {
-        kind: "baseline",
-        facts: vec![
-            ("name", json!(file.name)),
-            ("hardware", json!(file.hardware)),
-            ("status", json!(file.status)),
-            ("inputs", json!(on.inputs)),
-            ("layers", on.layers.iter().map(|layer| format!("{} -> {}", layer.from, layer.to)).collect()),
-            ("steps", json!(on.steps)),
-            ("timestep_ms", json!(on.timestep_ms)),
-            ("source", json!(file.source)),
-            ("notes", json!(file.notes)),
-        ],
-        tables: vec![Rows {
-            key: "rows",
-            columns: &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
-            rows: rows.collect(),
-        }],
     }
 }
 

@@ -1,0 +1,191 @@
+//! What files of other tools hold: networks and checkpoints, recordings of event sensors.
+//!
+//! Comes in: a path. Goes out: every array with its type, shape and range, and whether the file can be imported as it is or
+//! what would have to be said; of a recording its events, extent and duration. Nothing in a file is executed. How a
+//! recording becomes spikes is for the options of a run to say.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use super::number;
+use crate::base::diagnostic::Diagnostic;
+use crate::io::events::{self, Event, EventFormat, Sink, nir_data};
+use crate::io::foreign::hdf5::{self, Group, Item};
+use crate::io::foreign::{self, Imported, Kind, Options, torch};
+use crate::io::text::{MOST_ARRAY, read_bytes};
+use crate::report::inspect::{Findings, Rows};
+
+/// A row each: an array, or a text.
+const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
+/// Characters of a text that are shown.
+const MOST_TEXT: usize = 60;
+/// Rows of a table; files may hold a group for each of very many nodes.
+const MOST_ROWS: usize = 1 << 12;
+/// Numbers of a checkpoint that are looked at for their range: many tensors may share one storage.
+const MOST_NUMBERS: usize = 1 << 28;
+
+/// A network or a checkpoint.
+///
+/// # Errors
+/// `inspect.kind` for what is neither, those of [`foreign::read`] for what cannot be opened at all.
+pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
+    let bytes = read_bytes(path, MOST_ARRAY)?;
+    let in_file = |problem: Diagnostic| if problem.place.is_some() { problem } else { problem.in_file(path) };
+    let kind = foreign::kind_of(&bytes);
+    let importable = import_of(&foreign::of_bytes(path, bytes.clone(), &Options::default()));
+    let mut rows = Vec::new();
+    let kind = match kind {
+        Kind::Hdf5 => {
+            let root = hdf5::tree(path, bytes).map_err(in_file)?;
+            arrays(&root, "", &mut rows);
+            match () {
+                () if nir_data::is_data(&root) => return Ok(found("nir recording", None, rows)),
+                () if root.group("layer").is_some() => "netx network",
+                () if root.group("node").is_some() => "nir network",
+                () => "hdf5",
+            }
+        }
+        Kind::Torch => {
+            let mut checkpoint = torch::open(bytes).map_err(in_file)?;
+            let entries: Vec<(String, Vec<usize>)> =
+                checkpoint.entries().map(|(name, shape)| (name.to_string(), shape.to_vec())).collect();
+            let mut left = MOST_NUMBERS;
+            for (name, shape) in entries.into_iter().take(MOST_ROWS) {
+                let dtype = checkpoint.dtype(&name).unwrap_or("-");
+                let count = shape.iter().fold(1usize, |product, &axis| product.saturating_mul(axis));
+                rows.push(match left.checked_sub(count).map(|rest| (rest, checkpoint.tensor(&name))) {
+                    Some((rest, Ok(numbers))) => {
+                        left = rest;
+                        array_row(&name, dtype, &shape, numbers.into_iter())
+                    }
+                    // What cannot be read of one says nothing of the others.
+                    Some((_, Err(problem))) => bare_row(&name, Some(dtype), Some(&shape), Some(&problem.message)),
+                    None => bare_row(&name, Some(dtype), Some(&shape), None),
+                });
+            }
+            "torch checkpoint"
+        }
+        Kind::Npy | Kind::Unknown => {
+            return Err(Diagnostic::new("inspect.kind", "files of this kind are not known")
+                .help(
+                    "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; .bin, .bs1, \
+                     .bs2, .dat, .raw, .aedat4 and .tact recordings; folders of recordings",
+                )
+                .in_file(path));
+        }
+    };
+    Ok(found(kind, Some(importable), rows))
+}
+
+fn found(kind: &'static str, importable: Option<String>, rows: Vec<Vec<Value>>) -> Findings {
+    let mut facts = vec![("array_count", json!(rows.iter().filter(|row| !row[1].is_null()).count()))];
+    facts.extend(importable.map(|importable| ("import", json!(importable))));
+    Findings { kind, facts, tables: vec![Rows { key: "arrays", columns: COLUMNS, rows }] }
+}
+
+/// Whether a file becomes a model as it is, in words.
+fn import_of(imported: &Result<Imported, Diagnostic>) -> String {
+    match imported {
+        Ok(Imported { draft, .. }) => format!(
+            "as it is: {} populations, {} projections, timestep {} ms",
+            draft.populations.len(),
+            draft.projections.len(),
+            draft.timestep_ms
+        ),
+        Err(problem) => {
+            let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
+            format!("not as it is: {}{help}", problem.message)
+        }
+    }
+}
+
+fn array_row(name: &str, dtype: &str, shape: &[usize], numbers: impl Iterator<Item = f64> + Clone) -> Vec<Value> {
+    let (least, greatest) = (numbers.clone().reduce(f64::min), numbers.reduce(f64::max));
+    // Where there is one number, it is its own range.
+    let one = shape.iter().all(|&axis| axis == 1).then(|| least.map(number));
+    vec![json!(name), json!(dtype), json!(shape), json!(least.map(number)), json!(greatest.map(number)), json!(one)]
+}
+
+/// An array or a text without a range.
+fn bare_row(name: &str, dtype: Option<&str>, shape: Option<&[usize]>, value: Option<&str>) -> Vec<Value> {
+    let value = value.map(|text| text.chars().take(MOST_TEXT).collect::<String>());
+    vec![json!(name), json!(dtype), json!(shape), Value::Null, Value::Null, json!(value)]
+}
+
+fn arrays(group: &Group, path: &str, rows: &mut Vec<Vec<Value>>) {
+    for (name, item) in &group.items {
+        if rows.len() >= MOST_ROWS {
+            return;
+        }
+        let path = if path.is_empty() { name.clone() } else { format!("{path}/{name}") };
+        match item {
+            Item::Group(group) => arrays(group, &path, rows),
+            Item::Numbers(numbers) => {
+                let reals: Vec<f64> = numbers.reals().collect();
+                rows.push(array_row(&path, &numbers.dtype(), numbers.shape(), reals.into_iter()));
+            }
+            Item::Texts(shape, texts) => {
+                let text = texts.first().filter(|_| texts.len() == 1);
+                rows.push(bare_row(&path, Some("text"), Some(shape), text.map(String::as_str)));
+            }
+            Item::Other(what) => rows.push(bare_row(&path, None, None, Some(what))),
+        }
+    }
+}
+
+/// What a recording's events have in common.
+#[derive(Debug, Default)]
+struct Extent {
+    events: u64,
+    rising: u64,
+    disordered: u64,
+    sensor: Option<(u32, u32)>,
+    /// Greatest column and row.
+    most: (u32, u32),
+    /// Earliest, latest and last time.
+    times: Option<(i64, i64, i64)>,
+}
+
+impl Sink for Extent {
+    fn size(&mut self, columns: u32, rows: u32) {
+        self.sensor = Some((columns, rows));
+    }
+
+    fn event(&mut self, event: Event) -> Result<(), Diagnostic> {
+        self.events += 1;
+        self.rising += u64::from(event.on);
+        self.most = (self.most.0.max(event.x), self.most.1.max(event.y));
+        let (earliest, latest, last) = self.times.unwrap_or((event.t_us, event.t_us, event.t_us));
+        self.disordered += u64::from(event.t_us < last);
+        self.times = Some((earliest.min(event.t_us), latest.max(event.t_us), event.t_us));
+        Ok(())
+    }
+}
+
+/// A recording of an event sensor.
+///
+/// # Errors
+/// `input.events` for what is malformed, `io.*`.
+pub(super) fn recording(path: &Path, format: EventFormat) -> Result<Findings, Diagnostic> {
+    let mut extent = Extent::default();
+    events::each(path, format, &mut extent)?;
+    let there = extent.events > 0;
+    let duration = extent.times.map(|(earliest, latest, _)| (latest - earliest) as f64 / 1e3);
+    Ok(Findings {
+        kind: "recording",
+        facts: vec![
+            ("events", json!(extent.events)),
+            ("rising", json!(extent.rising)),
+            ("falling", json!(extent.events - extent.rising)),
+            ("disordered", json!(extent.disordered)),
+            ("sensor_columns_rows", json!(extent.sensor)),
+            ("highest_column", json!(there.then_some(extent.most.0))),
+            ("highest_row", json!(there.then_some(extent.most.1))),
+            ("first_us", json!(extent.times.map(|times| times.0))),
+            ("last_us", json!(extent.times.map(|times| times.1))),
+            ("duration_ms", json!(duration)),
+        ],
+        tables: Vec::new(),
+    })
+}

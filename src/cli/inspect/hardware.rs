@@ -1,0 +1,109 @@
+//! What the files of hardware say: targets, chips, presets of constants, baselines.
+//!
+//! Comes in: parsed files. Goes out: facts and tables, each constant with unit, source and status.
+
+use serde_json::{Value, json};
+
+use crate::cost::baseline::Baseline;
+use crate::desc::target::{Chip, Constants, Target};
+use crate::report::inspect::{Findings, Rows};
+
+fn limits_table(chip: &Chip) -> Rows {
+    let row = |(name, value): (String, Value)| {
+        let origin = chip.limit_sources.iter().find(|entry| entry.limit.value == name);
+        let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
+        vec![json!(name), value, json!(status), json!(source)]
+    };
+    let rows = match json!(chip.limits) {
+        Value::Object(map) => map.into_iter().map(row).collect(),
+        _ => Vec::new(),
+    };
+    Rows { key: "limits", columns: &["limit", "value", "status", "source"], rows }
+}
+
+fn constants_table(presets: &[Constants]) -> Rows {
+    let mut rows = Vec::new();
+    for preset in presets {
+        let mut add = |name: String, constant: &crate::desc::target::Constant| {
+            rows.push(vec![
+                json!(preset.name),
+                json!(name),
+                json!(constant.value.value),
+                json!(constant.unit),
+                json!(constant.status),
+                json!(constant.source),
+            ]);
+        };
+        for (name, constant) in preset.list() {
+            add(name.to_string(), constant);
+        }
+        for entry in &preset.barrier {
+            add(format!("barrier, {} tiles", entry.tiles), &entry.time);
+        }
+    }
+    Rows { key: "constants", columns: &["preset", "name", "value", "unit", "status", "source"], rows }
+}
+
+fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {
+    vec![
+        ("tiles", json!([chip.width, chip.height])),
+        ("cores_per_tile", json!(chip.cores_per_tile)),
+        ("cores_per_chip", json!(chip.cores)),
+        ("x86_cores_per_chip", json!(chip.x86_cores)),
+        ("power_unit", json!(chip.power_unit)),
+        ("chip_notes", json!(chip.notes)),
+    ]
+}
+
+pub(super) fn of_target(target: &Target) -> Findings {
+    let mut facts = vec![
+        ("name", json!(target.name())),
+        ("chip", json!(target.chip().name)),
+        ("chips", json!(target.chips())),
+        ("chips_x", json!(target.chips_x())),
+        ("cores", json!(target.cores())),
+    ];
+    facts.extend(chip_facts(target.chip()));
+    Findings { kind: "target", facts, tables: vec![constants_table(target.constants()), limits_table(target.chip())] }
+}
+
+pub(super) fn of_chip(chip: &Chip) -> Findings {
+    let mut facts = vec![("name", json!(chip.name))];
+    facts.extend(chip_facts(chip));
+    Findings { kind: "chip", facts, tables: vec![limits_table(chip)] }
+}
+
+pub(super) fn of_constants(constants: &Constants) -> Findings {
+    let facts = vec![("name", json!(constants.name)), ("notes", json!(constants.notes))];
+    Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
+}
+
+pub(super) fn of_baseline(baseline: &Baseline) -> Findings {
+    let file = baseline.file();
+    let on = &file.measured_on;
+    let rows = file.rows.iter().map(|row| {
+        let figures = [&row.static_mw, &row.dynamic_mw, &row.total_mw, &row.latency_us];
+        let printed = [&row.printed_energy_uj, &row.printed_edp];
+        let figures = figures.into_iter().chain(printed).map(|figure| json!(figure.value));
+        std::iter::once(json!(row.mode.name())).chain(figures).collect()
+    });
+    Findings {
+        kind: "baseline",
+        facts: vec![
+            ("name", json!(file.name)),
+            ("hardware", json!(file.hardware)),
+            ("status", json!(file.status)),
+            ("inputs", json!(on.inputs)),
+            ("layers", on.layers.iter().map(|layer| format!("{} -> {}", layer.from, layer.to)).collect()),
+            ("steps", json!(on.steps)),
+            ("timestep_ms", json!(on.timestep_ms)),
+            ("source", json!(file.source)),
+            ("notes", json!(file.notes)),
+        ],
+        tables: vec![Rows {
+            key: "rows",
+            columns: &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
+            rows: rows.collect(),
+        }],
+    }
+}
