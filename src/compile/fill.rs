@@ -55,8 +55,8 @@ struct Axon {
 struct PlacedAxon {
     place: u32,
     atom: u16,
-    /// Of the place; `None` beyond the last.
-    base: Option<u16>,
+    /// Of the place.
+    base: u16,
     /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they are. Two different lists
     /// with the same digest would be found out when the cores are counted exactly.
     told: u64,
@@ -64,7 +64,7 @@ struct PlacedAxon {
 
 impl PlacedAxon {
     fn tell(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
-        let from_base = u64::from(slot - self.base.unwrap_or(0));
+        let from_base = u64::from(slot - self.base);
         let which = from_base << 48 | u64::from(format) << 32 | projection as u64;
         self.told = rng::digest(rng::digest(self.told, which), part);
     }
@@ -419,7 +419,7 @@ impl<'a> Filling<'a> {
             }
         }
         let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
-        let mut placed: Vec<(PlacedAxon, usize)> = placed.filter(|(placed, _)| placed.base.is_some()).collect();
+        let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
         placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
         let (mut classes, mut known): ([Vec<Class>; 2], HashMap<Vec<(u16, u64)>, usize>) = Default::default();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {

@@ -9,9 +9,10 @@
 //!
 //! What the hardware allows (pop16 axons; nengo-loihi `hardware/builder.py`, `block.py` and `builder/validate.py`):
 //!
-//! - an atom has at most 9 bits; of the 15 bits that axon and atom share, those of the atom beyond five are taken from the
+//! - an atom has at most 9 bits (Intel's NxSDK had only five of them when nengo-loihi was written); of the 15 bits that axon and atom share, those of the atom beyond five are taken from the
 //!   ten of the axon ([`most_axons`]);
-//! - a base is stored divided by four in eight bits: multiples of 4 up to 1,020;
+//! - a base is a multiple of 4 below 256. Places that begin farther on keep whole 256s in the slots of their lists, so that
+//!   they share with others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`);
 //! - a compartment belongs to one population, so its atom is the same on every core: it is the channel;
 //! - the output axon takes the slot of a discrete one. pop32 axons take two slots, reach bases up to 255 and 32 atoms, and
 //!   are not used.
@@ -44,8 +45,8 @@ const FREE_ATOM_BITS: u32 = 5;
 const AXON_BITS: u32 = 10;
 /// Bases are multiples of this.
 pub const BASE_STEP: u16 = 4;
-/// The greatest base.
-pub const MOST_BASE: u16 = 255 * BASE_STEP;
+/// Bases are below this.
+pub const BASE_END: u16 = 256;
 /// The most atoms.
 pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
 
@@ -56,12 +57,11 @@ pub fn most_axons(atoms: u16) -> u32 {
     1 << (AXON_BITS - bits.clamp(FREE_ATOM_BITS, MOST_ATOM_BITS) + FREE_ATOM_BITS)
 }
 
-/// The base of a place whose lists begin at this slot; `None` where no base reaches.
+/// The base of a place whose lists begin at this slot.
 #[inline]
 #[must_use]
-pub fn base_of(first_slot: u16) -> Option<u16> {
-    let base = first_slot / BASE_STEP * BASE_STEP;
-    (base <= MOST_BASE).then_some(base)
+pub fn base_of(first_slot: u16) -> u16 {
+    first_slot % BASE_END / BASE_STEP * BASE_STEP
 }
 
 /// A population whose sources have places.
@@ -215,7 +215,7 @@ pub fn alike(keys: &[Key], places: &Places) -> Vec<Alike> {
     for of_place in placed.chunk_by(|a, b| a.0 == b.0) {
         let of = |&(_, _, number): &(u32, u16, u32)| lists[number as usize];
         let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();
-        let Some(base) = first_slot.and_then(base_of) else { continue };
+        let base = base_of(first_slot.unwrap_or(0));
         // Two lists are told apart by their atoms, so concatenations of different lists differ.
         let told = of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.told(placed.1, base))).collect();
         let class = *known.entry(told).or_insert_with(|| {
@@ -243,10 +243,7 @@ mod tests {
             [1, 2, 32, 33, 64, 65, 256, 257, 512].map(most_axons),
             [1024, 1024, 1024, 512, 512, 256, 128, 64, 64]
         );
-        assert_eq!(
-            [0, 3, 4, 7, 1020, 1023, 1024].map(base_of).map(|base| base.unwrap_or(1)),
-            [0, 0, 4, 4, 1020, 1020, 1]
-        );
+        assert_eq!([0, 3, 4, 7, 252, 255, 256, 1023].map(base_of), [0, 0, 4, 4, 252, 252, 0, 252]);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The compiler as a whole: what fits, what does not and why, and that wrong programs are found out.
 
+use std::collections::BTreeSet;
+
 use crate::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
 use crate::base::rng;
@@ -531,5 +533,37 @@ fn population_axons_that_no_chip_has_are_found_out() {
         assert_ne!(parts, good, "{name} changes nothing");
         let verdict = Program::new(parts).map(|program| (check(&network, &program), verify(&program, &board)));
         assert!(!matches!(verdict, Ok((Ok(()), Ok(())))), "{name} goes unnoticed");
+    }
+}
+
+#[test]
+fn as_many_weights_are_stored_as_nengo_loihi_stores() {
+    // (source, filters, kernel, step), then lists, weights in them and axons of nengo-loihi 1.1's `conv2d_loihi_weights` for
+    // the convolution without padding, channels last, on one core.
+    type Layer = ((u32, u32, u32), u32, (u32, u32), (u32, u32));
+    let layers: [(Layer, [usize; 3]); 5] = [
+        (((4, 10, 9), 8, (3, 3), (1, 1)), [30, 3_456, 90]),
+        (((2, 16, 14), 4, (3, 2), (1, 1)), [21, 480, 224]),
+        (((3, 17, 15), 8, (3, 3), (2, 2)), [24, 960, 255]),
+        (((8, 14, 14), 4, (5, 5), (1, 1)), [82, 20_640, 196]),
+        (((2, 18, 18), 4, (3, 3), (1, 1)), [40, 1_296, 324]),
+    ];
+    for ((source, filters, kernel, stride), theirs) in layers {
+        let size = |source: u32, kernel: u32, stride: u32| (source - kernel) / stride + 1;
+        let target = (filters, size(source.1, kernel.0, stride.0), size(source.2, kernel.1, stride.1));
+        let mut net = Builder::new();
+        let input = net.input_shape("in", Shape::Volume(source.0, source.1, source.2));
+        let out = net.loihi_with("out", Shape::Volume(target.0, target.1, target.2), neurons());
+        let window = Window { source, target, kernel, stride, padding: (0, 0), dilation: (1, 1), groups: 1 };
+        let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
+        let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
+        net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        // Short lists take a word alone as in a table, so that every place shares.
+        let compiled = compiled(net.build(), Limits { synapse_words: 65_536, ..limits() });
+        let [image] = compiled.program.cores().as_slice() else { panic!("{source:?}: several cores") };
+        let tables: BTreeSet<u32> = image.inputs.populations.iter().map(|axon| axon.table).collect();
+        let stored = image.inputs.lists.items().len();
+        assert_eq!([tables.len(), stored, image.inputs.populations.len()], theirs, "{source:?}");
+        assert_eq!(image.inputs.iter_discrete().count(), 0);
     }
 }

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use crate::base::fixed::Delay;
 use crate::base::id::{CoreId, Id};
 use crate::compile::packing::{self, Compression, Group, SKIP_BITS, Widths};
-use crate::compile::share::{BASE_STEP, MOST_ATOMS, MOST_BASE, most_axons};
+use crate::compile::share::{BASE_END, BASE_STEP, MOST_ATOMS, most_axons};
 use crate::compile::usage::profiles;
 use crate::desc::target::{Limits, Target};
 use crate::ir::partition::{CoreUsage, Resource};
@@ -187,7 +187,7 @@ fn verify_populations(core: CoreId, inputs: &Stored) -> Result<Vec<bool>, Violat
     if inputs.populations.len() as u64 > u64::from(most_axons(atoms)) {
         return wrong("there are more population axons than a message can tell beside their atoms");
     }
-    if inputs.populations.iter().any(|axon| axon.base % BASE_STEP != 0 || axon.base > MOST_BASE) {
+    if inputs.populations.iter().any(|axon| axon.base % BASE_STEP != 0 || axon.base >= BASE_END) {
         return wrong("a population axon has a base that cannot be stored");
     }
     for &(table, atoms) in &tables {

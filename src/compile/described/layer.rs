@@ -217,15 +217,14 @@ fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, 
                     let at = u32::from(reached_rows[0].0) * columns.size + u32::from(reached_columns[0].0);
                     if layer.own_only { at } else { at * channels.size }
                 };
-                let (Some((atoms, positions)), Some(base)) = (placed, share::base_of(first_slot as u16)) else {
-                    continue;
-                };
+                let Some((atoms, positions)) = placed else { continue };
+                let behind = first_slot as u16 - share::base_of(first_slot as u16);
                 if all_to_all {
                     // Every source has weights of its own; all channels of a position reach the box.
                     let place = place.part(positions);
                     (0..positions).for_each(|_| classes.alone(place, atoms as u16));
                 } else {
-                    let kind = (i, relative(reached_rows), relative(reached_columns), first_slot as u16 - base);
+                    let kind = (i, relative(reached_rows), relative(reached_columns), behind);
                     classes.add(kind, of_rows * of_columns, place, channels.last[i] as u16 + 1);
                 }
             }
