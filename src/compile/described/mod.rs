@@ -19,7 +19,8 @@ use std::collections::BTreeSet;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::compile::described::layer::{BoxUse, Cut, Layer};
+use crate::compile::boxes::{BoxUse, Layer};
+use crate::compile::described::layer::Cut;
 use crate::compile::described::sends::{AllSends, Placed, Sends};
 use crate::compile::expect::{self, Score};
 use crate::compile::formats::Formats;

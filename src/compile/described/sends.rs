@@ -12,7 +12,8 @@ use rayon::prelude::*;
 
 use crate::base::id::{IdVec, PopulationId};
 use crate::compile::axis::Axis;
-use crate::compile::described::layer::{Cut, Layer};
+use crate::compile::boxes::Layer;
+use crate::compile::described::layer::Cut;
 use crate::compile::fanin::first_source;
 use crate::compile::partition::Members;
 use crate::compile::rates::Rates;

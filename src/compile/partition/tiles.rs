@@ -16,8 +16,12 @@ use std::collections::BTreeSet;
 
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::compile::axis::{Axis, Pattern, relative};
+use crate::compile::boxes::{Incoming, Layer};
 use crate::compile::fill::{Filling, Newcomer};
+use crate::compile::formats::Formats;
+use crate::compile::packing::MOST_SLOTS;
 use crate::compile::partition::order::{Indices, Segment};
+use crate::compile::share::Places;
 use crate::desc::target::Limits;
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Quantised, Units};
@@ -27,43 +31,13 @@ const TRIALS: usize = 60;
 /// Grids of as many cores that are tried one after the other.
 const OF_AS_MANY: usize = 3;
 
-/// A window that reaches a population.
-#[derive(Debug, Clone, Copy)]
-pub struct Reaching {
-    /// The window.
-    pub window: Window,
-    /// Bits of a weight.
-    pub weight_bits: u8,
-    /// Whether all its weights are the same.
-    pub uniform: bool,
-    /// Compartments that it comes from; `None` for input channels, which take no output axon.
-    pub from: Option<u32>,
-}
-
-/// Windows that reach a population, when that is all that reaches it.
-fn windows(network: &Quantised, population: PopulationId) -> Option<Vec<Reaching>> {
-    let into = network.projections().iter().filter(|p| p.target == population);
-    let windows: Option<Vec<Reaching>> = into
-        .map(|projection| {
-            let weight_bits = projection.format.bits.get();
-            let source = &network.populations()[projection.source];
-            let from = source.first_compartment().map(|_| source.shape.len());
-            let (window, uniform) = match &projection.connectivity {
-                Connectivity::Conv2d { window, .. } => (*window, false),
-                Connectivity::SumPool2d { window, .. } => (*window, true),
-                _ => return None,
-            };
-            Some(Reaching { window, weight_bits, uniform, from })
-        })
-        .collect();
-    windows.filter(|windows| !windows.is_empty())
-}
-
 /// Whether a population is one that is cut into tiles.
 #[must_use]
 pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
-    let shape = network.populations()[population].shape;
-    shape.volume().is_some() && windows(network, population).is_some()
+    let mut into = network.projections().iter().filter(|p| p.target == population).peekable();
+    network.populations()[population].shape.volume().is_some()
+        && into.peek().is_some()
+        && into.all(|p| matches!(p.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. }))
 }
 
 /// Numbers of parts into which a length is cut, each with the size of a part; parts that are no smaller are left out.
@@ -104,11 +78,12 @@ pub struct Grid {
 
 /// Grids that may fit a core of so many compartments, the best first.
 #[must_use]
-pub fn grids(windows: &[Reaching], (c, h, w): (u32, u32, u32), limits: &Limits, most: u32) -> Vec<Grid> {
+pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
+    let (c, h, w) = layer.shape;
     let along = |length: u32, axis: fn(&Window) -> Axis| -> Vec<(u32, u32, Vec<(u64, u64)>)> {
         let cuts = cuts(length).into_iter().filter(|&(_, size)| size <= most);
         let reached =
-            |size| windows.iter().map(|w| reached(axis(&w.window).uniform(w.uniform), length, size)).collect();
+            |size| layer.incoming.iter().map(|i| reached(axis(&i.window).uniform(i.uniform), length, size)).collect();
         cuts.map(|(parts, size)| (parts, size, reached(size))).collect()
     };
     let (rows, columns) = (along(h, Axis::rows), along(w, Axis::columns));
@@ -123,9 +98,10 @@ pub fn grids(windows: &[Reaching], (c, h, w): (u32, u32, u32), limits: &Limits, 
                 let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
                 // Sources, input axons at least, and bits of weights at least.
                 let (mut sources, mut axons, mut bits, mut cores) = (0, 0, 0, tiles);
-                for (&Reaching { window, weight_bits, from, .. }, (rows, columns)) in
-                    windows.iter().zip(of_rows.iter().zip(of_columns))
+                for (&Incoming { window, format, from, .. }, (rows, columns)) in
+                    layer.incoming.iter().zip(of_rows.iter().zip(of_columns))
                 {
+                    let weight_bits = formats.get(format).bits.get();
                     let out_of_group = (window.target.0 / window.groups).max(1);
                     let groups = tc.div_ceil(out_of_group).min(window.groups);
                     let channels = u64::from(groups) * u64::from(window.source.0 / window.groups);
@@ -164,9 +140,9 @@ pub fn tiles(
     most: u32,
 ) -> Option<Vec<Segment>> {
     let description = &network.populations()[population];
-    let shape = description.shape.volume()?;
-    let windows = windows(network, population)?;
-    let own_only = windows.iter().all(|Reaching { window, .. }| window.groups == window.source.0 && window.groups > 1);
+    let formats = Formats::of(network);
+    let layer = Layer::of(network, population, &formats, &Places::of(network))?;
+    let (shape, own_only) = (layer.shape, layer.own_only);
     let Units::Loihi { first, neurons, .. } = &description.units else { return None };
     let fits = |filling: &mut Filling, indices: &[u32]| {
         filling.next_core();
@@ -177,9 +153,11 @@ pub fn tiles(
         filling.next_core();
         fits.is_ok()
     };
-    let all = grids(&windows, shape, limits, most.min(limits.compartments));
+    let all = grids(&layer, &formats, limits, most.min(limits.compartments).min(MOST_SLOTS));
     let found = first_that_fits(&all, TRIALS, |grid| {
-        fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only))
+        // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
+        let counted = layer.joined || !layer.middle(grid.size, &formats, limits).exceeds(limits);
+        counted && fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only))
     });
     found.map(|grid| segments(population, shape, grid.size, own_only))
 }
