@@ -129,8 +129,8 @@ impl<'i> Machine<'i> {
         }
         tally::add_visits(program, self.run_steps, &mut sum);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
-            for (count, block) in lanes.active_by_block.iter_mut().zip(&share.blocks) {
-                sum.cores[block.core].active += std::mem::take(count);
+            for (count, block) in lanes.take_active(share).into_iter().zip(&share.blocks) {
+                sum.cores[block.core].active += count;
             }
         }
         let mut activity = Activity::new(program.cores().len());
