@@ -9,11 +9,12 @@ use std::ops::Range;
 use crate::base::id::{ChannelId, CompartmentId, CoreId};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
+use crate::machine::bits::{FORESEEN, ones, write_ones};
 use crate::machine::image::{Block, BlockFields, Image, Share, Stretch};
 use crate::machine::kernel::{self, LANES, Portable, Sum, Vectors};
 use crate::machine::lists::Synapses;
 use crate::machine::neuron::{Registers, update};
-use crate::machine::ring::{Ring, ones};
+use crate::machine::ring::Ring;
 use crate::machine::store::Aligned;
 
 /// What a step is told.
@@ -393,25 +394,8 @@ impl State {
                 }
             }
         }
-        self.spike(start, did.spiked);
+        self.spiking = write_ones(&mut self.spiked, self.spiking, did.spiked, |lane| start.wrapping_add(lane));
         did.busy
-    }
-
-    /// Notes lanes that spiked. Few do, and how many cannot be foretold: the first few are written whether they are or not.
-    #[inline(always)]
-    fn spike(&mut self, start: u32, mut lanes: u64) {
-        let end = self.spiking + lanes.count_ones() as usize;
-        for place in &mut self.spiked[self.spiking..][..FORESEEN] {
-            *place = start.wrapping_add(lanes.trailing_zeros());
-            lanes &= lanes.wrapping_sub(1);
-        }
-        if lanes != 0 {
-            for place in &mut self.spiked[self.spiking + FORESEEN..end] {
-                *place = start + lanes.trailing_zeros();
-                lanes &= lanes - 1;
-            }
-        }
-        self.spiking = end;
     }
 
     /// Names and counts who spiked. Not while they are found: names and counts are far apart in memory, and here nothing
@@ -491,6 +475,3 @@ impl Did {
         Did { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
     }
 }
-
-/// Spikes of a granule that are written in any case.
-const FORESEEN: usize = 4;
