@@ -177,16 +177,16 @@ pub struct Effect {
 
 /// Instructions for chunks.
 pub trait Vectors: Copy {
-    /// Whether there are registers for four chunks at once.
-    const FOUR: bool;
-
     /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing has changed. `PLAIN` only
     /// for fields that are.
-    fn update<S: Sum, const PLAIN: bool, const N: usize>(
-        self,
-        chunks: Chunks<'_, S, N>,
-        shared: &Shared,
-    ) -> Option<Effect>;
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
+
+    /// The same of four chunks, for whoever has the registers; `None` also if not.
+    #[inline(always)]
+    fn update_four<S: Sum, const PLAIN: bool>(self, chunks: Chunks<'_, S, 4>, shared: &Shared) -> Option<Effect> {
+        let _ = (chunks, shared);
+        None
+    }
 }
 
 /// Whatever vectors the compiler makes of loops.
@@ -194,49 +194,41 @@ pub trait Vectors: Copy {
 pub struct Portable;
 
 impl Vectors for Portable {
-    const FOUR: bool = false;
-
     #[inline(always)]
-    fn update<S: Sum, const PLAIN: bool, const N: usize>(
-        self,
-        chunks: Chunks<'_, S, N>,
-        shared: &Shared,
-    ) -> Option<Effect> {
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect> {
         let Shared { keep_u, keep_v, fires_from, vmin, vmax, refractory, .. } = *shared;
         let bias = if PLAIN { 0 } else { shared.bias };
-        let Chunks { u, v, sums } = chunks;
-        let (mut new_u, mut new_v) = ([[0; LANES]; N], [[0; LANES]; N]);
-        let mut effect = Effect { spiked: 0, moved: 0, busy: false };
-        for chunk in 0..N {
-            let (mut fired, mut moved, mut overflowed) = ([false; LANES], [false; LANES], [false; LANES]);
-            for lane in 0..LANES {
-                let (sum, old_u, stored) = (sums[chunk][lane].value(), u[chunk][lane], v[chunk][lane]);
-                let old_v = if stored < HELD { stored } else { 0 };
-                let is_free = stored < HELD + 2;
-                // The truncation to 16 bits of a sum in units of 64 is the wrap to 22.
-                let q = if S::WIDE { (sum << 16) >> 10 } else { sum << WEIGHT_SHIFT };
-                let next_u = kept(old_u, keep_u) + q;
-                let input = next_u + bias;
-                let free = kept(old_v, keep_v) + input;
-                let clipped = free.max(vmin).min(vmax);
-                let fires = is_free & (clipped >= fires_from);
-                let unheld = if fires { HELD + refractory } else { clipped };
-                new_v[chunk][lane] = if is_free { unheld } else { stored - 1 };
-                new_u[chunk][lane] = next_u;
-                fired[lane] = fires;
-                moved[lane] = ((old_u | old_v | sum | bias) != 0) | !is_free;
-                let wrapped = outside(next_u) | outside(input) | if S::WIDE { (q >> WEIGHT_SHIFT) ^ sum } else { 0 };
-                overflowed[lane] = (wrapped != 0) | (is_free & (clipped != free));
-            }
-            if bytes(overflowed) != 0 {
-                return None;
-            }
-            effect.spiked |= bits(fired) << (chunk * LANES);
-            effect.moved |= bits(moved) << (chunk * LANES);
-            effect.busy |= bytes(std::array::from_fn(|lane| (new_u[chunk][lane] | new_v[chunk][lane]) != 0)) != 0;
+        let Chunks { u: [u], v: [v], sums: [sums] } = chunk;
+        let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
+        let (mut fired, mut moved, mut overflowed) = ([false; LANES], [false; LANES], [false; LANES]);
+        for lane in 0..LANES {
+            let (sum, old_u, stored) = (sums[lane].value(), u[lane], v[lane]);
+            let old_v = if stored < HELD { stored } else { 0 };
+            let is_free = stored < HELD + 2;
+            // The truncation to 16 bits of a sum in units of 64 is the wrap to 22.
+            let q = if S::WIDE { (sum << 16) >> 10 } else { sum << WEIGHT_SHIFT };
+            let next_u = kept(old_u, keep_u) + q;
+            let input = next_u + bias;
+            let free = kept(old_v, keep_v) + input;
+            let clipped = free.max(vmin).min(vmax);
+            let fires = is_free & (clipped >= fires_from);
+            let unheld = if fires { HELD + refractory } else { clipped };
+            new_v[lane] = if is_free { unheld } else { stored - 1 };
+            new_u[lane] = next_u;
+            fired[lane] = fires;
+            moved[lane] = ((old_u | old_v | sum | bias) != 0) | !is_free;
+            let wrapped = outside(next_u) | outside(input) | if S::WIDE { (q >> WEIGHT_SHIFT) ^ sum } else { 0 };
+            overflowed[lane] = (wrapped != 0) | (is_free & (clipped != free));
         }
-        (*u, *v, *sums) = (new_u, new_v, [[S::default(); LANES]; N]);
-        Some(effect)
+        if bytes(overflowed) != 0 {
+            return None;
+        }
+        (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
+        Some(Effect {
+            spiked: bits(fired).into(),
+            moved: bits(moved).into(),
+            busy: bytes(std::array::from_fn(|lane| (new_u[lane] | new_v[lane]) != 0)) != 0,
+        })
     }
 }
 
@@ -247,27 +239,26 @@ impl Vectors for Portable {
 #[inline(always)]
 pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
     match shared.plain {
-        true => chunks::<S, true, _>(block, shared, vectors),
-        false => chunks::<S, false, _>(block, shared, vectors),
+        true => chunks::<S, true>(block, shared, vectors),
+        false => chunks::<S, false>(block, shared, vectors),
     }
 }
 
 #[inline(always)]
-fn chunks<S: Sum, const PLAIN: bool, V: Vectors>(block: &mut Block<'_, S>, shared: &Shared, vectors: V) -> Effects {
+fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
     let mut effects = Effects::default();
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
-    if V::FOUR
-        && let (Some(u), Some(v), Some(sums)) =
-            (u.first_chunk_mut::<4>(), v.first_chunk_mut::<4>(), sums.first_chunk_mut::<4>())
-        && let Some(Effect { spiked, moved, busy }) = vectors.update::<S, PLAIN, 4>(Chunks { u, v, sums }, shared)
+    if let (Some(u), Some(v), Some(sums)) =
+        (u.first_chunk_mut::<4>(), v.first_chunk_mut::<4>(), sums.first_chunk_mut::<4>())
+        && let Some(Effect { spiked, moved, busy }) = vectors.update_four::<S, PLAIN>(Chunks { u, v, sums }, shared)
     {
         return Effects { spiked, moved, busy, overflowed: 0 };
     }
     for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
         let one = Chunks { u: from_mut(u), v: from_mut(v), sums: from_mut(sums) };
-        match vectors.update::<S, PLAIN, 1>(one, shared) {
+        match vectors.update::<S, PLAIN>(one, shared) {
             Some(effect) => {
                 effects.spiked |= effect.spiked << (index * LANES);
                 effects.moved |= effect.moved << (index * LANES);
@@ -281,10 +272,10 @@ fn chunks<S: Sum, const PLAIN: bool, V: Vectors>(block: &mut Block<'_, S>, share
 
 /// One bit a lane: the product gathers the lowest bits of eight bytes in its highest byte, as no two of its terms meet.
 #[inline(always)]
-fn bits(lanes: [bool; LANES]) -> u64 {
+fn bits(lanes: [bool; LANES]) -> u16 {
     let bytes = bytes(lanes);
     let gather = |bytes: u64| bytes.wrapping_mul(0x0102_0408_1020_4080) >> 56;
-    gather(bytes as u64) | (gather((bytes >> 64) as u64) << 8)
+    (gather(bytes as u64) | (gather((bytes >> 64) as u64) << 8)) as u16
 }
 
 /// One byte a lane, 1 or 0.
