@@ -17,15 +17,11 @@ use crate::ir::quantised::{Neuron, Reset, SpikeSource};
 use crate::machine::kernel::{LANES, Shared};
 use crate::machine::lists::{Draft, Table};
 use crate::machine::neuron::Fields;
+use crate::machine::panels::{Layout, Panels, Plan, Reached};
 use crate::machine::tally::longest_delay;
 
 /// Lanes of a granule.
 pub const GRANULE: usize = 64;
-/// The shortest run of lanes that is worth a row where many are short: a row costs about as much as so many synapses.
-const SHORTEST_ROW: usize = 5;
-/// Where fewer synapses than one in so many stand in lists shorter than [`SHORTEST_ROW`], those become rows too: a table
-/// of single synapses would have to be looked through for every spike.
-const MANY: usize = 16;
 /// The shortest run of equal fields that is worth a block of its own.
 const SHORTEST_RUN: usize = 8;
 
@@ -40,32 +36,15 @@ pub enum ImageError {
     TooMany(usize),
 }
 
-/// Consecutive lanes that each source of a panel reaches.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Row {
-    /// The first lane.
-    pub target: u32,
-    /// Chunks of sixteen lanes.
-    pub chunks: u16,
-    /// Synapses: lanes without the zeros that fill the last chunk.
-    pub synapses: u16,
+/// What the sources of one kind reach over synapses of one delay.
+#[derive(Debug)]
+pub(super) struct Reach {
     /// Delay field.
     pub delay: u8,
-}
-
-/// Consecutive sources that reach the same lanes, each with weights of its own: a dense projection makes one.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Panel {
-    /// The first source.
-    pub first: u32,
-    /// The first source after it.
-    pub end: u32,
-    /// What each source reaches.
-    pub rows: Vec<Row>,
-    /// The first source's weights, a chunk of sixteen after the other, row by row; then the next source's.
-    pub weights: usize,
-    /// Chunks of a source.
-    pub stride: usize,
+    /// Synapses lane beside lane.
+    pub panels: Panels,
+    /// The others.
+    pub table: Option<Table>,
 }
 
 /// Fields of a block.
@@ -108,7 +87,7 @@ pub(super) struct Stretch {
 /// One share of the lanes; lanes count from its own first.
 #[derive(Debug)]
 pub(super) struct Share {
-    /// Number of lanes, padding and a last chunk of slack included.
+    /// Number of lanes, padding included.
     pub lanes: usize,
     /// The compartment in each lane; any in padding.
     pub names: Vec<CompartmentId>,
@@ -120,14 +99,10 @@ pub(super) struct Share {
     pub granules: Vec<u32>,
     /// Granules that never rest, a bit each.
     pub driven: Vec<u64>,
-    /// Panels by their sources, which do not overlap.
-    pub panels: Vec<Panel>,
-    /// Weights of panels, in units of 64.
-    pub weights: Vec<[i16; LANES]>,
-    /// Lists of channels by delay, ascending.
-    pub of_channels: Vec<Table>,
-    /// Lists of compartments by delay, ascending.
-    pub of_compartments: Vec<Table>,
+    /// What channels reach, by delay, ascending.
+    pub of_channels: Vec<Reach>,
+    /// What compartments reach, by delay, ascending.
+    pub of_compartments: Vec<Reach>,
 }
 
 /// A program flattened.
@@ -240,15 +215,13 @@ impl<'p> Image<'p> {
     #[must_use]
     pub fn bytes(&self) -> usize {
         let of = |share: &Share| {
-            let sparse: usize = share.of_channels.iter().chain(&share.of_compartments).map(Table::bytes).sum();
-            let panel = |panel: &Panel| size_of::<Panel>() + size_of::<Row>() * panel.rows.len();
-            let panels = share.panels.iter().map(panel).sum::<usize>() + size_of_val(share.weights.as_slice());
+            let of = |reach: &Reach| reach.panels.bytes() + reach.table.as_ref().map_or(0, Table::bytes);
+            let reached: usize = share.of_channels.iter().chain(&share.of_compartments).map(of).sum();
             size_of::<Block>() * share.blocks.len()
                 + size_of_val(share.stretches.as_slice())
                 + 4 * (share.granules.len() + share.names.len())
                 + 8 * share.driven.len()
-                + panels
-                + sparse
+                + reached
         };
         let shares: usize = self.shares.iter().map(of).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
@@ -372,8 +345,7 @@ impl<'p> Image<'p> {
         for share in &mut self.shares {
             share.granules.push(share.stretches.len() as u32);
             let granules = share.granules.len() - 1;
-            // A row that begins in the last lanes reads and writes zeros up to a chunk beyond them.
-            share.lanes = granules * GRANULE + LANES;
+            share.lanes = granules * GRANULE;
             share.driven = vec![0; granules.div_ceil(64)];
             share.names = vec![CompartmentId(0); share.lanes];
             for block in &share.blocks {
@@ -414,30 +386,47 @@ impl<'p> Image<'p> {
             }
         }
         delays.sort_unstable();
-        let lists = || parts.cores.iter().flat_map(|image| image.synapses.iter().map(<[Synapse]>::len));
-        let in_short: usize = lists().filter(|&length| length < SHORTEST_ROW).sum();
-        let shortest_row = if in_short * MANY < lists().sum() { 1 } else { SHORTEST_ROW };
-        let kinds = [0..self.channels, self.channels..self.sources() as u32];
-        for (kind, sources) in kinds.into_iter().enumerate() {
-            let draft = |share: &Share| delays.iter().map(|&delay| Draft::new(delay, share.lanes)).collect();
-            let mut drafts: Vec<Vec<Draft>> = self.shares.iter().map(draft).collect();
-            self.connect_sources(sources, shortest_row, &mut drafts);
-            for (share, drafts) in self.shares.iter_mut().zip(drafts) {
-                let tables = drafts.into_iter().filter_map(|draft| draft.finish().transpose());
-                let tables = tables.collect::<Result<_, _>>().map_err(ImageError::TooMany)?;
+        for (kind, sources) in [0..self.channels, self.channels..self.sources() as u32].into_iter().enumerate() {
+            let first = sources.start;
+            let plan = |share: &Share| delays.iter().map(|_| Plan::new(share.lanes)).collect::<Vec<_>>();
+            let mut plans: Vec<_> = self.shares.iter().map(plan).collect();
+            self.reach(sources.clone(), &delays, |source, share, delay, synapses| {
+                plans[share][delay].take(source - first, synapses);
+            });
+            let mut reaches: Vec<Vec<(Layout, Draft)>> = Vec::new();
+            for (plans, share) in plans.into_iter().zip(&self.shares) {
+                reaches.push(plans.into_iter().map(|plan| (plan.layout(), Draft::new(share.lanes))).collect());
+            }
+            self.reach(sources, &delays, |source, share, delay, synapses| {
+                let (layout, draft) = &mut reaches[share][delay];
+                layout.put(source - first, synapses, draft);
+                draft.close();
+            });
+            for (share, reaches) in self.shares.iter_mut().zip(reaches) {
+                let mut reached = Vec::new();
+                for (&delay, (layout, draft)) in delays.iter().zip(reaches) {
+                    let (panels, table) = (layout.finish(), draft.finish().map_err(ImageError::TooMany)?);
+                    if table.is_some() || !panels.panels.is_empty() {
+                        reached.push(Reach { delay, panels, table });
+                    }
+                }
                 match kind {
-                    0 => share.of_channels = tables,
-                    _ => share.of_compartments = tables,
+                    0 => share.of_channels = reached,
+                    _ => share.of_compartments = reached,
                 }
             }
         }
         Ok(())
     }
 
-    /// Flattens the axon tables of consecutive sources.
-    fn connect_sources(&mut self, sources: Range<u32>, shortest_row: usize, drafts: &mut [Vec<Draft>]) {
+    /// Calls with what each of these sources reaches: source, share, place of the delay, lanes and weights.
+    fn reach(&self, sources: Range<u32>, delays: &[u8], mut each: impl FnMut(u32, usize, usize, &[Reached])) {
         let parts = self.program.parts();
-        let mut rows = vec![Vec::new(); self.shares.len()];
+        let mut place_of = [0; u8::MAX as usize + 1];
+        for (place, &delay) in delays.iter().enumerate() {
+            place_of[usize::from(delay)] = place;
+        }
+        let mut reached = vec![vec![Vec::new(); delays.len()]; self.shares.len()];
         for source in sources {
             let messages = match source.checked_sub(self.channels) {
                 None => self.program.channel(ChannelId(source)),
@@ -448,50 +437,18 @@ impl<'p> Image<'p> {
             };
             for message in messages {
                 let image = &parts.cores[message.core];
-                let synapses = image.synapses.get(usize::from(message.axon));
-                self.append(image, synapses, shortest_row, &mut rows, drafts);
-            }
-            for ((share, rows), drafts) in self.shares.iter_mut().zip(&mut rows).zip(drafts.iter_mut()) {
-                share.close(source, rows);
-                drafts.iter_mut().for_each(Draft::close);
-            }
-        }
-    }
-
-    /// Adds one axon's list to the source that is being connected: consecutive lanes as a row, others one by one.
-    fn append(
-        &mut self,
-        image: &CoreImage,
-        synapses: &[Synapse],
-        shortest_row: usize,
-        rows: &mut [Vec<Row>],
-        drafts: &mut [Vec<Draft>],
-    ) {
-        let place = |image_of: &Self, synapse: &Synapse| {
-            let (share, lane) = image_of.lane(image.ids[usize::from(synapse.slot)]);
-            (share, lane, synapse.delay.get())
-        };
-        let mut from = 0;
-        while from < synapses.len() {
-            let (share, lane, delay) = place(self, &synapses[from]);
-            let follows = |(i, synapse): &(usize, &Synapse)| place(self, synapse) == (share, lane + i, delay);
-            let run = synapses[from..].iter().enumerate().take_while(follows).count();
-            let weights = synapses[from..from + run].iter().map(|synapse| units(image, synapse) as i16);
-            let data = &mut self.shares[share];
-            if run >= shortest_row {
-                let chunks = run.div_ceil(LANES);
-                rows[share].push(Row { target: lane as u32, chunks: chunks as u16, synapses: run as u16, delay });
-                let mut weights = weights;
-                let chunk = |_| std::array::from_fn(|_| weights.next().unwrap_or(0));
-                data.weights.extend((0..chunks).map(chunk));
-            } else {
-                let draft = drafts[share].iter_mut().find(|draft| draft.delay() == delay);
-                let draft = draft.expect("every delay has a table");
-                for (lane, weight) in (lane..).zip(weights) {
-                    draft.push(lane as u32, weight);
+                for synapse in image.synapses.get(usize::from(message.axon)) {
+                    let (share, lane) = self.lane(image.ids[usize::from(synapse.slot)]);
+                    let delay = place_of[usize::from(synapse.delay.get())];
+                    reached[share][delay].push((lane as u32, units(image, synapse) as i16));
                 }
             }
-            from += run;
+            for (share, reached) in reached.iter_mut().enumerate() {
+                for (delay, reached) in reached.iter_mut().enumerate() {
+                    each(source, share, delay, reached);
+                    reached.clear();
+                }
+            }
         }
     }
 }
@@ -505,29 +462,9 @@ impl Share {
             stretches: Vec::new(),
             granules: Vec::new(),
             driven: Vec::new(),
-            panels: Vec::new(),
-            weights: Vec::new(),
             of_channels: Vec::new(),
             of_compartments: Vec::new(),
         }
-    }
-
-    /// Ends a source's lists; its rows, whose weights are the last, continue a panel or begin one.
-    fn close(&mut self, source: u32, rows: &mut Vec<Row>) {
-        if rows.is_empty() {
-            return;
-        }
-        if let Some(panel) = self.panels.last_mut()
-            && panel.end == source
-            && panel.rows == *rows
-        {
-            panel.end += 1;
-            rows.clear();
-            return;
-        }
-        let stride = rows.iter().map(|row| usize::from(row.chunks)).sum();
-        let weights = self.weights.len() - stride;
-        self.panels.push(Panel { first: source, end: source + 1, rows: std::mem::take(rows), weights, stride });
     }
 }
 

@@ -13,7 +13,8 @@ use crate::machine::image::{Block, BlockFields, Image, Share, Stretch};
 use crate::machine::kernel::{self, LANES, Portable, Sum, Vectors};
 use crate::machine::lists::Synapses;
 use crate::machine::neuron::{Registers, update};
-use crate::machine::ring::{Ring, Sources, ones};
+use crate::machine::ring::{Ring, ones};
+use crate::machine::store::Aligned;
 
 /// What a step is told.
 #[derive(Debug, Clone, Copy)]
@@ -88,9 +89,9 @@ enum Sums {
 /// Registers, and what was counted.
 #[derive(Debug)]
 pub(super) struct State {
-    u: Vec<i32>,
+    u: Aligned<i32>,
     /// As `kernel::store` writes them; plain where `hold` is not empty.
-    v: Vec<i32>,
+    v: Aligned<i32>,
     /// Steps until v is free again, where a voltage may need its whole register: in SLAYER's semantics.
     hold: Vec<u8>,
     /// Granules that are not at rest.
@@ -137,8 +138,8 @@ impl Lanes {
         let words = share.driven.len();
         let holds = if image.semantics == Semantics::Slayer { share.lanes } else { 0 };
         let state = State {
-            u: vec![0; share.lanes],
-            v: vec![0; share.lanes],
+            u: Aligned::new(share.lanes),
+            v: Aligned::new(share.lanes),
             hold: vec![0; holds],
             busy: vec![0; words],
             spiked: vec![0; share.lanes + FORESEEN],
@@ -152,7 +153,8 @@ impl Lanes {
             overflow: Overflow::default(),
             visited: 0,
         };
-        let mut tables = share.of_channels.iter().chain(&share.of_compartments);
+        let mut tables =
+            share.of_channels.iter().chain(&share.of_compartments).filter_map(|reach| reach.table.as_ref());
         let small = tables.any(|table| matches!(table.synapses, Synapses::Small(_)));
         let ring = match image.narrow {
             true => Sums::Narrow(Ring::new(share.lanes, small, words, slots)),
@@ -235,19 +237,16 @@ impl State {
     #[inline(always)]
     fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
         let cursor = order.step as usize % ring.sums.len();
-        let channels = Sources { ids: order.channels, first: 0, lists: &share.of_channels };
-        let first = image.channels as usize;
-        let carried = Sources { ids: order.carried, first, lists: &share.of_compartments };
         self.events_now = 0;
         if order.everywhere {
             let granules = share.granules.len() - 1;
             // Arrivals of this step's spikes may lie in any slot that a delay leads to.
             ring.note_all(granules);
-            self.events_now += ring.deliver::<false, _>(share, channels, cursor, order.left);
-            self.events_now += ring.deliver::<false, _>(share, carried, cursor, order.left);
+            self.events_now += ring.deliver::<false, _>(&share.of_channels, order.channels, cursor, order.left);
+            self.events_now += ring.deliver::<false, _>(&share.of_compartments, order.carried, cursor, order.left);
         } else {
-            self.events_now += ring.deliver::<true, _>(share, channels, cursor, order.left);
-            self.events_now += ring.deliver::<true, _>(share, carried, cursor, order.left);
+            self.events_now += ring.deliver::<true, _>(&share.of_channels, order.channels, cursor, order.left);
+            self.events_now += ring.deliver::<true, _>(&share.of_compartments, order.carried, cursor, order.left);
         }
         self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, share, order, vectors);
         self.note_spikes(share);

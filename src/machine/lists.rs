@@ -3,7 +3,7 @@
 //! Comes in: lanes and weights, source after source ([`Draft`]). Goes out: a [`Table`] of them in the narrowest form that
 //! holds all. Where spikes are rare their lists come from far away in memory, and what a synapse costs is the lines of the
 //! cache that it lies in; so a list is laid where it touches as few as its length allows. What it leaves out on purpose:
-//! consecutive lanes, which are rows of panels (`image`).
+//! lanes beside each other, which are rows of `panels`.
 
 use std::ops::Range;
 
@@ -15,13 +15,11 @@ const STEP: usize = 4;
 /// Bytes of a synapse whose weight fits 8 bits and whose lane 16.
 const SMALL: usize = 3;
 /// Bytes of one whose weight fits beside its lane.
-const PACKED: usize = 4;
+pub(super) const PACKED: usize = 4;
 
-/// Synapses of one delay from the sources of one kind; weights in units of 64.
+/// Synapses from the sources of one kind; weights in units of 64.
 #[derive(Debug)]
 pub(super) struct Table {
-    /// Delay field.
-    pub delay: u8,
     /// Where each source's list is.
     pub places: Vec<Place>,
     /// The synapses.
@@ -214,7 +212,6 @@ impl Table {
 /// A table while it is written: lanes and weights as they come.
 #[derive(Debug)]
 pub(super) struct Draft {
-    delay: u8,
     packing: Packing,
     /// Synapses up to the end of each source.
     ends: Vec<usize>,
@@ -232,14 +229,9 @@ enum Words {
 
 impl Draft {
     /// Nothing yet, of a share with so many lanes.
-    pub fn new(delay: u8, lanes: usize) -> Self {
+    pub fn new(lanes: usize) -> Self {
         let words = Words::Packed(Vec::new());
-        Draft { delay, packing: Packing::new(lanes), ends: Vec::new(), words, small: lanes >= SMALL_FROM }
-    }
-
-    /// The delay field.
-    pub fn delay(&self) -> u8 {
-        self.delay
+        Draft { packing: Packing::new(lanes), ends: Vec::new(), words, small: lanes >= SMALL_FROM }
     }
 
     fn len(&self) -> usize {
@@ -276,7 +268,7 @@ impl Draft {
     /// # Errors
     /// The number of synapses when there are too many to say where each list is.
     pub fn finish(self) -> Result<Option<Table>, usize> {
-        let Draft { delay, packing, ends, words, small } = self;
+        let Draft { packing, ends, words, small } = self;
         let begins = || std::iter::once(0).chain(ends.iter().copied());
         let lists = || begins().zip(&ends).map(|(begin, &end)| begin..end);
         let total = ends.last().copied().unwrap_or(0);
@@ -314,7 +306,7 @@ impl Draft {
                 (lists().map(place).collect::<Option<_>>().ok_or(total)?, Synapses::Apart(Apart { targets, weights }))
             }
         };
-        Ok(Some(Table { delay, places, synapses, ahead }))
+        Ok(Some(Table { places, synapses, ahead }))
     }
 }
 
@@ -343,7 +335,7 @@ mod tests {
 
     /// What the table of these lists says.
     fn read(lists: &[Vec<(u32, i16)>], lanes: usize) -> (Vec<Vec<(u32, i16)>>, Table) {
-        let mut draft = Draft::new(0, lanes);
+        let mut draft = Draft::new(lanes);
         for list in lists {
             list.iter().for_each(|&(target, weight)| draft.push(target, weight));
             draft.close();
@@ -411,7 +403,7 @@ mod tests {
 
     #[test]
     fn an_empty_table_is_none() {
-        let mut draft = Draft::new(3, 100);
+        let mut draft = Draft::new(100);
         draft.close();
         assert!(draft.finish().unwrap().is_none());
     }

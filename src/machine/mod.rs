@@ -19,6 +19,7 @@ pub mod kernel;
 mod lanes;
 mod lists;
 pub mod neuron;
+mod panels;
 mod prefetch;
 mod ring;
 mod store;

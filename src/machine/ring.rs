@@ -1,13 +1,15 @@
 //! What is in flight: sums by lane and step of arrival, and the delivery of spikes into them.
 //!
-//! Comes in: who spiked, panels and lists of a [`Share`]. Goes out: sums of weights in units of 64, the granules that they
+//! Comes in: who spiked, panels and lists of what they reach. Goes out: sums of weights in units of 64, the granules that they
 //! lie in, and over how many synapses they came. What the sums do to a compartment is not its matter (`lanes`).
 
 use crate::base::id::Id;
-use crate::machine::image::{GRANULE, Panel, Row, Share};
+use crate::machine::image::{GRANULE, Reach};
 use crate::machine::kernel::{LANES, Sum};
 use crate::machine::lists::{ADDRESSED, Lists, Synapses, Table};
+use crate::machine::panels::{Counts, Panel, Panels, Row};
 use crate::machine::prefetch::{prefetch, prefetch_range};
+use crate::machine::store::Aligned;
 
 /// What arrives in the coming steps, a slot each.
 #[derive(Debug)]
@@ -15,7 +17,7 @@ pub(super) struct Ring<S> {
     /// Lanes of the share.
     lanes: usize,
     /// Sums in units of 64, by lane; small lists may name more lanes than there are.
-    pub sums: Vec<Vec<S>>,
+    pub sums: Vec<Aligned<S>>,
     /// Granules with arrivals, a bit each.
     pub arrivals: Vec<Vec<u64>>,
 }
@@ -25,7 +27,7 @@ impl<S: Sum> Ring<S> {
     pub fn new(lanes: usize, small: bool, words: usize, slots: usize) -> Self {
         // What lies beyond the lanes is never written, so it is memory by name only.
         let sums = if small { lanes.max(ADDRESSED) } else { lanes };
-        Ring { lanes, sums: vec![vec![S::default(); sums]; slots], arrivals: vec![vec![0; words]; slots] }
+        Ring { lanes, sums: (0..slots).map(|_| Aligned::new(sums)).collect(), arrivals: vec![vec![0; words]; slots] }
     }
 
     /// Bytes of memory that it holds.
@@ -58,49 +60,38 @@ impl<S: Sum> Ring<S> {
         if slot >= self.sums.len() { slot - self.sums.len() } else { slot }
     }
 
-    /// Delivers what these sources reach, and notes where; returns the synapses over which it
-    /// arrives within `left` steps.
+    /// Delivers what spikes of one kind, ascending, reach, and notes where; returns the synapses over which it arrives within
+    /// `left` steps.
     #[inline(always)]
-    pub fn deliver<const NOTE: bool, I: Id>(
-        &mut self,
-        share: &Share,
-        sources: Sources<'_, I>,
-        cursor: usize,
-        left: u32,
-    ) -> u64 {
+    pub fn deliver<const NOTE: bool, I: Id>(&mut self, reached: &[Reach], ids: &[I], cursor: usize, left: u32) -> u64 {
         let mut events = 0;
-        if !share.panels.is_empty() {
-            events += self.deliver_panels::<NOTE, I>(share, sources, cursor, left);
-        }
-        for table in sources.lists {
-            let slot = self.slot(cursor, table.delay);
-            let synapses = self.deliver_lists::<NOTE, I>(table, sources.ids, slot);
-            events += if u32::from(table.delay) < left { synapses } else { 0 };
+        for reach in reached {
+            let slot = self.slot(cursor, reach.delay);
+            let mut synapses = 0;
+            if !reach.panels.panels.is_empty() {
+                synapses += self.deliver_panels::<NOTE, I>(&reach.panels, ids, slot);
+            }
+            if let Some(table) = &reach.table {
+                synapses += self.deliver_lists::<NOTE, I>(table, ids, slot);
+            }
+            events += if u32::from(reach.delay) < left { synapses } else { 0 };
         }
         events
     }
 
     #[inline(always)]
-    fn deliver_panels<const NOTE: bool, I: Id>(
-        &mut self,
-        share: &Share,
-        sources: Sources<'_, I>,
-        cursor: usize,
-        left: u32,
-    ) -> u64 {
-        let (mut events, mut panels, mut rest) = (0, share.panels.as_slice(), sources.ids);
-        while let Some(&next) = rest.first() {
-            let next = sources.number(next) as u32;
-            let passed = first_at_least(panels, |panel| panel.end > next);
+    fn deliver_panels<const NOTE: bool, I: Id>(&mut self, panels: &Panels, ids: &[I], slot: usize) -> u64 {
+        let weights = panels.weights();
+        let (mut events, mut panels, mut rest) = (0, panels.panels.as_slice(), ids);
+        while let Some(next) = rest.first() {
+            let passed = first_at_least(panels, |panel| panel.end as usize > next.index());
             panels = &panels[passed..];
             let Some(panel) = panels.first() else { break };
-            rest = &rest[sources.before(rest, panel.first)..];
-            let within = sources.before(rest, panel.end);
-            let (spiking, after) = rest.split_at(within);
+            rest = &rest[before(rest, panel.first)..];
+            let (spiking, after) = rest.split_at(before(rest, panel.end));
             rest = after;
             if !spiking.is_empty() {
-                events +=
-                    self.deliver_panel::<NOTE, I>(share, panel, Sources { ids: spiking, ..sources }, cursor, left);
+                events += self.deliver_panel::<NOTE, I>(panel, weights, spiking, slot);
             }
         }
         events
@@ -111,47 +102,42 @@ impl<S: Sum> Ring<S> {
     #[inline(always)]
     fn deliver_panel<const NOTE: bool, I: Id>(
         &mut self,
-        share: &Share,
         panel: &Panel,
-        sources: Sources<'_, I>,
-        cursor: usize,
-        left: u32,
+        weights: &[[i16; LANES]],
+        ids: &[I],
+        slot: usize,
     ) -> u64 {
-        let (mut events, mut chunk) = (0, 0);
+        let sources = || ids.iter().map(|id| id.index() - panel.first as usize);
+        let mut chunk = panel.weights;
         for row in &panel.rows {
-            let slot = self.slot(cursor, row.delay);
             if NOTE {
-                self.note(slot, row, share.lanes);
+                self.note(slot, row);
             }
-            let count = usize::from(row.chunks);
+            let count = row.chunks as usize;
             let target = row.target as usize;
             let (sums, _) = self.sums[slot][target..target + count * LANES].as_chunks_mut::<LANES>();
-            let weights = &share.weights[panel.weights + chunk..];
-            let first = panel.first as usize;
+            let weights = &weights[chunk..];
             let (fours, ones) = sums.as_chunks_mut::<4>();
             for (index, sums) in fours.iter_mut().enumerate() {
-                add(sums, weights, sources.numbers().map(|s| (s - first) * panel.stride + 4 * index));
+                add(sums, weights, sources().map(|s| s * panel.stride + 4 * index));
             }
             let left_of = 4 * fours.len();
             for (index, sums) in ones.iter_mut().enumerate() {
-                let offset = left_of + index;
-                add(
-                    std::array::from_mut(sums),
-                    weights,
-                    sources.numbers().map(|s| (s - first) * panel.stride + offset),
-                );
+                add(std::array::from_mut(sums), weights, sources().map(|s| s * panel.stride + left_of + index));
             }
-            events += if u32::from(row.delay) < left { u64::from(row.synapses) } else { 0 };
             chunk += count;
         }
-        events * sources.ids.len() as u64
+        match &panel.synapses {
+            Counts::Same(count) => u64::from(*count) * ids.len() as u64,
+            Counts::Each(counts) => sources().map(|s| u64::from(counts[s])).sum(),
+        }
     }
 
     /// Notes that something arrives at a row's granules.
     #[inline(always)]
-    fn note(&mut self, slot: usize, row: &Row, lanes: usize) {
+    fn note(&mut self, slot: usize, row: &Row) {
         let target = row.target as usize;
-        let last = (target + usize::from(row.chunks) * LANES - 1).min(lanes - LANES - 1);
+        let last = target + row.chunks as usize * LANES - 1;
         for granule in target / GRANULE..=last / GRANULE {
             self.arrivals[slot][granule / 64] |= 1 << (granule % 64);
         }
@@ -159,7 +145,7 @@ impl<S: Sum> Ring<S> {
 
     #[inline(always)]
     fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
-        let (sums, arrivals) = (self.sums[slot].as_mut_slice(), self.arrivals[slot].as_mut_slice());
+        let (sums, arrivals) = (&mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
         let mut note = |target: usize| {
             if NOTE {
                 let granule = target / GRANULE;
@@ -214,39 +200,16 @@ const FAR: usize = 12;
 /// Spikes so few that they are counted faster than searched.
 const COUNTED: usize = 64;
 
-/// Spikes of one kind, ascending.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sources<'a, I> {
-    /// The spikes.
-    pub ids: &'a [I],
-    /// The number as a source of the kind's first.
-    pub first: usize,
-    /// Lists of the kind.
-    pub lists: &'a [Table],
-}
-
-impl<'a, I: Id> Sources<'a, I> {
-    #[inline(always)]
-    fn number(self, id: I) -> usize {
-        self.first + id.index()
-    }
-
-    /// How many of these come before a source; often it is none or all.
-    #[inline(always)]
-    fn before(self, ids: &[I], number: u32) -> usize {
-        let is = |id: &I| (self.number(*id) as u32) < number;
-        match (ids.first().is_some_and(is), ids.last().is_some_and(is)) {
-            (false, _) => 0,
-            (true, true) => ids.len(),
-            // Counting all of a few needs no decisions.
-            (true, false) if ids.len() <= COUNTED => ids.iter().map(|id| usize::from(is(id))).sum(),
-            (true, false) => ids.partition_point(is),
-        }
-    }
-
-    #[inline(always)]
-    fn numbers(self) -> impl Iterator<Item = usize> + use<'a, I> {
-        self.ids.iter().map(move |&id| self.number(id))
+/// How many of these, ascending, come before a source; often it is none or all.
+#[inline(always)]
+fn before<I: Id>(ids: &[I], source: u32) -> usize {
+    let is = |id: &I| (id.index() as u32) < source;
+    match (ids.first().is_some_and(is), ids.last().is_some_and(is)) {
+        (false, _) => 0,
+        (true, true) => ids.len(),
+        // Counting all of a few needs no decisions.
+        (true, false) if ids.len() <= COUNTED => ids.iter().map(|id| usize::from(is(id))).sum(),
+        (true, false) => ids.partition_point(is),
     }
 }
 
