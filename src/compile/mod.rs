@@ -272,8 +272,7 @@ pub fn compile_network_with_mapping(
     options: &Options,
     file: &MappingFile,
 ) -> Result<Compiled, CompileError> {
-    let Front { one, clock, .. } = front(network)?;
-    remapped(one, target, options, file, clock)
+    front(network)?.map_saved(target, options, file)
 }
 
 /// A network in integers, before it is mapped.
@@ -367,6 +366,14 @@ impl Front {
     /// [`CompileError`].
     pub fn map_for(self, target: &Target, options: &Options, rates: &Rates) -> Result<Compiled, CompileError> {
         mapped(self.one, target, options, rates, self.clock)
+    }
+
+    /// The network on the cores of a saved mapping, pruned as it was for the mapping.
+    ///
+    /// # Errors
+    /// [`CompileError`].
+    pub fn map_saved(self, target: &Target, options: &Options, file: &MappingFile) -> Result<Compiled, CompileError> {
+        remapped(self.one, target, options, file, self.clock)
     }
 }
 
@@ -471,7 +478,7 @@ fn placed(
     rates: &Rates,
 ) -> Result<(Placement, &'static str), Reason> {
     if !options.place {
-        return Ok((place::sequential(partition, target)?, place::SEQUENTIAL));
+        return Ok((place::sequential(partition.cores(), target)?, place::SEQUENTIAL));
     }
     let work = u64::from(options.effort_s) * PLACED_PER_SECOND;
     place::place(
@@ -489,10 +496,8 @@ fn remapped(
     file: &MappingFile,
     mut clock: Clock,
 ) -> Result<Compiled, CompileError> {
-    if options.copies != file.copies {
-        let message = format!("the mapping is of {} copies, not {}", file.copies, options.copies);
-        return Err(CompileError::Input(Diagnostic::new("mapping.copies", message)));
-    }
+    saved::of_copies(file, options.copies).map_err(CompileError::Input)?;
+    described::within_reach("running it on cores", &one, options.copies).map_err(CompileError::Input)?;
     one = match (&file.pruned, one.pruned()) {
         (Some(said), None) => {
             let plan = saved::plan(said, &one).map_err(CompileError::Input)?;

@@ -8,6 +8,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::base::fixed::Delay;
 use crate::base::id::{Id, IdVec, PopulationId};
@@ -186,13 +187,24 @@ impl Channels {
     }
 }
 
-/// What a core that holds a box uses.
+/// Synapses of a box with sources in one population.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Arriving {
+    /// The sources' population.
+    pub source: PopulationId,
+    /// In lists without indices.
+    pub dense: u64,
+    /// In lists with indices or runs.
+    pub sparse: u64,
+}
+
+/// What a core that holds a box uses.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BoxUse {
     /// Everything but output axons and profiles.
     pub usage: CoreUsage,
-    /// Of its synapses, those in lists without indices.
-    pub dense: u64,
+    /// Its synapses, by where they come from.
+    pub arriving: Arc<[Arriving]>,
 }
 
 fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, &Side, &Side)) -> BoxUse {
@@ -202,10 +214,11 @@ fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, 
     let reaching: Vec<usize> = (0..layer.incoming.len()).filter(|&i| reaching(i)).collect();
     let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::of(compartments, longest, limits.packing);
-    let (mut tallies, mut synapses, mut dense) = (Tallies::default(), 0, 0);
+    let (mut tallies, mut arriving) = (Tallies::default(), Vec::new());
     let mut slots: Vec<u16> = Vec::new();
     for &i in &reaching {
-        let Incoming { format, delay, .. } = layer.incoming[i];
+        let Incoming { source, format, delay, .. } = layer.incoming[i];
+        let (mut dense, mut sparse) = (0, 0);
         for (reached_rows, of_rows) in &rows.patterns[i] {
             for (reached_columns, of_columns) in &columns.patterns[i] {
                 for &(reached, of_channels) in &channels.reached[i] {
@@ -232,33 +245,77 @@ fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, 
                     };
                     let lists = of_rows * of_columns * of_channels;
                     tallies.lists(format, group, lists, widths, limits);
-                    synapses += lists * slots.len() as u64;
-                    dense += if group.dense { lists * slots.len() as u64 } else { 0 };
+                    *if group.dense { &mut dense } else { &mut sparse } += lists * slots.len() as u64;
                 }
             }
         }
+        arriving.push(Arriving { source, dense, sparse });
     }
     let stored = tallies.stored(limits);
     let usage = CoreUsage {
         compartments,
         axons_in: tallies.axons,
-        synapses,
+        synapses: arriving.iter().map(|of| of.dense + of.sparse).sum(),
         synapse_words: stored.words,
         synapse_words_per_axon: stored.widest,
         synapse_formats: stored.formats.len() as u32,
         accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
         ..CoreUsage::default()
     };
-    BoxUse { usage, dense }
+    BoxUse { usage, arriving: arriving.into() }
+}
+
+/// Where a layer is cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lattice {
+    /// Channels, rows and columns of a box; those at the end may be smaller.
+    pub size: (u32, u32, u32),
+    /// Boxes along channels, rows and columns.
+    along: (u32, u32, u32),
+}
+
+impl Lattice {
+    /// A layer of this shape in boxes of this size; `None` when a box has no or more sides than the layer.
+    #[must_use]
+    pub fn new(shape: (u32, u32, u32), size: (u32, u32, u32)) -> Option<Self> {
+        let within = |length: u32, size: u32| (1..=length).contains(&size).then(|| length.div_ceil(size));
+        let along = (within(shape.0, size.0)?, within(shape.1, size.1)?, within(shape.2, size.2)?);
+        Some(Lattice { size, along })
+    }
+
+    /// Number of boxes.
+    #[must_use]
+    pub fn boxes(&self) -> u32 {
+        self.along.0 * self.along.1 * self.along.2
+    }
+
+    /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
+    pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> + use<> {
+        let (channels, rows, columns) = self.along;
+        (0..rows).flat_map(move |y| {
+            let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
+            (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
+        })
+    }
+
+    /// The place of a box in that order.
+    #[must_use]
+    pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
+        let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
+        (y * self.along.2 + x) * self.along.0 + c
+    }
+
+    /// Indices of the compartments of every box, in slot order.
+    pub fn members(self, layer: &Layer) -> impl Iterator<Item = Vec<u32>> + use<'_> {
+        self.order().map(move |at| tiles::cell(layer.shape, self.size, at, layer.own_only))
+    }
 }
 
 /// A layer cut into boxes, a core each.
 #[derive(Debug, Clone)]
 pub struct Cut {
-    /// Channels, rows and columns of a box; those at the end may be smaller.
-    pub size: (u32, u32, u32),
-    /// Boxes along channels, rows and columns.
-    along: (u32, u32, u32),
+    /// Where.
+    pub lattice: Lattice,
     kinds: [Vec<u32>; 3],
     uses: HashMap<(u32, u32, u32), BoxUse>,
 }
@@ -287,8 +344,10 @@ fn excess(used: &BoxUse, limits: &Limits) -> bool {
 }
 
 impl Cut {
-    fn new(layer: &Layer, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> Self {
-        let (c, h, w) = layer.shape;
+    /// A layer cut here.
+    #[must_use]
+    pub fn new(layer: &Layer, lattice: Lattice, formats: &Formats, limits: &Limits) -> Self {
+        let ((c, h, w), size) = (layer.shape, lattice.size);
         let side = |axis: fn(&Window) -> Axis, part: Range<u32>| Side {
             size: part.end - part.start,
             patterns: layer.incoming.iter().map(|incoming| axis(&incoming.window).patterns(&part)).collect(),
@@ -305,8 +364,7 @@ impl Cut {
                 }
             }
         }
-        let along = (of_channels.len() as u32, of_rows.len() as u32, of_columns.len() as u32);
-        Cut { size, along, kinds: [of_channels, of_rows, of_columns], uses }
+        Cut { lattice, kinds: [of_channels, of_rows, of_columns], uses }
     }
 
     /// The first grid, in the order of boxes and then of messages, of which every box fits a core with at most so many
@@ -323,7 +381,8 @@ impl Cut {
             if excess(&Cut::middle(layer, *size, formats, limits), limits) {
                 return false;
             }
-            let found = Cut::new(layer, *size, formats, limits);
+            let Some(lattice) = Lattice::new(layer.shape, *size) else { return false };
+            let found = Cut::new(layer, lattice, formats, limits);
             let fits = !found.uses.values().any(|used| excess(used, limits));
             cut = fits.then_some(found);
             fits
@@ -331,7 +390,8 @@ impl Cut {
         cut.map_or_else(
             || {
                 let alone = Cut::middle(layer, (1, 1, 1), formats, limits);
-                let found = Cut::new(layer, (1, 1, 1), formats, limits);
+                let lattice = Lattice { size: (1, 1, 1), along: layer.shape };
+                let found = Cut::new(layer, lattice, formats, limits);
                 if found.uses.values().any(|used| excess(used, limits)) { Err(alone) } else { Ok(found) }
             },
             Ok,
@@ -351,28 +411,6 @@ impl Cut {
         use_of(layer, formats, limits, (&channels, &rows, &columns))
     }
 
-    /// Number of boxes.
-    #[must_use]
-    pub fn boxes(&self) -> u32 {
-        self.along.0 * self.along.1 * self.along.2
-    }
-
-    /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
-    pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> {
-        let (channels, rows, columns) = self.along;
-        (0..rows).flat_map(move |y| {
-            let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
-            (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
-        })
-    }
-
-    /// The place of a box in that order.
-    #[must_use]
-    pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
-        let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
-        (y * self.along.2 + x) * self.along.0 + c
-    }
-
     /// The kind of a box: boxes of one kind use the same.
     #[must_use]
     pub fn kind(&self, (c, y, x): (u32, u32, u32)) -> (u32, u32, u32) {
@@ -381,7 +419,7 @@ impl Cut {
 
     /// What the core of a box uses.
     #[must_use]
-    pub fn used(&self, at: (u32, u32, u32)) -> BoxUse {
-        self.uses[&self.kind(at)]
+    pub fn used(&self, at: (u32, u32, u32)) -> &BoxUse {
+        &self.uses[&self.kind(at)]
     }
 }
