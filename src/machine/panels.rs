@@ -443,7 +443,7 @@ mod tests {
                 all_listed += place.len();
                 match &table.synapses {
                     Synapses::Small(lists) => {
-                        lists.each(place, Part::Whole, |lane, weight| hold(lane.into(), weight.into()))
+                        lists.each(place, Part::Whole, |lane, weight| hold(lane.into(), weight.into()));
                     }
                     Synapses::Packed(lists) => lists.each(place, Part::Whole, &mut hold),
                     Synapses::Apart(lists) => lists.each(place, Part::Whole, &mut hold),
