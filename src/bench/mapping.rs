@@ -97,7 +97,7 @@ pub fn map_all(
     effort_s: u32,
     mut row: impl FnMut(Mapped),
 ) -> Result<(), Failure> {
-    if described::applies(&bench.network, &Options { copies: case.copies, ..Options::default() }) {
+    if described::applies(&bench.network, case.copies) {
         return by_kernels(case, bench, target, effort_s, row);
     }
     let meant = golden(&bench.network, &bench.period);

@@ -14,7 +14,7 @@ use crate::cli::jobs::Refusal;
 use crate::cli::run::{InputArgs, Switch, select};
 use crate::cli::{Answer, Context, common, inputs};
 use crate::compile::convert::{self, Fit};
-use crate::compile::{self, CompileError, Options};
+use crate::compile::{self, CompileError, Options, described};
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
 use crate::golden::Golden;
@@ -129,6 +129,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = compile::front(&network)?.into_both();
+    described::within_reach("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let against = against(args, &graph, &analytic)?;

@@ -207,6 +207,7 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: u32, probed: &[&st
     }
     if wanted == Wanted::Quantised {
         let quantised = front(args, &network, probed)?.into_quantised();
+        described::within_reach("--engine golden", &quantised, 1)?;
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
     }
@@ -256,7 +257,10 @@ pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compi
     let of_name = |name: &&str| front.quantised().population_named(name);
     let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
-        Some(plan) => front.prune(&plan)?,
+        Some(plan) => {
+            described::within_reach("--prune", front.quantised(), 1)?;
+            front.prune(&plan)?
+        }
         None => front,
     })
 }
@@ -277,16 +281,13 @@ pub fn compiled(
     probed: &[&str],
 ) -> Result<Fit, Error> {
     args.prune.not_with_mapping(mapping.is_some())?;
+    let front = front(args, network, probed)?;
     let Some(file) = mapping else {
-        let front = front(args, network, probed)?;
-        if described::applies(front.quantised(), options) {
-            return Err(described::needs_synapses("running it on cores", front.quantised()).into());
-        }
+        described::within_reach("running it on cores", front.quantised(), options.copies)?;
         let pruned = front.quantised().pruned().cloned();
         return Ok((front.map(target, options), pruned));
     };
-    say_converted(network);
-    let compiled = compile::compile_network_with_mapping(network, target, options, file);
+    let compiled = front.map_saved(target, options, file);
     let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
     Ok((compiled, pruned))
 }

@@ -102,31 +102,37 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
     let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
+    args.job.prune.not_with_mapping(mapping.is_some())?;
+    let front = jobs::front(&args.job, &network, &[])?;
+    let described = described::applies(front.quantised(), options.copies);
+    if described && !args.profile.is_empty() {
+        return Err(described::needs_synapses("--profile", front.quantised(), options.copies).into());
+    }
     let (compiled, pruned) = match mapping.as_ref() {
+        Some(file) if described => {
+            (described::describe_saved(front.into_quantised(), &target, &options, file).map(Mapped::described), None)
+        }
         Some(file) => {
-            let (compiled, pruned) = jobs::compiled(&args.job, &network, &target, &options, Some(file), &[])?;
+            let compiled = front.map_saved(&target, &options, file);
+            let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
             (compiled.map(Mapped::written), pruned)
         }
         None => {
-            args.job.prune.not_with_mapping(false)?;
-            let front = jobs::front(&args.job, &network, &[])?;
             let pruned = front.quantised().pruned().cloned();
-            let described = described::applies(front.quantised(), &options);
-            if described {
-                not_described(args, front.quantised())?;
-            }
             let rates = match args.profile.as_slice() {
                 [] => Rates::assumed(traffic::DEFAULT_RATE),
                 inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
             };
-            if args.pareto.is_some()
-                && let Ok(found) = front.candidates(&target, &options, &rates)
-            {
-                candidates = found;
-            }
             let one = front.quantised().clone();
+            if args.pareto.is_some() {
+                let found = match described {
+                    true => described::candidates(one.clone(), &target, &options),
+                    false => front.candidates(&target, &options, &rates),
+                };
+                candidates = found.unwrap_or_default();
+            }
             let compiled = match described {
-                true => described::describe(one.clone(), &target, &options).map(Box::new).map(Mapped::Described),
+                true => described::describe(one.clone(), &target, &options).map(Mapped::described),
                 false => front.map_for(&target, &options, &rates).map(Mapped::written),
             };
             if let Err(CompileError::DoesNotFit(_)) = &compiled
@@ -163,8 +169,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
         common::print(context.format, text, json, || Ok(report::csv(outcome)))?;
     }
     if let Ok(mapped) = &mapped {
-        if let (Some(output), Mapped::Written(compiled)) = (&args.output, mapped) {
-            io::write::text(output, context.force, &io::mapping::mapping_text(&compiled.mapping_file())?)?;
+        if let Some(output) = &args.output {
+            io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
         }
         if let Some(path) = &args.svg {
             io::write::text(path, context.force, &map_svg::svg(mapped.layout(), &target, &mapped.links()))?;
@@ -185,6 +191,17 @@ enum Mapped {
 impl Mapped {
     fn written(compiled: Compiled) -> Self {
         Mapped::Written(Box::new(compiled))
+    }
+
+    fn described(described: Described) -> Self {
+        Mapped::Described(Box::new(described))
+    }
+
+    fn mapping_file(&self) -> MappingFile {
+        match self {
+            Mapped::Written(compiled) => compiled.mapping_file(),
+            Mapped::Described(described) => described.mapping_file(),
+        }
     }
 
     fn layout(&self) -> Layout<'_> {
@@ -213,16 +230,6 @@ impl Mapped {
             Mapped::Written(compiled) => expect::score_with(compiled, &compiled.rates, traffic, target),
             Mapped::Described(described) => described.score(traffic, target),
         }
-    }
-}
-
-/// Refuses what needs more of a network than its description.
-fn not_described(args: &MapArgs, network: &Quantised) -> Result<(), Diagnostic> {
-    let asked =
-        [(args.output.is_some(), "-o"), (args.pareto.is_some(), "--pareto"), (!args.profile.is_empty(), "--profile")];
-    match asked.into_iter().find(|(asked, _)| *asked) {
-        Some((_, option)) => Err(described::needs_synapses(option, network)),
-        None => Ok(()),
     }
 }
 

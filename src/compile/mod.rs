@@ -5,7 +5,6 @@
 //! and checked against its network by code that shares nothing with the stages that made it.
 
 pub mod axis;
-pub mod boxes;
 pub mod check;
 pub mod convert;
 pub mod copies;
@@ -15,6 +14,7 @@ pub mod fanin;
 pub mod fill;
 pub mod formats;
 pub mod gather;
+pub mod geometry;
 pub mod lower;
 pub mod memory;
 pub mod packing;
@@ -275,8 +275,7 @@ pub fn compile_network_with_mapping(
     options: &Options,
     file: &MappingFile,
 ) -> Result<Compiled, CompileError> {
-    let Front { one, clock, .. } = front(network)?;
-    remapped(one, target, options, file, clock)
+    front(network)?.map_saved(target, options, file)
 }
 
 /// A network in integers, before it is mapped.
@@ -370,6 +369,14 @@ impl Front {
     /// [`CompileError`].
     pub fn map_for(self, target: &Target, options: &Options, rates: &Rates) -> Result<Compiled, CompileError> {
         mapped(self.one, target, options, rates, self.clock)
+    }
+
+    /// The network on the cores of a saved mapping, pruned as it was for the mapping.
+    ///
+    /// # Errors
+    /// [`CompileError`].
+    pub fn map_saved(self, target: &Target, options: &Options, file: &MappingFile) -> Result<Compiled, CompileError> {
+        remapped(self.one, target, options, file, self.clock)
     }
 }
 
@@ -474,7 +481,7 @@ fn placed(
     rates: &Rates,
 ) -> Result<(Placement, &'static str), Reason> {
     if !options.place {
-        return Ok((place::sequential(partition, target)?, place::SEQUENTIAL));
+        return Ok((place::sequential(partition.cores(), target)?, place::SEQUENTIAL));
     }
     let work = u64::from(options.effort_s) * PLACED_PER_SECOND;
     place::place(
@@ -492,10 +499,8 @@ fn remapped(
     file: &MappingFile,
     mut clock: Clock,
 ) -> Result<Compiled, CompileError> {
-    if options.copies != file.copies {
-        let message = format!("the mapping is of {} copies, not {}", file.copies, options.copies);
-        return Err(CompileError::Input(Diagnostic::new("mapping.copies", message)));
-    }
+    saved::of_copies(file, options.copies).map_err(CompileError::Input)?;
+    described::within_reach("running it on cores", &one, options.copies).map_err(CompileError::Input)?;
     one = match (&file.pruned, one.pruned()) {
         (Some(said), None) => {
             let plan = saved::plan(said, &one).map_err(CompileError::Input)?;

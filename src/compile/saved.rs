@@ -7,6 +7,7 @@
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::compile::described;
 use crate::compile::packing::MOST_SLOTS;
 use crate::compile::prune::{Plan, Scene};
 use crate::desc::mapping::{MappedCore, MappingFile, PrunedFile, Run};
@@ -51,18 +52,22 @@ pub fn save(network: &Quantised, partition: &Partition, placement: &Placement, o
         .collect();
     let Origin { target, copies, strategy, seed } = origin;
     let pruned = network.pruned().map(|pruned| pruned_file(pruned));
-    MappingFile { model: network.parts().name.clone(), target, copies, strategy, seed, pruned, cores }
+    let layers = Vec::new();
+    MappingFile { model: network.parts().name.clone(), target, copies, strategy, seed, pruned, cores, layers }
 }
 
 /// The first copy alone, on the cores that hold a part of it.
 #[must_use]
 pub fn one_copy(file: &MappingFile) -> MappingFile {
     // Populations of further copies are called name@k, and no population of a model has such a name.
+    let is_first = |population: &str| !population.contains('@');
     let of_first = |core: &MappedCore| {
-        let holds: Vec<Run> = core.holds.iter().filter(|run| !run.population.contains('@')).cloned().collect();
+        let holds: Vec<Run> = core.holds.iter().filter(|run| is_first(&run.population)).cloned().collect();
         (!holds.is_empty()).then(|| MappedCore { holds, ..core.clone() })
     };
-    MappingFile { copies: 1, cores: file.cores.iter().filter_map(of_first).collect(), ..file.clone() }
+    let cores = file.cores.iter().filter_map(of_first).collect();
+    let layers = file.layers.iter().filter(|layer| is_first(&layer.population)).cloned().collect();
+    MappingFile { copies: 1, cores, layers, ..file.clone() }
 }
 
 /// Finds the name of a compartment's population, and the index that the model file gives it, by bisection.
@@ -139,19 +144,52 @@ pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> 
 /// Compartments of each core in slot order, and where each core is.
 pub type Membership = (IdVec<CoreId, Vec<CompartmentId>>, IdVec<CoreId, Site>);
 
+/// Makes sure that a file is of this model and this target.
+///
+/// # Errors
+/// `mapping.model`, `mapping.target`.
+pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(), Diagnostic> {
+    let (model, board) = (&network.parts().name, target.name());
+    if file.model != *model {
+        let message = format!("the mapping was made for model {}, not {model}", file.model);
+        return Err(Diagnostic::new("mapping.model", message));
+    }
+    if file.target != board {
+        let message = format!("the mapping was made for target {}, not {board}", file.target);
+        return Err(Diagnostic::new("mapping.target", message));
+    }
+    Ok(())
+}
+
+/// Makes sure that a file is of so many copies.
+///
+/// # Errors
+/// `mapping.copies`.
+pub fn of_copies(file: &MappingFile, copies: u32) -> Result<(), Diagnostic> {
+    let message = || format!("the mapping is of {} copies, not {copies}", file.copies);
+    if file.copies == copies { Ok(()) } else { Err(Diagnostic::new("mapping.copies", message())) }
+}
+
+/// The places of all cores of a file, in order.
+///
+/// # Errors
+/// `mapping.site` for a core that the mesh does not have, and for one that is named twice.
+pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement, Diagnostic> {
+    let listed = file.cores.iter().map(|at| Ok(Site { chip: at.chip, x: at.x, y: at.y, core: at.core }));
+    let boxes = file.places().map(|place| described::saved::site(&mesh, place));
+    let sites = listed.chain(boxes).collect::<Result<_, Diagnostic>>()?;
+    Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))
+}
+
 /// The membership and the places that a file gives; `network` is all copies that the file is for.
 ///
 /// # Errors
 /// A diagnostic that names what does not match: the model, the target, a population, a run, a compartment, a place.
 pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<Membership, Diagnostic> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
-    if file.model != network.parts().name {
-        let (made, model) = (&file.model, &network.parts().name);
-        return wrong("mapping.model", format!("the mapping was made for model {made}, not {model}"));
-    }
-    if file.target != target.name() {
-        let (made, target) = (&file.target, target.name());
-        return wrong("mapping.target", format!("the mapping was made for target {made}, not {target}"));
+    belongs(file, network, target)?;
+    if !file.layers.is_empty() {
+        return described::saved::membership(file, network, target);
     }
     let names: std::collections::HashMap<&str, (PopulationId, u32, u32)> = network
         .populations()

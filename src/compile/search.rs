@@ -21,13 +21,13 @@ use crate::desc::target::{Limits, Target};
 use crate::ir::quantised::Quantised;
 
 /// Parts of a core, as divisors, that candidates fill.
-const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
+pub(super) const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 /// How much less a mean step must take to be trusted to take no longer when spikes come together.
 const MARGIN: f64 = 0.9;
 /// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
 const SHORT: f64 = 0.1;
 /// Populations whose bursts candidates are compared in.
-const MOST_BURSTS: usize = 16;
+pub(super) const MOST_BURSTS: usize = 16;
 /// Synapses that a second of effort allows to be mapped anew, over all candidates.
 const SYNAPSES_PER_SECOND: u64 = 4_000_000;
 
@@ -48,18 +48,23 @@ fn strategy_name<S: serde::Serializer>(strategy: &Strategy, serializer: S) -> Re
 }
 
 /// A candidate that fits.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 pub struct Found {
     /// How it was made.
     pub candidate: Candidate,
     /// What it is worth.
     pub score: Score,
-    /// The mapping.
-    routed: Routed,
+}
+
+/// A candidate with its mapping.
+#[derive(Debug)]
+pub(super) struct Made<M> {
+    pub(super) found: Found,
+    pub(super) mapping: M,
 }
 
 /// A core's limits divided, never below what one compartment of any network may need.
-fn divided(target: &Target, divisor: u32) -> Target {
+pub(super) fn divided(target: &Target, divisor: u32) -> Target {
     let limits = target.limits();
     let divided = Limits {
         compartments: (limits.compartments / divisor).max(1),
@@ -79,6 +84,10 @@ pub fn candidates(
     options: &Options,
     rates: &Rates,
 ) -> Result<Vec<Found>, CompileError> {
+    Ok(all(one, target, options, rates)?.into_iter().map(|made| made.found).collect())
+}
+
+fn all(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Result<Vec<Made<Routed>>, CompileError> {
     let synapses = one.synapses() * u64::from(options.copies);
     let affordable = (u64::from(options.effort_s) * SYNAPSES_PER_SECOND / synapses.max(1)).max(1) as usize;
     let mut all = vec![(Strategy::Sequential, 1)];
@@ -87,7 +96,7 @@ pub fn candidates(
     // The effort is for all of them together.
     let options = &Options { effort_s: options.effort_s.div_ceil(all.len() as u32), ..*options };
     let first_error = Mutex::new(None);
-    let found: Vec<Vec<Found>> = all
+    let found: Vec<Vec<Made<Routed>>> = all
         .into_par_iter()
         .enumerate()
         .map(|(number, (strategy, divisor))| {
@@ -102,7 +111,7 @@ pub fn candidates(
             })
         })
         .collect();
-    let found: Vec<Found> = found.into_iter().flatten().collect();
+    let found: Vec<Made<Routed>> = found.into_iter().flatten().collect();
     match first_error.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
         Some(error) if found.is_empty() => Err(error),
         _ => Ok(found),
@@ -117,16 +126,17 @@ fn mapped(
     rates: &Rates,
     (strategy, divisor): (Strategy, u32),
     places: &[bool],
-) -> Result<Vec<Found>, CompileError> {
+) -> Result<Vec<Made<Routed>>, CompileError> {
     let asked = Options { strategy, ..*options };
     let mut partitioned = partitioned(one.clone(), &divided(target, divisor), &asked, rates)?;
     partitioned.within(target)?;
-    let found = |&placed: &bool| {
+    let made = |&placed: &bool| {
         let routed = partitioned.routed(target, &Options { place: placed, ..asked })?;
         let score = score(&routed.0, target).map_err(CompileError::Input)?;
-        Ok(Found { candidate: Candidate { strategy, divisor, placed }, score, routed })
+        let found = Found { candidate: Candidate { strategy, divisor, placed }, score };
+        Ok(Made { found, mapping: routed })
     };
-    places.iter().map(found).collect()
+    places.iter().map(made).collect()
 }
 
 /// The best of all candidates.
@@ -134,38 +144,46 @@ fn mapped(
 /// # Errors
 /// As [`candidates`].
 pub fn best(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Result<Compiled, CompileError> {
-    let mut found = candidates(one, target, options, rates)?.into_iter();
-    let Some(plain) = found.next() else {
-        return Err(CompileError::Fault("there is no candidate".to_string()));
+    let made = all(one, target, options, rates)?;
+    let bursts = made.first().map_or_else(Vec::new, |plain| bursts(&plain.mapping.0.quantised));
+    let times = |routed: &Routed| {
+        let of = |rates: &Rates| score_at(&routed.0, rates, target).map(|score| score.step_us);
+        bursts.iter().map(of).collect::<Result<Vec<f64>, _>>().map_err(CompileError::Input)
     };
-    let mut others: Vec<Found> = found.filter(|other| better(other, &plain, options.objective)).collect();
-    others.sort_by(|a, b| a.score.better(&b.score, options.objective));
-    let mut best = None;
-    if options.objective == Objective::Latency {
-        let bursts = bursts(&plain.routed.0.quantised);
-        let times = |found: &Found| {
-            let of = |rates: &Rates| score_at(&found.routed.0, rates, target).map(|score| score.step_us);
-            bursts.iter().map(of).collect::<Result<Vec<f64>, _>>().map_err(CompileError::Input)
-        };
-        let least = if others.is_empty() { Vec::new() } else { times(&plain)? };
-        for other in others {
-            if no_slower(&times(&other)?, &least) {
-                best = Some(other);
-                break;
-            }
-        }
-    } else {
-        best = others.into_iter().next();
-    }
-    let mut best = best.unwrap_or(plain).routed.proved(target)?;
+    let mut best = chosen(made, options.objective, times)?.proved(target)?;
     best.options = *options;
     Ok(best)
 }
 
-/// Whether a candidate is better than the unplaced sequential one by enough to be looked at.
+/// The best of candidates, the first of which is what others are measured by; `times` are those of steps in which spikes
+/// come together, all of them first.
+pub(super) fn chosen<M>(
+    made: Vec<Made<M>>,
+    objective: Objective,
+    times: impl Fn(&M) -> Result<Vec<f64>, CompileError>,
+) -> Result<M, CompileError> {
+    let mut made = made.into_iter();
+    let Some(plain) = made.next() else {
+        return Err(CompileError::Fault("there is no candidate".to_string()));
+    };
+    let mut others: Vec<Made<M>> = made.filter(|other| better(&other.found, &plain.found, objective)).collect();
+    others.sort_by(|a, b| a.found.score.better(&b.found.score, objective));
+    if objective != Objective::Latency {
+        return Ok(others.into_iter().next().unwrap_or(plain).mapping);
+    }
+    let least = if others.is_empty() { Vec::new() } else { times(&plain.mapping)? };
+    for other in others {
+        if no_slower(&times(&other.mapping)?, &least) {
+            return Ok(other.mapping);
+        }
+    }
+    Ok(plain.mapping)
+}
+
+/// Whether a candidate is better than the first, unplaced one by enough to be looked at.
 fn better(other: &Found, plain: &Found, objective: Objective) -> bool {
-    let same_cores = other.candidate.strategy == Strategy::Sequential && other.candidate.divisor == 1;
-    let margin = if same_cores { 1.0 } else { MARGIN };
+    let cores = |found: &Found| (found.candidate.strategy, found.candidate.divisor);
+    let margin = if cores(other) == cores(plain) { 1.0 } else { MARGIN };
     other.score.better(&plain.score, objective).is_lt()
         && (objective != Objective::Latency || other.score.step_us < margin * plain.score.step_us)
 }

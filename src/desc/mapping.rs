@@ -1,7 +1,7 @@
 //! The mirror of a saved mapping (`nsim map -o`): which compartments sit on which core of which chip.
 //!
-//! It is small and for people to read: runs of compartments by population, no synapses. Loading one compiles the model
-//! again with this partition and placement, so nothing in it needs to be believed.
+//! It is small and for people to read: runs of compartments by population, or boxes of layers; no synapses. Loading one
+//! compiles the model again with this partition and placement, so nothing in it needs to be believed.
 
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +31,29 @@ pub struct MappedCore {
     pub core: u32,
     /// What sits on it, in slot order.
     pub holds: Vec<Run>,
+}
+
+/// Cores of one chip.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnChip {
+    /// Chip number on the board.
+    pub chip: u32,
+    /// Numbers of its cores, row of tiles by row, tile by tile.
+    pub cores: Vec<u32>,
+}
+
+/// A layer that is cut into boxes, a core each.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MappedLayer {
+    /// The population.
+    pub population: String,
+    /// Channels, rows and columns of a box; boxes at the end of the layer may be smaller.
+    pub size: (u32, u32, u32),
+    /// The cores of its boxes: channels of a place after each other, places of a row of boxes from west to east, then those
+    /// of the next row from east to west, and so on to and fro.
+    pub places: Vec<OnChip>,
 }
 
 /// What was left out of the model before it was mapped. Together with the model it says which compartments and synapses
@@ -66,6 +89,24 @@ pub struct MappingFile {
     /// What was left out of the model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pruned: Option<PrunedFile>,
-    /// The cores in use.
+    /// The cores in use, with what sits on them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cores: Vec<MappedCore>,
+    /// Instead of cores: layers in boxes, of a network that is mapped by its kernels.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub layers: Vec<MappedLayer>,
+}
+
+impl MappingFile {
+    /// Chip, and number on the chip, of each core of the layers.
+    pub fn places(&self) -> impl Iterator<Item = (u32, u32)> {
+        self.layers.iter().flat_map(MappedLayer::places)
+    }
+}
+
+impl MappedLayer {
+    /// Chip, and number on the chip, of the core of each box.
+    pub fn places(&self) -> impl Iterator<Item = (u32, u32)> {
+        self.places.iter().flat_map(|on| on.cores.iter().map(move |&core| (on.chip, core)))
+    }
 }

@@ -20,12 +20,12 @@ pub fn load_mapping(path: &Path) -> Result<MappingFile, Diagnostic> {
     parse(&read_text(path)?, "mapping.syntax")
 }
 
-/// A mapping as RON, one core a line.
+/// A mapping as RON, one core a line, or one chip of a layer.
 ///
 /// # Errors
 /// `write.ron`, which no mapping brings about.
 pub fn mapping_text(mapping: &MappingFile) -> Result<String, Diagnostic> {
-    pretty(mapping, 2)
+    pretty(mapping, if mapping.layers.is_empty() { 2 } else { 4 })
 }
 
 /// A value as RON in which everything deeper than `lines` brackets stands on one line.
@@ -67,6 +67,7 @@ mod tests {
             seed: u64::MAX,
             pruned: None,
             cores: vec![core(0), core(1)],
+            layers: Vec::new(),
         };
         let text = mapping_text(&mapping).unwrap();
         assert_eq!(text.lines().count(), 11, "{text}");

@@ -11,6 +11,8 @@
 //! All arithmetic fits 32 bits: |u|, |v| <= 2^23 and q is below 2^21, so sums stay below 2^25. The 36-bit product of a
 //! decay is split at bit 12: with x = 4096 h + l, (x k) >> 12 = h k + ((l k) >> 12) exactly.
 
+use std::array::from_mut;
+
 use crate::base::fixed::{DECAY_ONE, UV_BITS, WEIGHT_SHIFT};
 use crate::machine::neuron::Fields;
 
@@ -20,7 +22,7 @@ pub const LANES: usize = 16;
 /// Fields that a whole block shares.
 #[derive(Debug, Clone, Copy)]
 pub struct Shared {
-    /// Whether neither field below needs more than the plain update: no bias, and both decays forget something.
+    /// Whether there is no bias.
     pub(super) plain: bool,
     pub(super) keep_u: i32,
     pub(super) keep_v: i32,
@@ -29,12 +31,9 @@ pub struct Shared {
     pub(super) vmin: i32,
     pub(super) vmax: i32,
     pub(super) refractory: i32,
-    /// What is kept of u and v in units of 2^-32, where it is less than 1.
-    pub(super) factor_u: i32,
-    pub(super) factor_v: i32,
-    /// All lanes where it is 1.
-    pub(super) whole_u: u16,
-    pub(super) whole_v: u16,
+    /// What is kept of u and v: a number of 4096ths, which a float holds exactly.
+    pub(super) share_u: f32,
+    pub(super) share_v: f32,
     /// From `vmin` to `vmax`.
     pub(super) span: i32,
 }
@@ -43,10 +42,8 @@ impl From<&Fields> for Shared {
     fn from(f: &Fields) -> Self {
         const ONE: i32 = DECAY_ONE as i32;
         let (keep_u, keep_v) = (ONE - i32::from(f.neuron.du.get()), ONE - i32::from(f.neuron.dv.get()));
-        let factor = |keep: i32| keep << (32 - ONE.trailing_zeros());
-        let whole = |keep| if keep == ONE { u16::MAX } else { 0 };
         Shared {
-            plain: f.bias == 0 && keep_u < ONE && keep_v < ONE,
+            plain: f.bias == 0,
             keep_u,
             keep_v,
             bias: f.bias,
@@ -54,10 +51,8 @@ impl From<&Fields> for Shared {
             vmin: f.vmin,
             vmax: f.vmax,
             refractory: i32::from(f.refractory),
-            factor_u: factor(keep_u),
-            factor_v: factor(keep_v),
-            whole_u: whole(keep_u),
-            whole_v: whole(keep_v),
+            share_u: keep_u as f32 / ONE as f32,
+            share_v: keep_v as f32 / ONE as f32,
             span: f.vmax - f.vmin,
         }
     }
@@ -158,33 +153,40 @@ fn outside(x: i32) -> i32 {
     ((x + (1 << UV_BITS)) as u32 >> (UV_BITS + 1)) as i32
 }
 
-/// Sixteen compartments.
+/// Some chunks of sixteen compartments, at most four.
 #[derive(Debug)]
-pub struct Chunk<'a, S> {
+pub struct Chunks<'a, S, const N: usize> {
     /// Currents.
-    pub u: &'a mut [i32; LANES],
+    pub u: &'a mut [[i32; LANES]; N],
     /// Voltages, as [`store`] writes them.
-    pub v: &'a mut [i32; LANES],
+    pub v: &'a mut [[i32; LANES]; N],
     /// Sums of arrivals; left at 0.
-    pub sums: &'a mut [S; LANES],
+    pub sums: &'a mut [[S; LANES]; N],
 }
 
-/// What a chunk's update did.
+/// What the update of some chunks did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Effect {
     /// A bit for each lane that spiked.
-    pub spiked: u16,
+    pub spiked: u64,
     /// A bit for each lane that was not at rest.
-    pub moved: u16,
+    pub moved: u64,
     /// Whether any lane is not at rest afterwards.
     pub busy: bool,
 }
 
-/// Instructions for a chunk.
+/// Instructions for chunks.
 pub trait Vectors: Copy {
     /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing has changed. `PLAIN` only
     /// for fields that are.
-    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect>;
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
+
+    /// The same of four chunks, for whoever has the registers; `None` also if not.
+    #[inline(always)]
+    fn update_four<S: Sum, const PLAIN: bool>(self, chunks: Chunks<'_, S, 4>, shared: &Shared) -> Option<Effect> {
+        let _ = (chunks, shared);
+        None
+    }
 }
 
 /// Whatever vectors the compiler makes of loops.
@@ -193,10 +195,10 @@ pub struct Portable;
 
 impl Vectors for Portable {
     #[inline(always)]
-    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect> {
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect> {
         let Shared { keep_u, keep_v, fires_from, vmin, vmax, refractory, .. } = *shared;
         let bias = if PLAIN { 0 } else { shared.bias };
-        let Chunk { u, v, sums } = chunk;
+        let Chunks { u: [u], v: [v], sums: [sums] } = chunk;
         let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
         let (mut fired, mut moved, mut overflowed) = ([false; LANES], [false; LANES], [false; LANES]);
         for lane in 0..LANES {
@@ -223,8 +225,8 @@ impl Vectors for Portable {
         }
         (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
         Some(Effect {
-            spiked: bits(fired),
-            moved: bits(moved),
+            spiked: bits(fired).into(),
+            moved: bits(moved).into(),
             busy: bytes(std::array::from_fn(|lane| (new_u[lane] | new_v[lane]) != 0)) != 0,
         })
     }
@@ -248,11 +250,18 @@ fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, 
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
+    if let (Some(u), Some(v), Some(sums)) =
+        (u.first_chunk_mut::<4>(), v.first_chunk_mut::<4>(), sums.first_chunk_mut::<4>())
+        && let Some(Effect { spiked, moved, busy }) = vectors.update_four::<S, PLAIN>(Chunks { u, v, sums }, shared)
+    {
+        return Effects { spiked, moved, busy, overflowed: 0 };
+    }
     for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
-        match vectors.update::<S, PLAIN>(Chunk { u, v, sums }, shared) {
+        let one = Chunks { u: from_mut(u), v: from_mut(v), sums: from_mut(sums) };
+        match vectors.update::<S, PLAIN>(one, shared) {
             Some(effect) => {
-                effects.spiked |= u64::from(effect.spiked) << (index * LANES);
-                effects.moved |= u64::from(effect.moved) << (index * LANES);
+                effects.spiked |= effect.spiked << (index * LANES);
+                effects.moved |= effect.moved << (index * LANES);
                 effects.busy |= effect.busy;
             }
             None => effects.overflowed |= 1 << index,
@@ -338,11 +347,16 @@ mod tests {
         effects
     }
 
-    /// What 48 compartments do, one by one and as vectors; returns how many spiked and how many chunks left a field.
-    fn compare<S: Sum>(arch: pulp::Arch, seed: u64, bits: u64, narrow: impl Fn(i64) -> S) -> (u32, u32) {
+    /// What some compartments do, one by one and as vectors; returns how many spiked and how many chunks left a field.
+    fn compare<S: Sum, const COUNT: usize>(
+        arch: pulp::Arch,
+        seed: u64,
+        bits: u64,
+        narrow: impl Fn(i64) -> S,
+    ) -> (u32, u32) {
         let f = fields(seed);
         let at = |lane: usize, what: u64, bits| draw(seed, 1000 + lane as u64 * 8 + what, bits);
-        let registers: [Registers; 48] = std::array::from_fn(|lane| {
+        let registers: [Registers; COUNT] = std::array::from_fn(|lane| {
             let hold = (at(lane, 2, 7).unsigned_abs() as u8).min(f.refractory);
             let v = at(lane, 1, [12, 18, 20, 23][seed as usize / 4 % 4]).clamp(f.vmin.into(), f.vmax.into()) as i32;
             // A held voltage is 0; that is what lets the counter share its register.
@@ -353,14 +367,14 @@ mod tests {
                 hold,
             }
         });
-        let arrived: [S; 48] = std::array::from_fn(|lane| narrow(at(lane, 3, bits)));
+        let arrived: [S; COUNT] = std::array::from_fn(|lane| narrow(at(lane, 3, bits)));
         let mut u = registers.map(|r| r.u);
         let mut v = registers.map(|r| store(r.v, r.hold));
         let (before_u, before_v) = (u, v);
         let mut sums = arrived;
         let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f));
         let mut expected = Effects::default();
-        for chunk in 0..3 {
+        for chunk in 0..COUNT / LANES {
             let lanes = chunk * LANES..(chunk + 1) * LANES;
             let results: Vec<_> = lanes
                 .clone()
@@ -396,11 +410,13 @@ mod tests {
         let (mut spikes, mut overflows) = (0, 0);
         for seed in 0..20_000u64 {
             // Arrivals beyond 16 bits make every chunk leave a field: most seeds draw smaller ones.
-            let wide = compare(arch, seed, [6, 10, 14, 30][seed as usize % 4], |sum| sum as i32);
+            let wide = compare::<_, 48>(arch, seed, [6, 10, 14, 30][seed as usize % 4], |sum| sum as i32);
+            let four = compare::<_, 64>(arch, seed, [6, 10, 14, 30][seed as usize % 4], |sum| sum as i32);
             let limit = i64::from(i16::MAX);
-            let narrow = compare(arch, seed, [6, 10, 14, 15][seed as usize % 4], |sum| sum.clamp(-limit, limit) as i16);
-            spikes += wide.0 + narrow.0;
-            overflows += wide.1 + narrow.1;
+            let narrow =
+                compare::<_, 64>(arch, seed, [6, 10, 14, 15][seed as usize % 4], |sum| sum.clamp(-limit, limit) as i16);
+            spikes += wide.0 + four.0 + narrow.0;
+            overflows += wide.1 + four.1 + narrow.1;
         }
         assert!(spikes > 60_000 && overflows > 10_000, "{spikes} spikes, {overflows} chunks with overflow: too tame");
     }

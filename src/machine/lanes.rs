@@ -9,11 +9,12 @@ use std::ops::Range;
 use crate::base::id::{ChannelId, CompartmentId, CoreId};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
+use crate::machine::bits::{FORESEEN, ones, write_ones};
 use crate::machine::image::{Block, BlockFields, Image, Share, Stretch};
 use crate::machine::kernel::{self, LANES, Portable, Sum, Vectors};
 use crate::machine::lists::Synapses;
 use crate::machine::neuron::{Registers, update};
-use crate::machine::ring::{Ring, ones};
+use crate::machine::ring::Ring;
 use crate::machine::store::Aligned;
 
 /// What a step is told.
@@ -108,8 +109,10 @@ pub(super) struct State {
     pub active: Vec<(CoreId, u32)>,
     /// How many were not at rest in the last step.
     pub active_now: u64,
-    /// The same by block since it was last taken.
-    pub active_by_block: Vec<u64>,
+    /// The same by block since it was last taken, but for steps in which all of its stretch moved.
+    active_by_block: Vec<u64>,
+    /// Those steps, by stretch.
+    whole: Vec<u64>,
     /// Synapses that arrivals of the last step came over, or of a later one before the sample's end.
     pub events_now: u64,
     /// What left its field.
@@ -149,6 +152,7 @@ impl Lanes {
             active: Vec::new(),
             active_now: 0,
             active_by_block: vec![0; share.blocks.len()],
+            whole: vec![0; share.stretches.len()],
             events_now: 0,
             overflow: Overflow::default(),
             visited: 0,
@@ -170,7 +174,7 @@ impl Lanes {
             + state.v.len()
             + state.fired.len()
             + state.spiked.len()
-            + 2 * (state.busy.len() + state.active_by_block.len());
+            + 2 * (state.busy.len() + state.active_by_block.len() + state.whole.len());
         let ring = match &self.ring {
             Sums::Narrow(ring) => ring.bytes(),
             Sums::Wide(ring) => ring.bytes(),
@@ -215,6 +219,19 @@ impl Lanes {
 }
 
 impl State {
+    /// How many compartments of each block were not at rest, summed over the steps since this was last asked.
+    pub fn take_active(&mut self, share: &Share) -> Vec<u64> {
+        for (stretch, steps) in share.stretches.iter().zip(&mut self.whole) {
+            let steps = std::mem::take(steps);
+            let blocks = stretch.first as usize..stretch.end as usize;
+            for (block, sum) in share.blocks[blocks.clone()].iter().zip(&mut self.active_by_block[blocks]) {
+                *sum += steps * u64::from(block.length);
+            }
+        }
+        let sums = vec![0; self.active_by_block.len()];
+        std::mem::replace(&mut self.active_by_block, sums)
+    }
+
     /// Registers of a lane.
     pub fn registers(&self, lane: usize) -> Registers {
         match self.hold.get(lane) {
@@ -276,9 +293,8 @@ impl State {
                 let bit = set.trailing_zeros();
                 set &= set - 1;
                 let granule = word * 64 + bit as usize;
-                for stretch in &share.stretches[share.granules[granule] as usize..share.granules[granule + 1] as usize]
-                {
-                    if self.update_stretch(sums, image, share, *stretch, order, vectors) {
+                for stretch in share.granules[granule] as usize..share.granules[granule + 1] as usize {
+                    if self.update_stretch(sums, image, share, stretch, order, vectors) {
                         busy |= 1 << bit;
                     }
                 }
@@ -294,10 +310,11 @@ impl State {
         sums: &mut [S],
         image: &Image,
         share: &Share,
-        stretch: Stretch,
+        index: usize,
         order: Order,
         vectors: impl Vectors,
     ) -> bool {
+        let stretch = share.stretches[index];
         let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
         let Some(first) = blocks.first() else { return false };
         // All blocks of a stretch have the same fields, the first step among them.
@@ -310,7 +327,7 @@ impl State {
         }
         let Some(fields) = stretch.vector else {
             let did = self.scalar(sums, image, share, *first, 0..first.length as usize, order);
-            return self.note(share, stretch, did, order);
+            return self.note(share, index, did, order);
         };
         let start = first.start as usize;
         let end = blocks.last().map_or(start, |last| (last.start + last.length) as usize).next_multiple_of(LANES);
@@ -330,7 +347,7 @@ impl State {
         }
         // Padding is never at rest under a bias, and always without.
         let moved = if image.fields[fields as usize].bias != 0 { stretch.mask } else { did.moved };
-        self.note(share, stretch, Did { spiked: did.spiked & stretch.mask, moved, ..did }, order)
+        self.note(share, index, Did { spiked: did.spiked & stretch.mask, moved, ..did }, order)
     }
 
     /// Updates those chunks of a stretch one by one in which a value leaves its field.
@@ -360,37 +377,25 @@ impl State {
 
     /// Counts what a stretch did; says whether it is busy.
     #[inline(always)]
-    fn note(&mut self, share: &Share, stretch: Stretch, did: Did, order: Order) -> bool {
+    fn note(&mut self, share: &Share, index: usize, did: Did, order: Order) -> bool {
+        let stretch = share.stretches[index];
         let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
         let Some(start) = blocks.first().map(|block| block.start) else { return false };
         self.visited += u64::from(stretch.mask.count_ones());
         self.active_now += u64::from(did.moved.count_ones());
-        for (block, sum) in blocks.iter().zip(&mut self.active_by_block[stretch.first as usize..]) {
-            let active = (did.moved >> (block.start - start) & ones(block.length as usize)).count_ones();
-            *sum += u64::from(active);
-            if order.list_active && active > 0 {
-                self.active.push((block.core, active));
+        if did.moved == stretch.mask && !order.list_active {
+            self.whole[index] += 1;
+        } else {
+            for (block, sum) in blocks.iter().zip(&mut self.active_by_block[stretch.first as usize..]) {
+                let active = (did.moved >> (block.start - start) & ones(block.length as usize)).count_ones();
+                *sum += u64::from(active);
+                if order.list_active && active > 0 {
+                    self.active.push((block.core, active));
+                }
             }
         }
-        self.spike(start, did.spiked);
+        self.spiking = write_ones(&mut self.spiked, self.spiking, did.spiked, |lane| start.wrapping_add(lane));
         did.busy
-    }
-
-    /// Notes lanes that spiked. Few do, and how many cannot be foretold: the first few are written whether they are or not.
-    #[inline(always)]
-    fn spike(&mut self, start: u32, mut lanes: u64) {
-        let end = self.spiking + lanes.count_ones() as usize;
-        for place in &mut self.spiked[self.spiking..][..FORESEEN] {
-            *place = start.wrapping_add(lanes.trailing_zeros());
-            lanes &= lanes.wrapping_sub(1);
-        }
-        if lanes != 0 {
-            for place in &mut self.spiked[self.spiking + FORESEEN..end] {
-                *place = start + lanes.trailing_zeros();
-                lanes &= lanes - 1;
-            }
-        }
-        self.spiking = end;
     }
 
     /// Names and counts who spiked. Not while they are found: names and counts are far apart in memory, and here nothing
@@ -470,6 +475,3 @@ impl Did {
         Did { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
     }
 }
-
-/// Spikes of a granule that are written in any case.
-const FORESEEN: usize = 4;

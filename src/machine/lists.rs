@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use crate::machine::prefetch::LINE;
+use crate::machine::prefetch::{LINE, prefetch_range};
 use crate::machine::store::Store;
 
 /// Bytes from one place where a list can begin to the next.
@@ -26,7 +26,37 @@ pub(super) struct Table {
     pub synapses: Synapses,
     /// Sources ahead whose list is fetched: as many as have enough synapses to be busy with meanwhile.
     pub ahead: usize,
+    /// Whether lists are in the order of lanes, and long enough to be delivered half by half.
+    pub halves: bool,
 }
+
+/// Which synapses of a list: those of low lanes come first. Halves of equal number and not of equal lanes, so that a loop over
+/// one is as long as the loop before it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Part {
+    /// All.
+    Whole,
+    /// The first half.
+    Low,
+    /// The others.
+    High,
+}
+
+impl Part {
+    /// Of so many.
+    #[inline(always)]
+    fn of(self, count: usize) -> Range<usize> {
+        let half = count / 2 / TOGETHER * TOGETHER;
+        match self {
+            Part::Whole => 0..count,
+            Part::Low => 0..half,
+            Part::High => half..count,
+        }
+    }
+}
+
+/// The fewest synapses of a list, in the mean, that is worth coming back to.
+const WORTH_HALVES: usize = 32;
 
 /// Synapses delivered while a list is fetched.
 const MEANWHILE: usize = 192;
@@ -90,10 +120,10 @@ pub(super) trait Lists {
     type Lane;
     /// What holds a weight.
     type Weight;
-    /// The bytes of a list, to ask for them.
-    fn lines(&self, place: Place) -> (&[u8], Range<usize>);
-    /// Calls with lane and weight of each synapse of a list.
-    fn each(&self, place: Place, add: impl FnMut(Self::Lane, Self::Weight));
+    /// Asks for a part of a list.
+    fn fetch(&self, place: Place, part: Part);
+    /// Calls with lane and weight of each synapse of a part of a list.
+    fn each(&self, place: Place, part: Part, add: impl FnMut(Self::Lane, Self::Weight));
 }
 
 /// All lanes of a list, 16 bits each, then all its weights, 8 bits each.
@@ -105,14 +135,21 @@ impl Lists for Small {
     type Weight = i8;
 
     #[inline(always)]
-    fn lines(&self, place: Place) -> (&[u8], Range<usize>) {
-        (self.0.bytes(), place.bytes(SMALL))
+    fn fetch(&self, place: Place, part: Part) {
+        let Range { start, end } = place.bytes(SMALL);
+        if part == Part::Whole {
+            return prefetch_range(self.0.bytes(), start..end);
+        }
+        let (some, weights) = (part.of(place.len()), start + 2 * place.len());
+        prefetch_range(self.0.bytes(), start + 2 * some.start..start + 2 * some.end);
+        prefetch_range(self.0.bytes(), weights + some.start..weights + some.end);
     }
 
     #[inline(always)]
-    fn each(&self, place: Place, mut add: impl FnMut(u16, i8)) {
+    fn each(&self, place: Place, part: Part, mut add: impl FnMut(u16, i8)) {
         let (lanes, weights) = self.0.bytes()[place.bytes(SMALL)].split_at(2 * place.len());
-        let (lanes, _) = lanes.as_chunks::<2>();
+        let some = part.of(place.len());
+        let (lanes, weights) = (&lanes.as_chunks::<2>().0[some.clone()], &weights[some]);
         let ((lanes, last_lanes), (weights, last_weights)) =
             (lanes.as_chunks::<TOGETHER>(), weights.as_chunks::<TOGETHER>());
         for (lanes, weights) in lanes.iter().zip(weights) {
@@ -135,14 +172,14 @@ impl Lists for Packed {
     type Weight = i16;
 
     #[inline(always)]
-    fn lines(&self, place: Place) -> (&[u8], Range<usize>) {
-        (self.1.bytes(), place.bytes(PACKED))
+    fn fetch(&self, place: Place, _: Part) {
+        prefetch_range(self.1.bytes(), place.bytes(PACKED));
     }
 
     #[inline(always)]
-    fn each(&self, place: Place, mut add: impl FnMut(usize, i16)) {
+    fn each(&self, place: Place, part: Part, mut add: impl FnMut(usize, i16)) {
         let packing = self.0;
-        for &word in self.1.bytes()[place.bytes(PACKED)].as_chunks::<PACKED>().0 {
+        for &word in &self.1.bytes()[place.bytes(PACKED)].as_chunks::<PACKED>().0[part.of(place.len())] {
             let (lane, weight) = packing.unpack(u32::from_le_bytes(word));
             add(lane, weight);
         }
@@ -161,13 +198,13 @@ impl Lists for Apart {
     type Weight = i16;
 
     #[inline(always)]
-    fn lines(&self, _: Place) -> (&[u8], Range<usize>) {
-        (&[], 0..0)
-    }
+    fn fetch(&self, _: Place, _: Part) {}
 
     #[inline(always)]
-    fn each(&self, place: Place, mut add: impl FnMut(usize, i16)) {
-        for (&lane, &weight) in self.targets[place.elements()].iter().zip(&self.weights[place.elements()]) {
+    fn each(&self, place: Place, part: Part, mut add: impl FnMut(usize, i16)) {
+        let (targets, weights) = (&self.targets[place.elements()], &self.weights[place.elements()]);
+        let some = part.of(place.len());
+        for (&lane, &weight) in targets[some.clone()].iter().zip(&weights[some]) {
             add(lane as usize, weight);
         }
     }
@@ -277,8 +314,12 @@ impl Draft {
         }
         let each = if small { SMALL } else { PACKED };
         let ahead = (MEANWHILE * ends.len()).div_ceil(total).clamp(AHEAD.0, AHEAD.1);
+        let halves = small && total >= WORTH_HALVES * lists().filter(|list| !list.is_empty()).count();
         let (places, synapses) = match words {
-            Words::Packed(words) => {
+            Words::Packed(mut words) => {
+                if halves {
+                    lists().for_each(|list| words[list].sort_unstable_by_key(|&word| packing.unpack(word).0));
+                }
                 let (places, size) = lay_out(lists().map(|list| list.len()), each).ok_or(total)?;
                 let mut store = Store::new(size);
                 let bytes = store.bytes_mut();
@@ -306,7 +347,7 @@ impl Draft {
                 (lists().map(place).collect::<Option<_>>().ok_or(total)?, Synapses::Apart(Apart { targets, weights }))
             }
         };
-        Ok(Some(Table { places, synapses, ahead }))
+        Ok(Some(Table { places, synapses, ahead, halves }))
     }
 }
 
@@ -345,9 +386,13 @@ mod tests {
             let mut list = Vec::new();
             let mut push = |target: usize, weight| list.push((target as u32, weight));
             match &table.synapses {
-                Synapses::Small(lists) => lists.each(place, |lane, weight| push(lane.into(), weight.into())),
-                Synapses::Packed(lists) => lists.each(place, push),
-                Synapses::Apart(lists) => lists.each(place, push),
+                Synapses::Small(lists) => {
+                    for part in [Part::Low, Part::High] {
+                        lists.each(place, part, |lane, weight| push(lane.into(), weight.into()));
+                    }
+                }
+                Synapses::Packed(lists) => lists.each(place, Part::Whole, push),
+                Synapses::Apart(lists) => lists.each(place, Part::Whole, push),
             }
             list
         };
@@ -360,6 +405,25 @@ mod tests {
             (rng::below(lanes, 1, source, index) as u32, weight as i16)
         };
         (0..sources).map(|source| (0..rng::below(60, 3, source, 0)).map(|index| of(source, index)).collect()).collect()
+    }
+
+    #[test]
+    fn long_small_lists_are_in_order_and_their_halves_are_all_of_them() {
+        for (length, lanes, ordered) in [(64, 5_000, true), (31, 5_000, false), (64, 100_000, false)] {
+            let lane = |source, index| rng::below(lanes, 1, source, index) as u32;
+            let lists: Vec<Vec<_>> =
+                (0..50).map(|source| (0..length).map(|index| (lane(source, index), index as i16)).collect()).collect();
+            let (mut out, table) = read(&lists, lanes as usize);
+            assert_eq!(table.halves, ordered, "{length} {lanes}");
+            assert_eq!(out.iter().all(|list| list.is_sorted_by_key(|&(lane, _)| lane)), ordered);
+            out.iter_mut().for_each(|list| list.sort_unstable_by_key(|&(_, weight)| weight));
+            assert_eq!(out, lists);
+        }
+        for count in 0..200 {
+            let (low, high) = (Part::Low.of(count), Part::High.of(count));
+            assert_eq!((low.start, low.end, high.end), (0, high.start, count));
+            assert!(low.len() <= high.len() && high.len() - low.len() < 2 * TOGETHER);
+        }
     }
 
     /// The narrowest form that holds all, and what was put in comes out.

@@ -14,6 +14,7 @@
 //!
 //! What it leaves out on purpose: energy and time, which `cost` computes from the counts, and names.
 
+mod bits;
 pub mod image;
 pub mod kernel;
 mod lanes;
@@ -34,6 +35,7 @@ use crate::desc::network::Semantics;
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
 use crate::ir::quantised::SpikeSource;
 use crate::ir::spikes::Engine;
+use bits::{FORESEEN, write_ones};
 pub use image::{Image, ImageError};
 use lanes::{Lanes, Order, Step};
 
@@ -129,8 +131,8 @@ impl<'i> Machine<'i> {
         }
         tally::add_visits(program, self.run_steps, &mut sum);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
-            for (count, block) in lanes.active_by_block.iter_mut().zip(&share.blocks) {
-                sum.cores[block.core].active += std::mem::take(count);
+            for (count, block) in lanes.take_active(share).into_iter().zip(&share.blocks) {
+                sum.cores[block.core].active += count;
             }
         }
         let mut activity = Activity::new(program.cores().len());
@@ -321,14 +323,13 @@ fn sort(ids: &mut Vec<CompartmentId>, marks: &mut Vec<u64>, count: usize) {
         return;
     }
     marks.resize(words, 0);
-    for id in ids.drain(..) {
+    for id in ids.iter() {
         marks[id.index() / 64] |= 1 << (id.0 % 64);
     }
-    for (word, marks) in marks.iter_mut().enumerate() {
-        let mut left = std::mem::take(marks);
-        while left != 0 {
-            ids.push(CompartmentId(word as u32 * 64 + left.trailing_zeros()));
-            left &= left - 1;
-        }
+    let (total, mut end) = (ids.len(), 0);
+    ids.resize(total + FORESEEN, CompartmentId(0));
+    for (first, marks) in (0u32..).step_by(64).zip(marks) {
+        end = write_ones(ids, end, std::mem::take(marks), |bit| CompartmentId(first.wrapping_add(bit)));
     }
+    ids.truncate(total);
 }

@@ -89,13 +89,15 @@ const CHUNK_COST: usize = 4;
 const SYNAPSE_COST: usize = 6;
 /// Looking up a list.
 const LIST_COST: usize = 40;
-/// Finding a panel, and taking its sums into registers and back.
-const PANEL_COST: usize = 80;
+/// Finding a panel.
+const PANEL_COST: usize = 50;
+/// Beginning a row of it: taking sums into registers and back.
+const ROW_COST: usize = 40;
 /// Steps in which each source spikes about once: sources of a panel that spike together find it together.
 const STEPS: usize = 20;
 /// Chunks of zeros for a source, growing, that may be laid out to have a panel less; up to what finding it costs. Those that
 /// are alike join before those that are less so.
-const ZEROS: [usize; 5] = [1, 3, 6, 12, PANEL_COST / CHUNK_COST];
+const ZEROS: [usize; 5] = [1, 3, 6, 12, (PANEL_COST + ROW_COST) / CHUNK_COST];
 
 /// Sources that are to be a panel.
 #[derive(Debug)]
@@ -122,7 +124,8 @@ impl Planned {
 
     /// What it costs when each source spikes once.
     fn cost(&self) -> usize {
-        self.size() * CHUNK_COST + self.sources().min(STEPS) * PANEL_COST
+        let rows = self.chunks.chunk_by(|a, b| a + 1 == *b).count();
+        self.size() * CHUNK_COST + self.sources().min(STEPS) * (PANEL_COST + rows * ROW_COST)
     }
 
     /// Takes the next in, if that needs few zeros; says how many it took, or gives the next back. Zeros may be half of all,
@@ -409,7 +412,7 @@ impl Layout {
 mod tests {
     use super::*;
     use crate::base::rng;
-    use crate::machine::lists::{Lists, Synapses};
+    use crate::machine::lists::{Lists, Part, Synapses};
     use std::collections::BTreeMap;
 
     /// Lays sources out, and checks that rows and lists together hold each source's weights by lane and its number of synapses.
@@ -439,9 +442,11 @@ mod tests {
                 count += place.len();
                 all_listed += place.len();
                 match &table.synapses {
-                    Synapses::Small(lists) => lists.each(place, |lane, weight| hold(lane.into(), weight.into())),
-                    Synapses::Packed(lists) => lists.each(place, &mut hold),
-                    Synapses::Apart(lists) => lists.each(place, &mut hold),
+                    Synapses::Small(lists) => {
+                        lists.each(place, Part::Whole, |lane, weight| hold(lane.into(), weight.into()));
+                    }
+                    Synapses::Packed(lists) => lists.each(place, Part::Whole, &mut hold),
+                    Synapses::Apart(lists) => lists.each(place, Part::Whole, &mut hold),
                 }
             }
             if let Some(panel) = panels.panels.iter().find(|panel| (panel.first..panel.end).contains(&source)) {

@@ -4,11 +4,12 @@
 //! lie in, and over how many synapses they came. What the sums do to a compartment is not its matter (`lanes`).
 
 use crate::base::id::Id;
+use crate::machine::bits::ones;
 use crate::machine::image::{GRANULE, Reach};
 use crate::machine::kernel::{LANES, Sum};
-use crate::machine::lists::{ADDRESSED, Lists, Synapses, Table};
+use crate::machine::lists::{ADDRESSED, Lists, Part, Synapses, Table};
 use crate::machine::panels::{Counts, Panel, Panels, Row};
-use crate::machine::prefetch::{prefetch, prefetch_range};
+use crate::machine::prefetch::prefetch;
 use crate::machine::store::Aligned;
 
 /// What arrives in the coming steps, a slot each.
@@ -145,7 +146,7 @@ impl<S: Sum> Ring<S> {
 
     #[inline(always)]
     fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
-        let (sums, arrivals) = (&mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
+        let (lanes, sums, arrivals) = (self.lanes, &mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
         let mut note = |target: usize| {
             if NOTE {
                 let granule = target / GRANULE;
@@ -157,17 +158,23 @@ impl<S: Sum> Ring<S> {
                 // As many sums as a lane of 16 bits can name, so that none has to be looked at.
                 let sums: &mut [S; ADDRESSED] =
                     sums.first_chunk_mut().expect("small lists have all sums they can name");
-                deliver_each(table, ids, lists, |target: u16, weight: i8| {
+                let mut add = |target: u16, weight: i8| {
                     let target = usize::from(target);
                     sums[target] = sums[target].plus(i16::from(weight));
                     note(target);
-                })
+                };
+                if table.halves && size_of::<S>() * lanes > FIRST_LEVEL {
+                    deliver_each(table, ids, lists, Part::Low, &mut add)
+                        + deliver_each(table, ids, lists, Part::High, &mut add)
+                } else {
+                    deliver_each(table, ids, lists, Part::Whole, add)
+                }
             }
-            Synapses::Packed(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
+            Synapses::Packed(lists) => deliver_each(table, ids, lists, Part::Whole, |target: usize, weight: i16| {
                 sums[target] = sums[target].plus(weight);
                 note(target);
             }),
-            Synapses::Apart(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
+            Synapses::Apart(lists) => deliver_each(table, ids, lists, Part::Whole, |target: usize, weight: i16| {
                 sums[target] = sums[target].plus(weight);
                 note(target);
             }),
@@ -175,24 +182,36 @@ impl<S: Sum> Ring<S> {
     }
 }
 
-/// Calls with every synapse that these sources reach over a table, while the lists of the next are fetched; returns how many.
+/// Calls with every synapse of a part that these sources reach over a table, while the lists of the next are fetched; returns
+/// of how many synapses.
 #[inline(always)]
-fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: impl FnMut(L::Lane, L::Weight)) -> u64 {
+fn deliver_each<L: Lists, I: Id>(
+    table: &Table,
+    ids: &[I],
+    lists: &L,
+    part: Part,
+    mut add: impl FnMut(L::Lane, L::Weight),
+) -> u64 {
     let mut events = 0;
+    let ahead = if part == Part::Whole { table.ahead } else { 2 * table.ahead };
     for (index, id) in ids.iter().enumerate() {
-        if let Some(far) = ids.get(index + table.ahead + FAR) {
+        if let Some(far) = ids.get(index + ahead + FAR) {
             prefetch(&table.places, far.index());
         }
-        if let Some(near) = ids.get(index + table.ahead) {
-            let (bytes, range) = lists.lines(table.places[near.index()]);
-            prefetch_range(bytes, range);
+        if let Some(near) = ids.get(index + ahead) {
+            lists.fetch(table.places[near.index()], part);
         }
         let place = table.places[id.index()];
-        events += place.len() as u64;
-        lists.each(place, &mut add);
+        // Both halves of a list are one list.
+        events += if part == Part::High { 0 } else { place.len() as u64 };
+        lists.each(place, part, &mut add);
     }
     events
 }
+
+/// Bytes of sums that stay in a core's first-level cache while lists pass through it. Sums that do not fit are better added to
+/// half by half, although each list is then come back to.
+const FIRST_LEVEL: usize = 40 << 10;
 
 /// Sources from one whose list is fetched to one whose place in the table is.
 const FAR: usize = 12;
@@ -241,8 +260,71 @@ fn add<S: Sum, const N: usize>(
     *sums = kept;
 }
 
-/// The lowest `count` bits, all 64 from there on.
-#[inline(always)]
-pub(super) fn ones(count: usize) -> u64 {
-    if count >= 64 { u64::MAX } else { (1 << count) - 1 }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::id::ChannelId;
+    use crate::base::rng;
+    use crate::machine::lists::Draft;
+    use crate::machine::panels::{Plan, Reached};
+
+    fn flattened(sources: &[Vec<Reached>], lanes: usize) -> Reach {
+        let (mut plan, mut draft) = (Plan::new(lanes), Draft::new(lanes));
+        (0..).zip(sources).for_each(|(source, synapses)| plan.take(source, synapses));
+        let mut layout = plan.layout();
+        for (source, synapses) in (0..).zip(sources) {
+            layout.put(source, synapses, &mut draft);
+            draft.close();
+        }
+        Reach { delay: 1, panels: layout.finish(), table: draft.finish().unwrap() }
+    }
+
+    /// Sums, noted granules and numbers of synapses are those of adding one synapse after the other.
+    fn compare<S: Sum>(lanes: usize, synapses: u64, width: u64) -> Reach {
+        let of = |source: u64, index| {
+            let lane = (source * 17 + rng::below(width, 1, source, index)) % lanes as u64;
+            (lane as u32, rng::below(255, 2, source, index) as i16 - 127)
+        };
+        let sources: Vec<Vec<Reached>> =
+            (0..300).map(|source| (0..synapses).map(|index| of(source, index)).collect()).collect();
+        let reach = flattened(&sources, lanes);
+        let small = matches!(reach.table, Some(Table { synapses: Synapses::Small(_), .. }));
+        for every in [1, 3, 50] {
+            let ids: Vec<ChannelId> = (0..300).step_by(every).map(ChannelId::new).collect();
+            let (mut sums, mut noted) = (vec![0; lanes], vec![0u64; lanes.div_ceil(64 * GRANULE)]);
+            for &(lane, weight) in ids.iter().flat_map(|id| &sources[id.index()]) {
+                sums[lane as usize] += i32::from(weight);
+                noted[lane as usize / GRANULE / 64] |= 1 << (lane as usize / GRANULE % 64);
+            }
+            let mut rings = [(); 2].map(|()| Ring::<S>::new(lanes, small, noted.len(), 2));
+            let [quiet, noting] = &mut rings;
+            let reach = std::slice::from_ref(&reach);
+            let events = ids.len() as u64 * synapses;
+            assert_eq!(quiet.deliver::<false, _>(reach, &ids, 1, 2), events);
+            // What arrives after the last step is no event.
+            assert_eq!(noting.deliver::<true, _>(reach, &ids, 1, 1), 0);
+            for ring in &rings {
+                assert!(ring.sums[0][..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
+                assert!(ring.sums[1].iter().all(|sum| sum.value() == 0));
+            }
+            // A row notes all of its lanes.
+            let missed = noted.iter().zip(&rings[1].arrivals[0]).any(|(&expected, &noted)| expected & !noted != 0);
+            assert!(!missed && (rings[1].arrivals[0] == noted || reach[0].table.is_none()));
+        }
+        reach
+    }
+
+    #[test]
+    fn whatever_the_form_all_arrives() {
+        let rows = compare::<i32>(1_024, 64, 100);
+        assert!(rows.table.is_none() && !rows.panels.panels.is_empty());
+        let whole = compare::<i16>(8_192, 70, 8_192);
+        assert!(whole.panels.panels.is_empty() && whole.table.is_some());
+        // Lists in two halves, of sums of either width.
+        for lists in [compare::<i16>(32_768, 70, 32_768), compare::<i32>(16_384, 70, 16_384)] {
+            assert!(lists.table.is_some_and(|table| table.halves));
+        }
+        let packed = compare::<i32>(70_016, 70, 70_000);
+        assert!(packed.table.is_some_and(|table| !table.halves));
+    }
 }

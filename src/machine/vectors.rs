@@ -1,4 +1,4 @@
-//! A chunk of sixteen compartments in the instructions of AVX-512, named one by one.
+//! Chunks of sixteen compartments in the instructions of AVX-512, named one by one.
 //!
 //! Comes in and goes out: as for [`Portable`], which says the same as loops that the compiler turns into vectors. It does so
 //! well but for what is said of lanes, bits and flags: AVX-512 has registers of one bit a lane for them, which the loops'
@@ -8,10 +8,10 @@ use pulp::cast;
 use pulp::x86::V4;
 
 use crate::base::fixed::{UV_BITS, WEIGHT_SHIFT};
-use crate::machine::kernel::{Chunk, Effect, HELD, LANES, Shared, Sum, Vectors};
+use crate::machine::kernel::{Chunks, Effect, HELD, LANES, Shared, Sum, Vectors};
 
 #[cfg(target_arch = "x86_64")]
-use std::arch::x86_64::{__m512i, __mmask16};
+use std::arch::x86_64::{__m512, __m512i, __mmask16, _MM_FROUND_NO_EXC, _MM_FROUND_TO_ZERO};
 
 /// A number in every lane.
 #[inline(always)]
@@ -19,70 +19,89 @@ fn all(simd: V4, x: i32) -> __m512i {
     simd.avx512f._mm512_set1_epi32(x)
 }
 
-/// Equation (3), as `kernel::kept`, with a factor below 1 in units of 2^-32: lanes of even and of odd number are multiplied
-/// apart, and what is kept is the upper half of each product.
+/// Equation (3), as `kernel::kept`, of integers as floats. Floats hold the integers exactly, as |x| <= 2^23, and the product,
+/// rounded toward zero to 24 bits, loses nothing of its integer part, as it is no greater than x.
 #[inline(always)]
-fn kept(simd: V4, x: __m512i, factor: i32) -> __m512i {
-    const UPPER_DOWN: i32 = 0b11_11_01_01;
-    const EVEN: __mmask16 = 0x5555;
+fn kept(simd: V4, x: __m512, share: __m512) -> __m512i {
     let f = simd.avx512f;
-    let (magnitude, factor) = (f._mm512_abs_epi32(x), all(simd, factor));
-    let even = f._mm512_mul_epu32(magnitude, factor);
-    let odd = f._mm512_mul_epu32(f._mm512_srli_epi64::<32>(magnitude), factor);
-    let kept = f._mm512_mask_shuffle_epi32::<UPPER_DOWN>(odd, EVEN, even);
-    let negative = simd.avx512dq._mm512_movepi32_mask(x);
-    f._mm512_mask_sub_epi32(kept, negative, f._mm512_setzero_si512(), kept)
+    f._mm512_cvttps_epi32(f._mm512_mul_round_ps::<{ _MM_FROUND_TO_ZERO | _MM_FROUND_NO_EXC }>(x, share))
 }
 
-/// Lanes whose value does not fit 23 bits and a sign.
-#[inline(always)]
-fn outside(simd: V4, x: __m512i) -> __mmask16 {
-    let f = simd.avx512f;
-    f._mm512_test_epi32_mask(f._mm512_add_epi32(x, all(simd, 1 << UV_BITS)), all(simd, -1 << (UV_BITS + 1)))
-}
+/// The truth table of a | b | c.
+const ANY: i32 = 0xfe;
 
 impl Vectors for V4 {
     #[inline(always)]
-    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunk<'_, S>, shared: &Shared) -> Option<Effect> {
-        let f = self.avx512f;
-        let arrived: [i32; LANES] = std::array::from_fn(|lane| chunk.sums[lane].value());
-        let (sum, old_u, stored): (__m512i, __m512i, __m512i) = (cast(arrived), cast(*chunk.u), cast(*chunk.v));
-        let old_v = f._mm512_maskz_mov_epi32(f._mm512_cmplt_epi32_mask(stored, all(self, HELD)), stored);
-        let is_free = f._mm512_cmplt_epi32_mask(stored, all(self, HELD + 2));
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect> {
+        update::<S, PLAIN, 1>(self, chunk, shared)
+    }
+
+    #[inline(always)]
+    fn update_four<S: Sum, const PLAIN: bool>(self, chunks: Chunks<'_, S, 4>, shared: &Shared) -> Option<Effect> {
+        update::<S, PLAIN, 4>(self, chunks, shared)
+    }
+}
+
+/// As [`Vectors::update`]: the loop over chunks is unrolled, so that none waits for the one before it.
+#[inline(always)]
+fn update<S: Sum, const PLAIN: bool, const N: usize>(
+    simd: V4,
+    chunks: Chunks<'_, S, N>,
+    shared: &Shared,
+) -> Option<Effect> {
+    let Chunks { u: currents, v: voltages, sums } = chunks;
+    let f = simd.avx512f;
+    let zero = f._mm512_setzero_si512();
+    let (share_u, share_v) = (f._mm512_set1_ps(shared.share_u), f._mm512_set1_ps(shared.share_v));
+    let (mut next_u, mut next_v) = ([zero; N], [zero; N]);
+    let (mut spiked, mut moved, mut left) = (0u64, 0u64, zero);
+    // Bits that a value in its field does not have, distances from vmin, lanes whose sum is too wide.
+    let (mut outside, mut highest, mut wrapped) = (zero, zero, 0);
+    for i in 0..N {
+        let arrived: [i32; LANES] = std::array::from_fn(|lane| sums[i][lane].value());
+        let (sum, old_u, stored): (__m512i, __m512i, __m512i) = (cast(arrived), cast(currents[i]), cast(voltages[i]));
+        let unheld = f._mm512_cmplt_epi32_mask(stored, all(simd, HELD));
+        let is_free = f._mm512_cmplt_epi32_mask(stored, all(simd, HELD + 2));
         let q = match S::WIDE {
             true => f._mm512_srai_epi32::<10>(f._mm512_slli_epi32::<16>(sum)),
             false => f._mm512_slli_epi32::<WEIGHT_SHIFT>(sum),
         };
-        let (mut kept_u, mut kept_v) = (kept(self, old_u, shared.factor_u), kept(self, old_v, shared.factor_v));
+        // A float of no bits is 0.
+        let old_v = f._mm512_maskz_cvtepi32_ps(unheld, stored);
+        let kept_u = kept(simd, f._mm512_cvtepi32_ps(old_u), share_u);
+        let kept_v = kept(simd, old_v, share_v);
+        let u = f._mm512_add_epi32(kept_u, q);
+        let mut input = u;
+        outside = f._mm512_or_si512(outside, f._mm512_add_epi32(u, all(simd, 1 << UV_BITS)));
         if !PLAIN {
-            kept_u = f._mm512_mask_mov_epi32(kept_u, shared.whole_u, old_u);
-            kept_v = f._mm512_mask_mov_epi32(kept_v, shared.whole_v, old_v);
-        }
-        let next_u = f._mm512_add_epi32(kept_u, q);
-        let (mut input, mut overflowed) = (next_u, outside(self, next_u));
-        if !PLAIN {
-            input = f._mm512_add_epi32(next_u, all(self, shared.bias));
-            overflowed |= outside(self, input);
+            input = f._mm512_add_epi32(u, all(simd, shared.bias));
+            outside = f._mm512_or_si512(outside, f._mm512_add_epi32(input, all(simd, 1 << UV_BITS)));
         }
         let free = f._mm512_add_epi32(kept_v, input);
-        let above_vmin = f._mm512_sub_epi32(free, all(self, shared.vmin));
-        overflowed |= f._mm512_mask_cmpgt_epu32_mask(is_free, above_vmin, all(self, shared.span));
+        highest = f._mm512_max_epu32(highest, f._mm512_maskz_sub_epi32(is_free, free, all(simd, shared.vmin)));
         if S::WIDE {
-            overflowed |= f._mm512_cmpneq_epi32_mask(f._mm512_srai_epi32::<WEIGHT_SHIFT>(q), sum);
+            wrapped |= f._mm512_cmpneq_epi32_mask(f._mm512_srai_epi32::<WEIGHT_SHIFT>(q), sum);
         }
-        if overflowed != 0 {
-            return None;
+        let fires = f._mm512_mask_cmpge_epi32_mask(is_free, free, all(simd, shared.fires_from));
+        let v = f._mm512_mask_mov_epi32(f._mm512_add_epi32(stored, all(simd, -1)), is_free, free);
+        let v = f._mm512_mask_mov_epi32(v, fires, all(simd, HELD + shared.refractory));
+        let any = f._mm512_ternarylogic_epi32::<ANY>(old_u, cast(old_v), sum);
+        let mut moves = f._mm512_test_epi32_mask(any, any) | !is_free;
+        if !PLAIN && shared.bias != 0 {
+            moves = __mmask16::MAX;
         }
-        let spiked = f._mm512_mask_cmpge_epi32_mask(is_free, free, all(self, shared.fires_from));
-        let unheld = f._mm512_mask_mov_epi32(free, spiked, all(self, HELD + shared.refractory));
-        let next_v = f._mm512_mask_mov_epi32(f._mm512_add_epi32(stored, all(self, -1)), is_free, unheld);
-        // The truth table of a | b | c.
-        const ANY: i32 = 0xfe;
-        let moved = f._mm512_ternarylogic_epi32::<ANY>(old_u, old_v, sum);
-        let biased = if PLAIN || shared.bias == 0 { 0 } else { __mmask16::MAX };
-        let moved = f._mm512_test_epi32_mask(moved, moved) | !is_free | biased;
-        let left = f._mm512_or_si512(next_u, next_v);
-        (*chunk.u, *chunk.v, *chunk.sums) = (cast(next_u), cast(next_v), [S::default(); LANES]);
-        Some(Effect { spiked, moved, busy: f._mm512_test_epi32_mask(left, left) != 0 })
+        spiked |= u64::from(fires) << (LANES * i);
+        moved |= u64::from(moves) << (LANES * i);
+        left = f._mm512_ternarylogic_epi32::<ANY>(left, u, v);
+        (next_u[i], next_v[i]) = (u, v);
     }
+    wrapped |= f._mm512_test_epi32_mask(outside, all(simd, -1 << (UV_BITS + 1)));
+    wrapped |= f._mm512_cmpgt_epu32_mask(highest, all(simd, shared.span));
+    if wrapped != 0 {
+        return None;
+    }
+    for i in 0..N {
+        (currents[i], voltages[i], sums[i]) = (cast(next_u[i]), cast(next_v[i]), [S::default(); LANES]);
+    }
+    Some(Effect { spiked, moved, busy: f._mm512_test_epi32_mask(left, left) != 0 })
 }

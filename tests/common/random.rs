@@ -245,5 +245,6 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
         seed,
         pruned: None,
         cores,
+        layers: Vec::new(),
     }
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::compile::saved;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::cost::estimate::Convention;
 use crate::cost::{CostTable, Deployment, Transport};
@@ -12,7 +13,7 @@ use crate::desc::baseline::Mode;
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
-use crate::ir::placement::{Mesh, Placement, Site};
+use crate::ir::placement::{Mesh, Placement};
 
 /// `--deployment`
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -144,9 +145,7 @@ pub fn deployment(
                     target.name()
                 )));
             }
-            let sites = mapping.cores.iter().map(|at| Site { chip: at.chip, x: at.x, y: at.y, core: at.core });
-            let placement = Placement::new(Mesh::of(target), sites.collect())
-                .map_err(|error| Diagnostic::new("deployment.placement", error.to_string()).in_file(path))?;
+            let placement = saved::placement(&mapping, Mesh::of(target)).map_err(|error| error.in_file(path))?;
             Ok(Deployment::of(path.display().to_string(), &placement, target.chip(), copies))
         }
     }

@@ -7,7 +7,7 @@ mod foreign;
 mod hardware;
 mod network;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde_json::{Value, json};
@@ -158,9 +158,20 @@ fn of_mapping(mapping: &MappingFile) -> Findings {
             ]
         })
         .collect();
-    let mut chips: Vec<u32> = mapping.cores.iter().map(|core| core.chip).collect();
-    chips.sort_unstable();
-    chips.dedup();
+    let boxed = mapping.layers.iter().map(|layer| {
+        let chips: BTreeSet<u32> = layer.places.iter().map(|on| on.chip).collect();
+        let (channels, rows, columns) = layer.size;
+        vec![
+            json!(layer.population),
+            json!(format!("{channels} x {rows} x {columns}")),
+            json!(layer.places().count()),
+            json!(chips.len()),
+        ]
+    });
+    let boxes = Rows { key: "layers", columns: &["population", "box", "cores", "chips"], rows: boxed.collect() };
+    let chips: BTreeSet<u32> =
+        mapping.cores.iter().map(|core| core.chip).chain(mapping.places().map(|(chip, _)| chip)).collect();
+    let listed = Rows { key: "cores", columns: &["chip", "x", "y", "core", "compartments", "holds"], rows };
     Findings {
         kind: "mapping",
         facts: vec![
@@ -170,10 +181,10 @@ fn of_mapping(mapping: &MappingFile) -> Findings {
             ("strategy", json!(mapping.strategy)),
             ("seed", json!(mapping.seed)),
             ("pruned", mapping.pruned.as_ref().map_or(json!("none"), of_pruning)),
-            ("cores_used", json!(mapping.cores.len())),
+            ("cores_used", json!(mapping.cores.len() + mapping.places().count())),
             ("chips_used", json!(chips.len())),
         ],
-        tables: vec![Rows { key: "cores", columns: &["chip", "x", "y", "core", "compartments", "holds"], rows }],
+        tables: if mapping.layers.is_empty() { vec![listed] } else { vec![boxes] },
     }
 }
 

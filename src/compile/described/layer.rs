@@ -1,15 +1,15 @@
 //! Ways of cutting the layers of a network into boxes, a core each.
 //!
 //! In comes a network in which every projection is a window or all to all; out go its [`Layer`]s, and of each the grid of
-//! boxes that takes the fewest cores, with what every box uses ([`crate::compile::boxes`]).
+//! boxes that takes the fewest cores, with what every box uses ([`crate::compile::geometry`]).
 
 use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::base::id::{IdVec, PopulationId};
 use crate::compile::axis::Axis;
-use crate::compile::boxes::{BoxUse, Channels, Layer, Side, use_of};
 use crate::compile::formats::Formats;
+use crate::compile::geometry::{BoxUse, Channels, Layer, Side, use_of};
 use crate::compile::packing;
 use crate::compile::partition::tiles::{self, Grid};
 use crate::compile::share::Places;
@@ -28,13 +28,57 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
     network.populations().ids().map(of).collect()
 }
 
-/// A layer cut into boxes, a core each.
-#[derive(Debug, Clone)]
-pub struct Cut {
+/// Where a layer is cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lattice {
     /// Channels, rows and columns of a box; those at the end may be smaller.
     pub size: (u32, u32, u32),
     /// Boxes along channels, rows and columns.
     along: (u32, u32, u32),
+}
+
+impl Lattice {
+    /// A layer of this shape in boxes of this size; `None` when a box has no or more sides than the layer.
+    #[must_use]
+    pub fn new(shape: (u32, u32, u32), size: (u32, u32, u32)) -> Option<Self> {
+        let within = |length: u32, size: u32| (1..=length).contains(&size).then(|| length.div_ceil(size));
+        let along = (within(shape.0, size.0)?, within(shape.1, size.1)?, within(shape.2, size.2)?);
+        Some(Lattice { size, along })
+    }
+
+    /// Number of boxes.
+    #[must_use]
+    pub fn boxes(&self) -> u32 {
+        self.along.0 * self.along.1 * self.along.2
+    }
+
+    /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
+    pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> + use<> {
+        let (channels, rows, columns) = self.along;
+        (0..rows).flat_map(move |y| {
+            let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
+            (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
+        })
+    }
+
+    /// The place of a box in that order.
+    #[must_use]
+    pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
+        let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
+        (y * self.along.2 + x) * self.along.0 + c
+    }
+
+    /// Indices of the compartments of every box, in slot order.
+    pub fn members(self, layer: &Layer) -> impl Iterator<Item = Vec<u32>> + use<'_> {
+        self.order().map(move |at| tiles::cell(layer.shape, self.size, at, layer.own_only))
+    }
+}
+
+/// A layer cut into boxes, a core each.
+#[derive(Debug, Clone)]
+pub struct Cut {
+    /// Where.
+    pub lattice: Lattice,
     kinds: [Vec<u32>; 3],
     uses: HashMap<(u32, u32, u32), BoxUse>,
 }
@@ -58,8 +102,10 @@ fn kinds<T: Eq + std::hash::Hash + Clone>(items: impl Iterator<Item = T>) -> (Ve
 }
 
 impl Cut {
-    fn new(layer: &Layer, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> Self {
-        let (c, h, w) = layer.shape;
+    /// A layer cut here.
+    #[must_use]
+    pub fn new(layer: &Layer, lattice: Lattice, formats: &Formats, limits: &Limits) -> Self {
+        let ((c, h, w), size) = (layer.shape, lattice.size);
         let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of(layer, &part)));
         let (rows, of_rows) = kinds(parts(h, size.1).map(|part| Side::of(layer, Axis::rows, &part)));
         let (columns, of_columns) = kinds(parts(w, size.2).map(|part| Side::of(layer, Axis::columns, &part)));
@@ -72,8 +118,7 @@ impl Cut {
                 }
             }
         }
-        let along = (of_channels.len() as u32, of_rows.len() as u32, of_columns.len() as u32);
-        Cut { size, along, kinds: [of_channels, of_rows, of_columns], uses }
+        Cut { lattice, kinds: [of_channels, of_rows, of_columns], uses }
     }
 
     /// The first grid, in the order of boxes and then of messages, of which every box fits a core with at most so many
@@ -89,7 +134,8 @@ impl Cut {
             if layer.middle(*size, formats, limits).exceeds(limits) {
                 return false;
             }
-            let found = Cut::new(layer, *size, formats, limits);
+            let Some(lattice) = Lattice::new(layer.shape, *size) else { return false };
+            let found = Cut::new(layer, lattice, formats, limits);
             let fits = !found.uses.values().any(|used| used.exceeds(limits));
             cut = fits.then_some(found);
             fits
@@ -97,33 +143,12 @@ impl Cut {
         cut.map_or_else(
             || {
                 let alone = layer.middle((1, 1, 1), formats, limits);
-                let found = Cut::new(layer, (1, 1, 1), formats, limits);
+                let lattice = Lattice { size: (1, 1, 1), along: layer.shape };
+                let found = Cut::new(layer, lattice, formats, limits);
                 if found.uses.values().any(|used| used.exceeds(limits)) { Err(alone) } else { Ok(found) }
             },
             Ok,
         )
-    }
-
-    /// Number of boxes.
-    #[must_use]
-    pub fn boxes(&self) -> u32 {
-        self.along.0 * self.along.1 * self.along.2
-    }
-
-    /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
-    pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> {
-        let (channels, rows, columns) = self.along;
-        (0..rows).flat_map(move |y| {
-            let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
-            (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
-        })
-    }
-
-    /// The place of a box in that order.
-    #[must_use]
-    pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
-        let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
-        (y * self.along.2 + x) * self.along.0 + c
     }
 
     /// The kind of a box: boxes of one kind use the same.
@@ -134,7 +159,7 @@ impl Cut {
 
     /// What the core of a box uses.
     #[must_use]
-    pub fn used(&self, at: (u32, u32, u32)) -> BoxUse {
-        self.uses[&self.kind(at)]
+    pub fn used(&self, at: (u32, u32, u32)) -> &BoxUse {
+        &self.uses[&self.kind(at)]
     }
 }

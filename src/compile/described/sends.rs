@@ -1,7 +1,7 @@
 //! What the cores of boxes send: whole boxes are reached, so destinations follow from positions.
 //!
 //! In come layers, their cuts and the compartments of each core; out go, core by core, the distinct sets of cores that its
-//! compartments' spikes reach, with how many compartments and what rate; and the same of the input channels. Nothing is
+//! compartments' spikes reach, with how many compartments; and the same of the input channels. Nothing is
 //! enumerated synapse by synapse: a source position reaches some rows and some columns of boxes, and all boxes where they
 //! cross.
 
@@ -12,11 +12,9 @@ use rayon::prelude::*;
 
 use crate::base::id::{IdVec, PopulationId};
 use crate::compile::axis::Axis;
-use crate::compile::boxes::Layer;
 use crate::compile::described::layer::Cut;
-use crate::compile::fanin::first_source;
+use crate::compile::geometry::Layer;
 use crate::compile::partition::Members;
-use crate::compile::rates::Rates;
 use crate::desc::target::Limits;
 use crate::ir::quantised::Quantised;
 
@@ -30,15 +28,13 @@ pub struct Sends {
     pub to: Vec<u32>,
     /// How many sources.
     pub sources: u64,
-    /// Their spikes in as many steps as rates count.
-    pub weight: u64,
 }
 
 /// What all sources send.
 #[derive(Debug, Clone)]
 pub struct AllSends {
-    /// Of the input channels.
-    pub inputs: Vec<Sends>,
+    /// Of the channels of each population.
+    pub inputs: IdVec<PopulationId, Vec<Sends>>,
     /// Of the compartments of each core.
     pub cores: Vec<Vec<Sends>>,
 }
@@ -77,7 +73,7 @@ impl<'a> Outgoing<'a> {
             let Some(to) = &placed[target] else { continue };
             for incoming in layer.incoming.iter().filter(|incoming| incoming.source == source) {
                 if incoming.all_to_all {
-                    ways.push(Way::All(to.first..to.first + to.cut.boxes()));
+                    ways.push(Way::All(to.first..to.first + to.cut.lattice.boxes()));
                     continue;
                 }
                 let window = &incoming.window;
@@ -92,12 +88,12 @@ impl<'a> Outgoing<'a> {
                 let (of_group, sources) = (window.target.0 / window.groups, window.source.0 / window.groups);
                 let channels = |channel: u32| {
                     let first = channel / sources * of_group;
-                    first / to.cut.size.0..(first + of_group - 1) / to.cut.size.0 + 1
+                    first / to.cut.lattice.size.0..(first + of_group - 1) / to.cut.lattice.size.0 + 1
                 };
                 ways.push(Way::Window {
                     to,
-                    rows: boxes(Axis::rows(window), window.source.1, to.cut.size.1),
-                    columns: boxes(Axis::columns(window), window.source.2, to.cut.size.2),
+                    rows: boxes(Axis::rows(window), window.source.1, to.cut.lattice.size.1),
+                    columns: boxes(Axis::columns(window), window.source.2, to.cut.lattice.size.2),
                     channels: (0..window.source.0).map(channels).collect(),
                 });
             }
@@ -127,7 +123,7 @@ impl<'a> Outgoing<'a> {
                 Way::Window { to, rows, columns, channels } => {
                     for &row in &rows[y as usize] {
                         for &column in &columns[x as usize] {
-                            let of = |c| to.first + to.cut.number((c, row, column));
+                            let of = |c| to.first + to.cut.lattice.number((c, row, column));
                             cores.extend(channels[channel as usize].clone().map(of));
                         }
                     }
@@ -139,20 +135,15 @@ impl<'a> Outgoing<'a> {
     }
 
     /// What sources with these indices send.
-    fn sends(&self, indices: impl Iterator<Item = u32>, rate: impl Fn(u32) -> u64) -> BTreeMap<Vec<u32>, (u64, u64)> {
-        let mut sends: BTreeMap<Vec<u32>, (u64, u64)> = BTreeMap::new();
-        let mut run: Option<(u32, u64, u64)> = None;
-        let mut end = |(index, sources, weight): (u32, u64, u64)| {
-            let sum = sends.entry(self.reached(index)).or_default();
-            *sum = (sum.0 + sources, sum.1 + weight);
-        };
+    fn sends(&self, indices: impl Iterator<Item = u32>) -> BTreeMap<Vec<u32>, u64> {
+        let mut sends: BTreeMap<Vec<u32>, u64> = BTreeMap::new();
+        let mut run: Option<(u32, u64)> = None;
+        let mut end = |(index, sources): (u32, u64)| *sends.entry(self.reached(index)).or_default() += sources;
         for index in indices {
             match &mut run {
-                Some((first, sources, weight)) if self.same(*first, index) => {
-                    (*sources, *weight) = (*sources + 1, *weight + rate(index));
-                }
+                Some((first, sources)) if self.same(*first, index) => *sources += 1,
                 _ => {
-                    run.replace((index, 1, rate(index))).into_iter().for_each(&mut end);
+                    run.replace((index, 1)).into_iter().for_each(&mut end);
                 }
             }
         }
@@ -161,8 +152,8 @@ impl<'a> Outgoing<'a> {
     }
 }
 
-fn listed(sends: BTreeMap<Vec<u32>, (u64, u64)>) -> Vec<Sends> {
-    sends.into_iter().map(|(to, (sources, weight))| Sends { to, sources, weight }).collect()
+fn listed(sends: BTreeMap<Vec<u32>, u64>) -> Vec<Sends> {
+    sends.into_iter().map(|(to, sources)| Sends { to, sources }).collect()
 }
 
 /// What all sources of a network send.
@@ -172,35 +163,32 @@ pub fn sends(
     layers: &IdVec<PopulationId, Layer>,
     placed: &IdVec<PopulationId, Option<Placed>>,
     members: &Members,
-    rates: &Rates,
 ) -> AllSends {
     let outgoing: IdVec<PopulationId, Outgoing<'_>> =
         network.populations().ids().map(|id| Outgoing::of(id, layers, placed)).collect();
-    let mut inputs: BTreeMap<Vec<u32>, (u64, u64)> = BTreeMap::new();
+    let mut inputs: IdVec<PopulationId, Vec<Sends>> = vec![Vec::new(); network.populations().len()].into();
     let mut cores: Vec<Vec<Sends>> = Vec::with_capacity(members.len());
     for (id, population) in network.populations().enumerate() {
-        let (out, first, size) = (&outgoing[id], first_source(network, population), population.shape.len());
+        let (out, size) = (&outgoing[id], population.shape.len());
         match &placed[id] {
             None => {
-                let piece = |from: u32| out.sends(from..size.min(from + PIECE), |index| rates.of(first + index));
+                let piece = |from: u32| out.sends(from..size.min(from + PIECE));
                 let starts: Vec<u32> = (0..size).step_by(PIECE as usize).collect();
                 let pieces: Vec<_> = starts.into_par_iter().map(piece).collect();
-                for (to, (sources, weight)) in pieces.into_iter().flatten().filter(|(to, _)| !to.is_empty()) {
-                    let sum = inputs.entry(to).or_default();
-                    *sum = (sum.0 + sources, sum.1 + weight);
+                let mut all: BTreeMap<Vec<u32>, u64> = BTreeMap::new();
+                for (to, sources) in pieces.into_iter().flatten().filter(|(to, _)| !to.is_empty()) {
+                    *all.entry(to).or_default() += sources;
                 }
+                inputs[id] = listed(all);
             }
             Some(Placed { cut, first: core }) => {
-                let held = &members.as_slice()[*core as usize..(core + cut.boxes()) as usize];
+                let held = &members.as_slice()[*core as usize..(core + cut.lattice.boxes()) as usize];
                 let own = population.first_compartment().map_or(0, |first| first.0);
-                let of = |held: &Vec<crate::base::id::CompartmentId>| {
-                    listed(out.sends(held.iter().map(|id| id.0 - own), |index| rates.of(first + index)))
-                };
-                cores.par_extend(held.par_iter().map(of));
+                cores.par_extend(held.par_iter().map(|held| listed(out.sends(held.iter().map(|id| id.0 - own)))));
             }
         }
     }
-    AllSends { inputs: listed(inputs), cores }
+    AllSends { inputs, cores }
 }
 
 /// Output axon slots of a core's compartments together and the most output axons of one, with cores numbered chip by chip.

@@ -16,9 +16,9 @@ use std::collections::BTreeSet;
 
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::compile::axis::{Axis, Pattern, relative};
-use crate::compile::boxes::{Incoming, Layer};
 use crate::compile::fill::{Filling, Newcomer};
 use crate::compile::formats::Formats;
+use crate::compile::geometry::{Incoming, Layer};
 use crate::compile::packing::MOST_SLOTS;
 use crate::compile::partition::order::{Indices, Segment};
 use crate::compile::share::Places;

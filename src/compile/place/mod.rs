@@ -50,14 +50,14 @@ pub struct Search<'a> {
     pub work: u64,
 }
 
-/// A place for every core, in order.
+/// A place for each of so many cores, in order.
 ///
 /// # Errors
-/// A [`Reason`] when the partition has more cores than the target.
-pub fn sequential(partition: &Partition, target: &Target) -> Result<Placement, Reason> {
+/// A [`Reason`] when they are more than the target has.
+pub fn sequential(cores: usize, target: &Target) -> Result<Placement, Reason> {
     let mesh = Mesh::of(target);
-    let too_many = || Reason::of_cores(target, 1, partition.cores() as u64);
-    let sites: Option<IdVec<CoreId, Site>> = (0..partition.cores() as u32).map(|core| mesh.site(core)).collect();
+    let too_many = || Reason::of_cores(target, 1, cores as u64);
+    let sites: Option<IdVec<CoreId, Site>> = (0..cores as u32).map(|core| mesh.site(core)).collect();
     Placement::new(mesh, sites.ok_or_else(too_many)?).map_err(|_| too_many())
 }
 
@@ -71,27 +71,27 @@ pub fn place(
     target: &Target,
     search: Search<'_>,
 ) -> Result<(Placement, &'static str), Reason> {
-    let plain = sequential(partition, target)?;
+    let plain = sequential(partition.cores(), target)?;
     // A source reaches at most one core a synapse.
     if network.synapses().min(u64::from(network.channels() + network.compartments()) * partition.cores() as u64)
         > MOST_MESSAGES
     {
         return Ok((plain, SEQUENTIAL));
     }
-    place_nets(&Nets::new(network, partition, search.rates), partition, target, search)
+    place_nets(&Nets::new(network, partition, search.rates), partition.cores(), target, search)
 }
 
-/// A place for every core, near what it talks to, when that is known; and the name of how it was found.
+/// A place for each of so many cores, near what it talks to, when that is known; and the name of how it was found.
 ///
 /// # Errors
 /// As [`sequential`].
 pub fn place_nets(
     nets: &Nets,
-    partition: &Partition,
+    cores: usize,
     target: &Target,
     search: Search<'_>,
 ) -> Result<(Placement, &'static str), Reason> {
-    let plain = sequential(partition, target)?;
+    let plain = sequential(cores, target)?;
     let starts = [plain.sites().clone(), hilbert(&plain, nets)];
     let mesh = *plain.mesh();
     let cost = |sites: &IdVec<CoreId, Site>| nets.costs(&mesh, sites);
@@ -172,18 +172,13 @@ fn curve(width: u32, height: u32) -> Vec<(u32, u32)> {
 mod tests {
     use super::*;
     use crate::compile::testing::{limits, target};
-    use crate::ir::partition::CoreUsage;
 
     #[test]
     fn cores_are_placed_in_order_and_more_than_there_are_is_a_reason() {
-        let of = |cores: usize| {
-            let members = (0..cores).map(|_| Vec::new()).collect();
-            Partition::new(0, members, vec![CoreUsage::default(); cores].into(), &limits()).unwrap()
-        };
         let target = target(2, 1, limits());
-        let placement = sequential(&of(256), &target).unwrap();
+        let placement = sequential(256, &target).unwrap();
         assert_eq!(placement.site(CoreId(131)), Site { chip: 1, x: 0, y: 0, core: 3 });
-        let reason = sequential(&of(257), &target).unwrap_err();
+        let reason = sequential(257, &target).unwrap_err();
         assert_eq!((reason.need, reason.limit), (257, 256));
         assert!(reason.help.contains("nahuku-32"), "{}", reason.help);
     }

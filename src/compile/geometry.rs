@@ -9,6 +9,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::base::fixed::Delay;
 use crate::base::id::{Id, PopulationId};
@@ -158,13 +159,24 @@ impl Channels {
     }
 }
 
-/// What a core that holds a box uses.
+/// Synapses of a box with sources in one population.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Arriving {
+    /// The sources' population.
+    pub source: PopulationId,
+    /// In lists without indices.
+    pub dense: u64,
+    /// In lists with indices or runs.
+    pub sparse: u64,
+}
+
+/// What a core that holds a box uses.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BoxUse {
     /// Everything but output axons and profiles.
     pub usage: CoreUsage,
-    /// Of its synapses, those in lists without indices.
-    pub dense: u64,
+    /// Its synapses, by where they come from.
+    pub arriving: Arc<[Arriving]>,
 }
 
 impl BoxUse {
@@ -184,11 +196,12 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
     let reaching: Vec<usize> = (0..layer.incoming.len()).filter(|&i| reaching(i)).collect();
     let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::of(compartments, longest, limits.packing);
-    let (mut tallies, mut synapses, mut dense) = (Tallies::default(), 0, 0);
+    let (mut tallies, mut arriving) = (Tallies::default(), Vec::new());
     let mut classes = Classes::default();
     let mut slots: Vec<u16> = Vec::new();
     for &i in &reaching {
-        let Incoming { format, delay, placed, all_to_all, .. } = layer.incoming[i];
+        let Incoming { source, format, delay, placed, all_to_all, .. } = layer.incoming[i];
+        let (mut dense, mut sparse) = (0, 0);
         for (reached_rows, of_rows) in &rows.patterns[i] {
             for (reached_columns, of_columns) in &columns.patterns[i] {
                 let mut place = Place::default();
@@ -219,8 +232,7 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                     };
                     let lists = of_rows * of_columns * of_channels;
                     place.lists(of_channels, tallies.lists(format, group, lists, widths, limits));
-                    synapses += lists * slots.len() as u64;
-                    dense += if group.dense { lists * slots.len() as u64 } else { 0 };
+                    *if group.dense { &mut dense } else { &mut sparse } += lists * slots.len() as u64;
                 }
                 let first_slot = {
                     let at = u32::from(reached_rows[0].0) * columns.size + u32::from(reached_columns[0].0);
@@ -238,9 +250,11 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                 }
             }
         }
+        arriving.push(Arriving { source, dense, sparse });
     }
     tallies.share([&classes.ways[0], &classes.ways[1]], limits);
-    BoxUse { usage: tallies.usage(compartments, synapses, longest, limits), dense }
+    let synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
+    BoxUse { usage: tallies.usage(compartments, synapses, longest, limits), arriving: arriving.into() }
 }
 
 /// The lists of one place.
