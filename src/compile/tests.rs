@@ -3,19 +3,23 @@
 use std::collections::BTreeSet;
 
 use crate::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
-use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
+use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
 use crate::base::rng;
 use crate::compile::check::{Difference, check};
 use crate::compile::fanin::FanIn;
 use crate::compile::fill::{Filling, Newcomer};
 use crate::compile::memory;
+use crate::compile::partition::tiles;
+use crate::compile::place;
+use crate::compile::route::route;
 use crate::compile::testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
+use crate::compile::usage::usage;
 use crate::compile::verify::{Violation, verify};
 use crate::compile::{CompileError, Compiled, Options, Reason, compile_quantised};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::target::{Limits, Packing};
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::partition::Resource;
+use crate::ir::partition::{Partition, Resource, seats};
 use crate::ir::program::{AxonTarget, Lists, Parts, Program, Stored, Synapse};
 use crate::ir::quantised::{Connectivity, Neurons, Quantised, Reset, Units};
 
@@ -558,9 +562,18 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
         let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
         net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
-        // Short lists take a word alone as in a table, so that every place shares.
-        let compiled = compiled(net.build(), Limits { synapse_words: 65_536, ..limits() });
-        let [image] = compiled.program.cores().as_slice() else { panic!("{source:?}: several cores") };
+        // Position by position, channels last, as a tile stands; lists of the same length in and outside of tables.
+        let (network, board) = (net.build(), crate::compile::testing::target(1, 1, limits()));
+        let order = tiles::cell(target, target, (0, 0, 0), false);
+        let members = IdVec::from(vec![order.into_iter().map(CompartmentId).collect::<Vec<_>>()]);
+        let seats = seats(network.compartments(), &members).unwrap();
+        let used = usage(&network, &members, &seats, &vec![0].into(), board.limits());
+        let partition = Partition::new(network.compartments(), members, used, board.limits()).unwrap();
+        let program =
+            route(&network, &partition, &place::sequential(&partition, &board).unwrap(), board.limits()).unwrap();
+        check(&network, &program).unwrap();
+        verify(&program, &board).unwrap();
+        let [image] = program.cores().as_slice() else { unreachable!() };
         let tables: BTreeSet<u32> = image.inputs.populations.iter().map(|axon| axon.table).collect();
         let stored = image.inputs.lists.items().len();
         assert_eq!([tables.len(), stored, image.inputs.populations.len()], theirs, "{source:?}");
