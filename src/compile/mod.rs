@@ -396,10 +396,10 @@ fn mapped(
         best.seconds.splice(0..0, clock.0);
         return Ok(best);
     }
-    let Partitioned { one, all, partition, rates, mut clock } = partitioned_from(one, target, options, rates, clock)?;
-    let placed = clock.stage("place", || placed(&all, &partition, target, options, &rates));
-    let (placement, name) = placed.map_err(does_not_fit)?;
-    finished(one, all, partition, placement, name, target, options, rates, clock)
+    partitioned_from(one, target, options, rates, clock)?
+        .sited(target, options)?
+        .routed(target, options)?
+        .proved(target)
 }
 
 /// A network on logical cores, for placing in several ways.
@@ -461,10 +461,36 @@ impl Partitioned {
 
     /// Places it and writes its program, which is still to be verified and checked.
     fn routed(&self, target: &Target, options: &Options) -> Result<Routed, CompileError> {
-        let Partitioned { one, all, partition, rates, mut clock } = self.clone();
-        let placed = clock.stage("place", || placed(&all, &partition, target, options, &rates));
+        self.clone().sited(target, options)?.routed(target, options)
+    }
+
+    fn sited(mut self, target: &Target, options: &Options) -> Result<Sited, CompileError> {
+        let Partitioned { all, partition, rates, clock, .. } = &mut self;
+        let placed = clock.stage("place", || placed(all, partition, target, options, rates));
         let (placement, name) = placed.map_err(does_not_fit)?;
-        routed(one, all, partition, placement, name, target, options, rates, clock)
+        Ok(Sited { partitioned: self, placement, name })
+    }
+}
+
+/// A network on the cores of the board: all that comes before its program.
+struct Sited {
+    partitioned: Partitioned,
+    placement: Placement,
+    /// Name of the placement.
+    name: &'static str,
+}
+
+impl Sited {
+    /// The program, which is still to be verified and checked.
+    fn routed(self, target: &Target, options: &Options) -> Result<Routed, CompileError> {
+        let Sited { partitioned, placement, name: placed } = self;
+        let Partitioned { one, all: quantised, partition, rates, mut clock } = partitioned;
+        let limits = target.limits();
+        let routed = clock.stage("route", || route::route(&quantised, &partition, &placement, limits));
+        let program = routed.map_err(CompileError::Fault)?;
+        let (seconds, target) = (clock.0, target.name().to_string());
+        let options = *options;
+        Ok(Routed(Compiled { one, quantised, partition, placement, program, seconds, target, options, placed, rates }))
     }
 }
 
@@ -517,44 +543,8 @@ fn remapped(
     clock.stage("bounds", || within_bounds(&one, target, options, partition_search(options, &rates)))?;
     let all = clock.stage("copies", || all_copies(&one, options))?;
     let (partition, placement) = clock.stage("mapping", || from_file(&all, target, file))?;
-    finished(one, all, partition, placement, place::SAVED, target, options, rates, clock)
-}
-
-/// From places to a program that is known to be right.
-#[allow(clippy::too_many_arguments)]
-fn finished(
-    one: Quantised,
-    quantised: Quantised,
-    partition: Partition,
-    placement: Placement,
-    placed: &'static str,
-    target: &Target,
-    options: &Options,
-    rates: Rates,
-    clock: Clock,
-) -> Result<Compiled, CompileError> {
-    routed(one, quantised, partition, placement, placed, target, options, rates, clock)?.proved(target)
-}
-
-/// From places to a program that is still to be verified and checked.
-#[allow(clippy::too_many_arguments)]
-fn routed(
-    one: Quantised,
-    quantised: Quantised,
-    partition: Partition,
-    placement: Placement,
-    placed: &'static str,
-    target: &Target,
-    options: &Options,
-    rates: Rates,
-    mut clock: Clock,
-) -> Result<Routed, CompileError> {
-    let limits = target.limits();
-    let routed = clock.stage("route", || route::route(&quantised, &partition, &placement, limits));
-    let program = routed.map_err(CompileError::Fault)?;
-    let (seconds, target) = (clock.0, target.name().to_string());
-    let options = *options;
-    Ok(Routed(Compiled { one, quantised, partition, placement, program, seconds, target, options, placed, rates }))
+    let partitioned = Partitioned { one, all, partition, rates, clock };
+    Sited { partitioned, placement, name: place::SAVED }.routed(target, options)?.proved(target)
 }
 
 /// A program that has not been verified and checked, for comparing what mappings cost.

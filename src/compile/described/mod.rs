@@ -114,7 +114,7 @@ pub fn describe(one: Quantised, target: &Target, options: &Options) -> Result<De
     let boxes = clock.stage("boxes", || Boxes::fewest(&network, target, options))?;
     let (placement, name) = clock.stage("place", || placed(&boxes, target, options, &rates))?;
     let chips = row_of_chips(boxes.members.len(), target);
-    finished(network, boxes, &chips, placement, name, target, options, clock)
+    Sited { network, boxes, chips, placement, name, clock }.proved(target, options)
 }
 
 /// What mappings in boxes of different sizes are expected to cost, the fewest boxes first.
@@ -186,50 +186,56 @@ fn made_again(
     let Outline { lattices, placement } = outline;
     let boxes = clock.stage("boxes", || Boxes::of_lattices(&network, &lattices, target.limits()));
     let chips = placement.sites().iter().map(|site| site.chip).collect();
-    finished(network, boxes, &chips, placement, name, target, options, clock)
+    Sited { network, boxes, chips, placement, name, clock }.proved(target, options)
 }
 
-/// From boxes and places to a mapping that has been checked.
-#[allow(clippy::too_many_arguments)]
-fn finished(
+/// Boxes on the cores of the board: all that comes before they are known to be right.
+struct Sited {
     network: Layered,
-    mut boxes: Boxes,
-    chips: &IdVec<CoreId, u32>,
+    boxes: Boxes,
+    /// The chip of each box.
+    chips: IdVec<CoreId, u32>,
     placement: Placement,
-    placed: &'static str,
-    target: &Target,
-    options: &Options,
-    mut clock: Clock,
-) -> Result<Described, CompileError> {
-    let (limits, Layered { one, all, .. }) = (target.limits(), network);
-    let usage = clock.stage("usage", || boxes.usage(&all, chips, limits));
-    let excesses = usage.enumerate().flat_map(|(core, used)| used.excesses(limits).map(move |excess| (core, excess)));
-    let reason = |(core, (resource, need, limit))| Reason::of_core(core, resource, need, limit);
-    let reasons: Vec<Reason> = excesses.map(reason).collect();
-    if !reasons.is_empty() {
-        return Err(CompileError::DoesNotFit(reasons));
+    /// Name of the placement.
+    name: &'static str,
+    clock: Clock,
+}
+
+impl Sited {
+    /// The mapping once it is within every limit and has been checked.
+    fn proved(self, target: &Target, options: &Options) -> Result<Described, CompileError> {
+        let Sited { network, mut boxes, chips, placement, name: placed, mut clock } = self;
+        let (limits, Layered { one, all, .. }) = (target.limits(), network);
+        let usage = clock.stage("usage", || boxes.usage(&all, &chips, limits));
+        let excesses =
+            usage.enumerate().flat_map(|(core, used)| used.excesses(limits).map(move |excess| (core, excess)));
+        let reason = |(core, (resource, need, limit))| Reason::of_core(core, resource, need, limit);
+        let reasons: Vec<Reason> = excesses.map(reason).collect();
+        if !reasons.is_empty() {
+            return Err(CompileError::DoesNotFit(reasons));
+        }
+        let cores = check::one_of_each(boxes.kinds());
+        let members = std::mem::take(&mut boxes.members);
+        let partition = clock
+            .stage("seats", || Partition::new(all.compartments(), members, usage, limits))
+            .map_err(|error| CompileError::Fault(error.to_string()))?;
+        clock.stage("check", || check::check(&all, &partition, &cores, &chips, limits)).map_err(CompileError::Fault)?;
+        let rates = Rates::assumed(DEFAULT_RATE);
+        let of_population = everywhere(&all, &rates);
+        Ok(Described {
+            one,
+            quantised: all,
+            partition,
+            placement,
+            boxes,
+            seconds: clock.0,
+            target: target.name().to_string(),
+            options: *options,
+            placed,
+            rates,
+            of_population,
+        })
     }
-    let cores = check::one_of_each(boxes.kinds());
-    let members = std::mem::take(&mut boxes.members);
-    let partition = clock
-        .stage("seats", || Partition::new(all.compartments(), members, usage, limits))
-        .map_err(|error| CompileError::Fault(error.to_string()))?;
-    clock.stage("check", || check::check(&all, &partition, &cores, chips, limits)).map_err(CompileError::Fault)?;
-    let rates = Rates::assumed(DEFAULT_RATE);
-    let of_population = everywhere(&all, &rates);
-    Ok(Described {
-        one,
-        quantised: all,
-        partition,
-        placement,
-        boxes,
-        seconds: clock.0,
-        target: target.name().to_string(),
-        options: *options,
-        placed,
-        rates,
-        of_population,
-    })
 }
 
 impl Described {
