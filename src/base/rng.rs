@@ -12,13 +12,19 @@ const fn mix(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
+/// A digest of words so far and one more.
+#[inline]
+#[must_use]
+pub const fn digest(so_far: u64, word: u64) -> u64 {
+    mix((so_far ^ word).wrapping_add(GOLDEN))
+}
+
 /// 64 uniform bits for this (seed, entity, step).
 #[inline]
 #[must_use]
 pub const fn bits(seed: u64, entity: u64, step: u64) -> u64 {
     let z = mix(seed.wrapping_add(GOLDEN));
-    let z = mix((z ^ entity).wrapping_add(GOLDEN));
-    mix((z ^ step).wrapping_add(GOLDEN))
+    digest(digest(z, entity), step)
 }
 
 /// A uniform integer in `0..n`, by the high half of a 128-bit product; the bias is below n / 2^64.

@@ -189,7 +189,7 @@ fn step_rows(
     if standard.wants_threads() && context.threads > 1 {
         wanted.push((context.threads, true));
     }
-    let synapses: usize = program.cores().iter().map(|core| core.synapses.items().len()).sum();
+    let synapses: u64 = program.cores().iter().map(|core| core.inputs.count()).sum();
     let measured = wanted.into_iter().map(|(threads, skip)| {
         let image = Image::new(program, threads).map_err(|e| fault(standard, &e))?;
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });

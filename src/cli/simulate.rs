@@ -48,7 +48,7 @@ pub fn fast<M: Send>(
     new_meter: impl Fn() -> M + Sync,
     meter: impl Fn(&mut M, &StepActivity, u32) + Sync,
 ) -> Result<Run<M>, Error> {
-    let synapses: u64 = program.cores().iter().map(|image| image.synapses.items().len() as u64).sum();
+    let synapses: u64 = program.cores().iter().map(|image| image.inputs.count()).sum();
     let large = synapses > LARGE || samples.len() == 1;
     let shards = if large && synapses > 100_000 { context.threads } else { 1 };
     let image = Image::new(program, shards).map_err(|e| unsuitable(&e))?;

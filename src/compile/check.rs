@@ -193,9 +193,9 @@ impl Decoder {
         self.first.resize(sources.len() + 1, 0);
         for (message, source) in self.messages.iter_mut().flat_map(|messages| messages.drain(..)) {
             let image = &program.cores()[message.core];
-            let list = image.synapses.get(usize::from(message.axon));
+            let list = image.inputs.get(usize::from(message.axon)).synapses();
             self.first[usize::from(source) + 1] += list.len();
-            self.told.extend(list.iter().map(|synapse| {
+            self.told.extend(list.map(|synapse| {
                 let format = image.formats[usize::from(synapse.format)].synapse;
                 (source, Told::new(image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay))
             }));

@@ -152,8 +152,9 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
         Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
     };
     sum.cores.as_mut_slice().par_iter_mut().zip(cores).enumerate().for_each(|(core, (counts, image))| {
-        for (axon, list) in image.synapses.iter().enumerate() {
+        for (axon, list) in image.inputs.iter().enumerate() {
             let rate = of_axons.as_ref().map_or_else(|| rates.of(0), |of_axons| of_axons[core][axon]);
+            let list = list.stored;
             let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
             counts.messages_in += rate;
             counts.events_dense += dense as u64 * rate;
@@ -164,7 +165,7 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
 
 /// The rate of the source that leads to each input axon, by core.
 fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
-    let mut of_axons: Vec<Vec<u64>> = program.cores().iter().map(|image| vec![0; image.synapses.len()]).collect();
+    let mut of_axons: Vec<Vec<u64>> = program.cores().iter().map(|image| vec![0; image.inputs.len()]).collect();
     let mut leads = |message: &AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
     for image in program.cores() {
         for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {

@@ -172,38 +172,45 @@ impl FanIn {
         FanIn { incoming, projections }
     }
 
-    /// Calls `f(source, projection)` for every synapse into a compartment of a population, by projection, then source.
+    /// Calls `f(source, projection, part)` for every synapse into a compartment of a population, by projection, then source.
+    /// Synapses of a projection that are the same part of a kernel have the same weight.
     #[inline]
-    pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId)) {
+    pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId, u64)) {
+        // Where there is no kernel each synapse is a part of its own.
+        let own = |source: u32| u64::from(source) << 32 | u64::from(index);
         for &id in &self.incoming[population] {
             let (first, backwards) = &self.projections[id];
             match backwards {
-                Backwards::Dense { sources } => (0..*sources).for_each(|source| f(first + source, id)),
+                Backwards::Dense { sources } => (0..*sources).for_each(|source| f(first + source, id, own(source))),
                 Backwards::Listed(index_of) => {
                     let range = index_of.first[index as usize] as usize..index_of.first[index as usize + 1] as usize;
                     for &source in &index_of.sources[range] {
-                        f(first + source, id);
+                        f(first + source, id, own(source));
                     }
                 }
                 Backwards::Conv(window) => {
                     let per_group_in = window.source.0 / window.groups;
                     let per_group_out = window.target.0 / window.groups;
-                    let group = index / (window.target.1 * window.target.2) / per_group_out;
-                    for channel in group * per_group_in..(group + 1) * per_group_in {
-                        for_each_covered(window, index, channel, |source| f(first + source, id));
+                    let out = u64::from(index / (window.target.1 * window.target.2));
+                    let group = out as u32 / per_group_out;
+                    let of_channel = u64::from(window.kernel.0) * u64::from(window.kernel.1);
+                    for within in 0..per_group_in {
+                        let part = (out * u64::from(per_group_in) + u64::from(within)) * of_channel;
+                        let channel = group * per_group_in + within;
+                        for_each_covered(window, index, channel, |source, at| f(first + source, id, part + at));
                     }
                 }
                 Backwards::Pool(window) => {
                     let channel = index / (window.target.1 * window.target.2);
-                    for_each_covered(window, index, channel, |source| f(first + source, id));
+                    for_each_covered(window, index, channel, |source, _| f(first + source, id, 0));
                 }
             }
         }
     }
 }
 
-/// The sources of one channel that the window of a target covers.
-fn for_each_covered(window: &Window, target: u32, channel: u32, mut f: impl FnMut(u32)) {
+/// The sources of one channel that the window of a target covers, and their places in the window.
+fn for_each_covered(window: &Window, target: u32, channel: u32, mut f: impl FnMut(u32, u64)) {
     let within = target % (window.target.1 * window.target.2);
     let (y, x) = (within / window.target.2, within % window.target.2);
     let covered = |at: u32, stride: u32, padding: u32, dilation: u32, kernel: u32, size: u32| {
@@ -211,13 +218,13 @@ fn for_each_covered(window: &Window, target: u32, channel: u32, mut f: impl FnMu
             // Wide, because a stride and a position may each be large; see `Window::for_each_position` for the relation.
             let s = (u64::from(at) * u64::from(stride) + u64::from(k) * u64::from(dilation))
                 .checked_sub(u64::from(padding))?;
-            (s < u64::from(size)).then_some(s as u32)
+            (s < u64::from(size)).then_some((s as u32, u64::from(k)))
         })
     };
     let (stride, padding, dilation) = (window.stride, window.padding, window.dilation);
-    for sy in covered(y, stride.0, padding.0, dilation.0, window.kernel.0, window.source.1) {
-        for sx in covered(x, stride.1, padding.1, dilation.1, window.kernel.1, window.source.2) {
-            f((channel * window.source.1 + sy) * window.source.2 + sx);
+    for (sy, ky) in covered(y, stride.0, padding.0, dilation.0, window.kernel.0, window.source.1) {
+        for (sx, kx) in covered(x, stride.1, padding.1, dilation.1, window.kernel.1, window.source.2) {
+            f((channel * window.source.1 + sy) * window.source.2 + sx, ky * u64::from(window.kernel.1) + kx);
         }
     }
 }
@@ -253,7 +260,7 @@ mod tests {
             let (fan_in, mut backwards) = (FanIn::new(&network), Vec::new());
             for (id, population) in network.populations().enumerate() {
                 for t in 0..population.shape.len() {
-                    fan_in.for_each_into(id, t, |source, projection| backwards.push((id, t, projection, source)));
+                    fan_in.for_each_into(id, t, |source, projection, _| backwards.push((id, t, projection, source)));
                 }
             }
             forwards.sort_unstable();

@@ -5,14 +5,20 @@
 //! caller gives an estimate for each compartment. Adding never lowers a need (formats excepted, and
 //! the widest list when a core changes its mind about runs), so that a core that is too
 //! full stays too full; the caller then begins another.
+//!
+//! Lists that sources share through population axons ([`crate::compile::share`]) are counted only where a core does not
+//! hold its compartments without: while a tile is added row by row its lists differ, and only when it is whole are they
+//! the same. So compartments that came one by one are counted with lists of their own, which is never too little.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use crate::base::fixed::{Delay, WeightBits};
 use crate::base::id::{CompartmentId, PopulationId};
+use crate::base::rng;
 use crate::compile::fanin::FanIn;
 use crate::compile::formats::Formats;
 use crate::compile::packing::{self, Compression, Group, MOST_SLOTS, Widths};
+use crate::compile::share::{self, Class, Places};
 use crate::compile::usage::profiles;
 use crate::desc::target::Limits;
 use crate::ir::partition::CoreUsage;
@@ -40,6 +46,28 @@ struct Axon {
     last: Option<u32>,
     /// Without and with runs.
     words: [u32; 2],
+    /// Where its source stands, if it has a place.
+    placed: Option<PlacedAxon>,
+}
+
+/// The list of a source that has a place, as far as it is to be told from others.
+#[derive(Debug, Clone, Copy)]
+struct PlacedAxon {
+    place: u32,
+    atom: u16,
+    /// Of the place.
+    base: u16,
+    /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they are. Two different lists
+    /// with the same digest would be found out when the cores are counted exactly.
+    told: u64,
+}
+
+impl PlacedAxon {
+    fn tell(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
+        let from_base = u64::from(slot - self.base);
+        let which = from_base << 48 | u64::from(format) << 32 | projection as u64;
+        self.told = rng::digest(rng::digest(self.told, which), part);
+    }
 }
 
 /// The synapses of one format of one axon so far.
@@ -157,6 +185,11 @@ pub struct Filling<'a> {
     words: [u64; 2],
     widest: [u32; 2],
     slots_out: u64,
+    places: Places,
+    /// The first slot that each place reaches.
+    begins: HashMap<u32, u16>,
+    /// Whether the core holds its compartments only because lists are shared.
+    shares: bool,
 }
 
 impl<'a> Filling<'a> {
@@ -184,6 +217,9 @@ impl<'a> Filling<'a> {
             words: [0; 2],
             widest: [0; 2],
             slots_out: 0,
+            places: Places::of(network),
+            begins: HashMap::new(),
+            shares: false,
         }
     }
 
@@ -199,6 +235,8 @@ impl<'a> Filling<'a> {
         self.longest = Delay::MIN;
         self.widths = Widths::of(0, Delay::MIN, self.limits.packing);
         (self.synapses, self.words, self.widest, self.slots_out) = (0, [0; 2], [0; 2], 0);
+        self.begins.clear();
+        self.shares = false;
         std::mem::take(&mut self.members)
     }
 
@@ -220,16 +258,41 @@ impl<'a> Filling<'a> {
     /// What the core would use, when it cannot hold the compartment. It is not a member then, but the running counts are
     /// spoiled: begin another core.
     pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
+        self.put(newcomer)?;
+        self.holds().inspect_err(|_| {
+            self.members.pop();
+        })
+    }
+
+    /// Adds compartments that make a whole, whose lists may be shared.
+    ///
+    /// # Errors
+    /// As [`Filling::add`]; begin another core then.
+    pub fn add_whole(&mut self, newcomers: impl ExactSizeIterator<Item = Newcomer>) -> Result<(), CoreUsage> {
+        let compartments = (self.members.len() + newcomers.len()) as u32;
+        if compartments > self.limits.compartments.min(MOST_SLOTS) {
+            return Err(CoreUsage { compartments, ..self.usage() });
+        }
+        for newcomer in newcomers {
+            self.put(&newcomer)?;
+        }
+        if self.holds().is_err() {
+            self.shares = !self.places.is_empty();
+        }
+        self.holds()
+    }
+
+    fn put(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
         if self.members.len() as u32 >= self.limits.compartments.min(MOST_SLOTS) {
             return Err(CoreUsage { compartments: self.members.len() as u32 + 1, ..self.usage() });
         }
         let slot = self.members.len() as u16;
         self.members.push(newcomer.id);
         let fan_in = self.fan_in;
-        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection| {
+        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part| {
             let projection = projection.0 as usize;
             self.longest = self.longest.max(self.delays[projection]);
-            self.synapse(source, projection, slot);
+            self.synapse(source, projection, part, slot);
         });
         let widths = Widths::of(self.members.len() as u32, self.longest, self.limits.packing);
         if widths != self.widths {
@@ -240,25 +303,36 @@ impl<'a> Filling<'a> {
         self.profiles.insert(profile);
         self.thresholds.insert(threshold);
         self.slots_out += u64::from(newcomer.slots_out);
-        // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
-        let used = self.usage();
-        let fits = used.excesses(self.limits).next().is_none()
-            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits.axons_out));
-        if fits {
-            return Ok(());
-        }
-        self.members.pop();
-        Err(used)
+        Ok(())
     }
 
-    fn synapse(&mut self, source: u32, projection: usize, slot: u16) {
+    /// Whether the core holds what it has.
+    fn holds(&self) -> Result<(), CoreUsage> {
+        // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
+        let mut used = self.usage();
+        if self.shares && used.excesses(self.limits).next().is_some() {
+            used = self.usage_shared();
+        }
+        let fits = used.excesses(self.limits).next().is_none()
+            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits.axons_out));
+        if fits { Ok(()) } else { Err(used) }
+    }
+
+    fn synapse(&mut self, source: u32, projection: usize, part: u64, slot: u16) {
         let format = self.formats.by_projection()[projection];
         let weight_bits = self.weight_bits[projection];
         let axon_index = self.axon_of.get_or_insert(source, self.axons.len() as u32);
         if axon_index as usize == self.axons.len() {
-            self.axons.push(Axon { last: None, words: [0; 2] });
+            let placed = self.places.of_source(source).map(|(place, atom)| {
+                let first_slot = *self.begins.entry(place).or_insert(slot);
+                PlacedAxon { place, atom, base: share::base_of(first_slot), told: 0 }
+            });
+            self.axons.push(Axon { last: None, words: [0; 2], placed });
         }
         let axon = &mut self.axons[axon_index as usize];
+        if let Some(placed) = &mut axon.placed {
+            placed.tell(slot, format, projection, part);
+        }
         let mut at = axon.last;
         while let Some(index) = at {
             if self.entries[index as usize].format == format {
@@ -333,17 +407,77 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// Whether the core stores runs, and the number of its formats.
-    fn runs(&self) -> (bool, u32) {
+    /// Classes of places whose lists are the same, without and with runs.
+    fn classes(&self) -> [Vec<Class>; 2] {
+        let mut in_table = vec![[0u32; 2]; self.axons.len()];
+        for entry in self.entries.iter() {
+            let group = entry.group(self.formats.get(entry.format).bits);
+            let plain = if entry.dense { Compression::Dense } else { Compression::Sparse };
+            for (way, compression) in [plain, entry.compression].into_iter().enumerate() {
+                in_table[entry.axon as usize][way] +=
+                    packing::words_in_table(group, compression, self.widths, self.limits);
+            }
+        }
+        let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
+        let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
+        placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
+        let (mut classes, mut known): ([Vec<Class>; 2], HashMap<Vec<(u16, u64)>, usize>) = Default::default();
+        for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
+            let told = of_place.iter().map(|(placed, _)| (placed.atom, placed.told)).collect();
+            let next = classes[0].len();
+            let class = *known.entry(told).or_insert(next);
+            for (way, classes) in classes.iter_mut().enumerate() {
+                if class == next {
+                    let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
+                    classes.push(Class {
+                        places: 0,
+                        lists: of_place.len() as u32,
+                        atoms: of_place.last().map_or(0, |(placed, _)| placed.atom + 1),
+                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way]).sum(),
+                        list_words: (words().min().unwrap_or(0), words().max().unwrap_or(0)),
+                    });
+                }
+                classes[class].places += 1;
+            }
+        }
+        classes
+    }
+
+    /// What the compartments so far use when lists are shared, output axons left out.
+    #[must_use]
+    pub fn usage_shared(&self) -> CoreUsage {
+        let (formats, axons) = (self.formats_in_use(), self.axons.len() as u32);
+        let of_way = |(way, classes): (usize, &Vec<Class>)| {
+            let sharing = share::sharing(classes, self.limits);
+            let widest = classes.iter().zip(&sharing).filter(|(_, places)| **places > 0);
+            let widest = widest.map(|(class, _)| class.list_words.1).fold(self.widest[way], u32::max);
+            (share::left(self.words[way], axons, classes, &sharing), widest)
+        };
+        let ways: Vec<((u64, u32), u32)> = self.classes().iter().enumerate().map(of_way).collect();
+        let runs = ways[1].0.0 < ways[0].0.0 && formats[1] <= self.limits.synapse_formats;
+        let way = usize::from(runs);
+        let ((synapse_words, axons_in), synapse_words_per_axon) = ways[way];
+        let synapse_formats = formats[way];
+        CoreUsage { axons_in, synapse_words, synapse_words_per_axon, synapse_formats, ..self.usage() }
+    }
+
+    /// Formats in use, without and with runs.
+    fn formats_in_use(&self) -> [u32; 2] {
         let plain = self.groups.iter().flatten().filter(|&&groups| groups > 0).count() as u32;
         let with_runs = self.groups_with_runs.iter().flatten().filter(|&&groups| groups > 0).count() as u32;
+        [plain, with_runs]
+    }
+
+    /// Whether the core stores runs, and the number of its formats.
+    fn runs(&self) -> (bool, u32) {
+        let [plain, with_runs] = self.formats_in_use();
         match self.words[1] < self.words[0] && with_runs <= self.limits.synapse_formats {
             true => (true, with_runs),
             false => (false, plain),
         }
     }
 
-    /// What the compartments so far use, output axons left out.
+    /// What the compartments so far use with lists of their own, output axons left out.
     #[must_use]
     pub fn usage(&self) -> CoreUsage {
         let compartments = self.members.len() as u32;
@@ -391,7 +525,7 @@ mod tests {
                     filling.add(&Newcomer { id, population, index, neuron, slots_out: 0 }).unwrap();
                 }
             }
-            let running = filling.usage();
+            let running = filling.usage_shared();
             let members: IdVec<_, _> = vec![filling.next_core()].into();
             let seats = seats(network.compartments(), &members).unwrap();
             let mut exact = usage(&network, &members, &seats, &vec![0].into(), &limits).as_slice()[0];

@@ -80,6 +80,14 @@ impl Key {
         field(self.0, WEIGHT_BITS, DELAY_BITS) as u8
     }
 
+    /// Everything but the source: its atom instead, and the slot counted from a base that is not above it.
+    #[inline]
+    #[must_use]
+    pub fn told(self, atom: u16, base: u16) -> u64 {
+        let rest = field(self.0, 0, SYNAPSE_BITS) - (u64::from(base) << (WEIGHT_BITS + DELAY_BITS));
+        u64::from(atom) << SYNAPSE_BITS | rest
+    }
+
     /// Weight mantissa.
     #[inline]
     #[must_use]

@@ -10,21 +10,38 @@
 //! is stored as its number of steps above the least weight of its format. Where a dense entry holds no slot, the input
 //! axon's entry of the synapse map does (nengo-loihi's `cx_base`), one for each dense group; it also says where the list
 //! begins and ends. Fields stand from the lowest bit on and entries begin at a word.
+//!
+//! The table of population axons is stored once, its lists at equal distances; the synapse map's entry of each population
+//! axon says where it begins, that distance and the base. Dense entries of a table hold their slots, counted from the base.
 
-use crate::base::fixed::{Delay, WeightBits};
+use std::collections::BTreeMap;
+
+use crate::base::fixed::Delay;
 use crate::compile::packing::{self, Compression, Group, Widths};
 use crate::desc::target::{Limits, Packing};
-use crate::ir::program::{CoreFormat, CoreImage, Synapse};
+use crate::ir::program::{CoreFormat, CoreImage, InputAxon, Synapse};
 
-/// An input axon's entry of the synapse map.
+/// An entry of the synapse map.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Mapped {
-    /// The first word.
-    pub first: usize,
-    /// Words.
-    pub words: usize,
-    /// First slots of its dense groups, in order.
-    pub bases: Vec<u16>,
+pub enum Mapped {
+    /// Of a discrete axon.
+    Discrete {
+        /// The first word.
+        first: usize,
+        /// Words.
+        words: usize,
+        /// First slots of its dense groups, in order.
+        bases: Vec<u16>,
+    },
+    /// Of a population axon.
+    Population {
+        /// The first word of atom 0.
+        first: usize,
+        /// Words of each atom.
+        words: usize,
+        /// Added to every slot.
+        base: u16,
+    },
 }
 
 /// A core's synapse memory.
@@ -32,7 +49,7 @@ pub struct Mapped {
 pub struct Memory {
     /// The words.
     pub words: Vec<u64>,
-    /// By input axon.
+    /// Entries of population axons, then of discrete ones in order.
     pub map: Vec<Mapped>,
 }
 
@@ -94,14 +111,14 @@ fn compression(format: &CoreFormat) -> Compression {
 }
 
 fn widths(image: &CoreImage, limits: &Limits) -> Widths {
-    let longest = image.synapses.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
+    let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     Widths::of(image.compartments.len() as u32, longest, limits.packing)
 }
 
 /// Whether an entry holds its first slot.
-fn holds_slot(compression: Compression, limits: &Limits) -> bool {
+fn holds_slot(compression: Compression, in_table: bool, limits: &Limits) -> bool {
     match compression {
-        Compression::Dense => limits.packing == Packing::Nxtf,
+        Compression::Dense => in_table || limits.packing == Packing::Nxtf,
         Compression::RunLength(_) => true,
         Compression::Sparse => false,
     }
@@ -110,33 +127,79 @@ fn holds_slot(compression: Compression, limits: &Limits) -> bool {
 /// The words of a core's lists.
 #[must_use]
 pub fn encode(image: &CoreImage, limits: &Limits) -> Memory {
-    let widths = widths(image, limits);
+    let (widths, inputs) = (widths(image, limits), &image.inputs);
     let mut memory = Memory::default();
-    for list in image.synapses.iter() {
+    let mut tables: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
+    for axon in &inputs.populations {
+        let (first, words) = *tables.entry(axon.table).or_insert_with(|| {
+            let first = memory.words.len();
+            let lists = axon.table as usize..axon.table as usize + usize::from(axon.atoms);
+            let mut of_lists: Vec<Vec<u64>> = Vec::new();
+            for list in lists {
+                let mut words = Vec::new();
+                encode_list(&mut words, inputs.lists.get(list), image, true, widths, limits);
+                of_lists.push(words);
+            }
+            let words = of_lists.iter().map(Vec::len).max().unwrap_or(0);
+            for mut list in of_lists {
+                list.resize(words, 0);
+                memory.words.append(&mut list);
+            }
+            (first, words)
+        });
+        memory.map.push(Mapped::Population { first, words, base: axon.base });
+    }
+    for list in inputs.iter_discrete() {
         let first = memory.words.len();
-        let mut bases = Vec::new();
-        for group in list.chunk_by(|a, b| a.format == b.format) {
-            let number = group[0].format;
-            let format = &image.formats[usize::from(number)];
-            let how = compression(format);
-            if how == Compression::Dense {
-                bases.push(group[0].slot);
-            }
-            for entry in group.chunks(packing::per_entry(limits) as usize) {
-                encode_entry(&mut memory.words, number, format, entry, widths, limits);
-            }
-        }
+        let bases = encode_list(&mut memory.words, inputs.lists.get(list), image, false, widths, limits);
         let words = memory.words.len() - first;
-        memory.map.push(Mapped { first, words, bases });
+        memory.map.push(Mapped::Discrete { first, words, bases });
     }
     memory
 }
 
+/// Appends the words of a list; returns the first slots of its dense groups.
+fn encode_list(
+    words: &mut Vec<u64>,
+    list: &[Synapse],
+    image: &CoreImage,
+    in_table: bool,
+    widths: Widths,
+    limits: &Limits,
+) -> Vec<u16> {
+    let mut bases = Vec::new();
+    for group in list.chunk_by(|a, b| a.format == b.format) {
+        let number = group[0].format;
+        let format = &image.formats[usize::from(number)];
+        if compression(format) == Compression::Dense {
+            bases.push(group[0].slot);
+        }
+        for entry in group.chunks(packing::per_entry(limits) as usize) {
+            encode_entry(words, (number, format), entry, in_table, widths, limits);
+        }
+    }
+    bases
+}
+
+/// Words of an entry, counted.
+fn words_of(format: &CoreFormat, synapses: u32, in_table: bool, widths: Widths, limits: &Limits) -> usize {
+    let how = compression(format);
+    let group = Group {
+        weight_bits: format.synapse.bits,
+        synapses,
+        delayed: format.delay_bits > 0,
+        dense: how == Compression::Dense,
+        skip: format.skip_bits,
+    };
+    let words = if in_table { packing::words_in_table } else { packing::words_as };
+    words(group, how, widths, limits) as usize
+}
+
 fn encode_entry(
     words: &mut Vec<u64>,
-    number: u8,
-    format: &CoreFormat,
+    (number, format): (u8, &CoreFormat),
     entry: &[Synapse],
+    in_table: bool,
     widths: Widths,
     limits: &Limits,
 ) {
@@ -146,7 +209,7 @@ fn encode_entry(
     let mut writer = Writer { words, bits: 0 };
     writer.put(number.into(), 4);
     writer.put(entry.len() as u64 - 1, 6);
-    if holds_slot(how, limits) {
+    if holds_slot(how, in_table, limits) {
         writer.put(entry[0].slot.into(), widths.index);
     }
     let mut last = None;
@@ -164,33 +227,46 @@ fn encode_entry(
         last = Some(synapse.slot);
     }
     // NxTF takes one word more where the last one is nearly full.
-    let group = Group {
-        weight_bits: format.synapse.bits,
-        synapses: entry.len() as u32,
-        delayed: format.delay_bits > 0,
-        dense: how == Compression::Dense,
-        skip: format.skip_bits,
-    };
-    let counted = packing::words_as(group, how, widths, limits) as usize;
+    let counted = words_of(format, entry.len() as u32, in_table, widths, limits);
     words.resize((before + counted).max(words.len()), 0);
 }
 
-/// The lists that a core's words say, or `None` when they say nothing sensible.
+/// The lists that a core's input axons select, as its words say them, with the slots that they lead to; or `None` when
+/// the words say nothing sensible.
 #[must_use]
 pub fn decode(memory: &Memory, image: &CoreImage, limits: &Limits) -> Option<Vec<Vec<Synapse>>> {
-    let widths = widths(image, limits);
-    memory.map.iter().map(|mapped| decode_list(memory, mapped, &image.formats, widths, limits)).collect()
+    let (widths, inputs) = (widths(image, limits), &image.inputs);
+    let mut discrete = memory.map.iter().skip(inputs.populations.len());
+    let axons = (0..inputs.len()).map(|axon| inputs.axon(axon));
+    axons
+        .map(|axon| match axon {
+            InputAxon::Discrete { .. } => {
+                let Mapped::Discrete { first, words, bases } = discrete.next()? else { return None };
+                let words = memory.words.get(*first..first + words)?;
+                decode_list(words, Some(bases), &image.formats, widths, limits)
+            }
+            InputAxon::Member { axon, atom } => {
+                let Mapped::Population { first, words, base } = memory.map.get(usize::from(axon))? else { return None };
+                let first = first + words * usize::from(atom);
+                let stored = memory.words.get(first..first + words)?;
+                let mut list = decode_list(stored, None, &image.formats, widths, limits)?;
+                list.iter_mut().for_each(|synapse| synapse.slot += base);
+                Some(list)
+            }
+        })
+        .collect()
 }
 
+/// A list; `bases` has the first slots of its dense groups where entries do not.
 fn decode_list(
-    memory: &Memory,
-    mapped: &Mapped,
+    mut words: &[u64],
+    bases: Option<&[u16]>,
     formats: &[CoreFormat],
     widths: Widths,
     limits: &Limits,
 ) -> Option<Vec<Synapse>> {
-    let mut words = memory.words.get(mapped.first..mapped.first + mapped.words)?;
-    let (mut list, mut bases): (Vec<Synapse>, _) = (Vec::new(), mapped.bases.iter());
+    let in_table = bases.is_none();
+    let (mut list, mut bases): (Vec<Synapse>, _) = (Vec::new(), bases.unwrap_or_default().iter());
     let mut last_dense: Option<(u8, u16)> = None;
     while !words.is_empty() {
         let mut reader = Reader { words, bits: 0 };
@@ -200,7 +276,7 @@ fn decode_list(
         let how = compression(format);
         let (least, _) = format.synapse.sign.range(format.synapse.bits);
         let step = format.synapse.sign.step(format.synapse.bits);
-        let mut slot = match holds_slot(how, limits) {
+        let mut slot = match holds_slot(how, in_table, limits) {
             true => reader.take(widths.index)? as u16,
             // A group that goes on in another entry goes on where it stopped.
             false if how == Compression::Dense => match last_dense.filter(|&(of, _)| of == number) {
@@ -224,14 +300,7 @@ fn decode_list(
             list.push(Synapse { slot, weight, format: number, delay });
         }
         last_dense = (how == Compression::Dense).then_some((number, slot));
-        let group = Group {
-            weight_bits: WeightBits::new(format.synapse.bits.get().into()).ok()?,
-            synapses: count,
-            delayed: format.delay_bits > 0,
-            dense: how == Compression::Dense,
-            skip: format.skip_bits,
-        };
-        words = words.get(packing::words_as(group, how, widths, limits) as usize..)?;
+        words = words.get(words_of(format, count, in_table, widths, limits)..)?;
     }
     Some(list)
 }
@@ -248,7 +317,7 @@ mod tests {
             let memory = encode(image, limits);
             let counted = compiled.partition.usage()[core].synapse_words;
             assert_eq!(memory.words.len() as u64, counted, "{what} {core}: words");
-            let meant: Vec<Vec<Synapse>> = image.synapses.iter().map(<[Synapse]>::to_vec).collect();
+            let meant: Vec<Vec<Synapse>> = image.inputs.iter().map(|list| list.synapses().collect()).collect();
             assert_eq!(decode(&memory, image, limits), Some(meant), "{what} {core}");
         }
         let formats = compiled.program.cores().iter().flat_map(|image| &image.formats);

@@ -4,6 +4,7 @@
 //! reason why the network does not fit. A program that leaves this module has been verified against the target's limits
 //! and checked against its network by code that shares nothing with the stages that made it.
 
+pub mod axis;
 pub mod check;
 pub mod convert;
 pub mod copies;
@@ -13,6 +14,7 @@ pub mod fanin;
 pub mod fill;
 pub mod formats;
 pub mod gather;
+pub mod geometry;
 pub mod lower;
 pub mod memory;
 pub mod packing;
@@ -27,6 +29,7 @@ pub mod route;
 pub mod saved;
 pub mod search;
 pub mod sent;
+pub mod share;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]

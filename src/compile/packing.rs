@@ -151,13 +151,25 @@ pub fn best(group: Group, widths: Widths, limits: &Limits) -> (Compression, u32)
     }
 }
 
-/// Words of one group stored in this way.
+/// Words of one group stored in this way, in the list of a discrete axon.
 #[inline]
 #[must_use]
 pub fn words_as(group: Group, compression: Compression, widths: Widths, limits: &Limits) -> u32 {
+    words_with(group, compression, limits.packing == Packing::Nxtf, widths, limits)
+}
+
+/// Words of one group stored in this way, in the table of a population axon: a dense one begins with its first slot there,
+/// whoever counts.
+#[inline]
+#[must_use]
+pub fn words_in_table(group: Group, compression: Compression, widths: Widths, limits: &Limits) -> u32 {
+    words_with(group, compression, true, widths, limits)
+}
+
+fn words_with(group: Group, compression: Compression, dense_first: bool, widths: Widths, limits: &Limits) -> u32 {
     let delay = if group.delayed { widths.delay } else { 0 };
     let (target, first) = match compression {
-        Compression::Dense => (0, limits.packing == Packing::Nxtf),
+        Compression::Dense => (0, dense_first),
         Compression::RunLength(bits) => (bits, true),
         Compression::Sparse => (widths.index, false),
     };

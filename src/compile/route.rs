@@ -1,7 +1,8 @@
 //! From seats and sites to tables: the program.
 //!
 //! In come a network, its partition and placement; out goes a [`Program`]. Each source sends one message to each core that
-//! holds a target of it, the own core included; there an input axon of its own leads to the list of its synapses.
+//! holds a target of it, the own core included; there an input axon of its own leads to the list of its synapses, which
+//! is one of a table where [`crate::compile::share`] says so.
 //! Input axons of a core are numbered by source: channels in order, then compartments in order. A list is sorted by
 //! format, then slot, delay and weight; formats are numbered as they first appear. Widths are those of
 //! [`crate::compile::packing`].
@@ -15,12 +16,15 @@ use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
-use crate::compile::packing::{self, Compression, Widths};
-use crate::compile::usage::{Tallies, group_of, longest_delays};
+use crate::compile::packing::{Compression, Widths};
+use crate::compile::share::Places;
+use crate::compile::usage::{Tallies, group_of, longest_delays, ways_of};
 use crate::desc::target::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
-use crate::ir::program::{AxonTarget, Compartment, CoreFormat, CoreImage, Lists, Parts, Program, Synapse};
+use crate::ir::program::{
+    AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Program, Stored, Synapse,
+};
 use crate::ir::quantised::{Quantised, Units};
 
 /// Sources whose messages are sorted by one task.
@@ -40,19 +44,20 @@ pub fn route(
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
-    let formats = Formats::of(network);
+    let (formats, places) = (Formats::of(network), Places::of(network));
     let longest = longest_delays(network, partition.seats(), partition.cores());
     let written = gather::by_core(network, &formats, partition.seats(), partition.cores(), |core, keys| {
         let held = &partition.members()[core];
         let widths = Widths::of(held.len() as u32, longest[core], limits.packing);
-        let runs = Tallies::of(keys, &formats, widths, limits).runs(limits);
-        let (formats, synapses, sources) = write_lists(core, keys, &formats, widths, runs.then_some(limits))?;
+        let tallies = Tallies::of(keys, &formats, widths, limits, &places);
+        let (formats, inputs, sources) = write_lists(keys, &formats, widths, &tallies, limits)
+            .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
         let image = CoreImage {
             site: placement.site(core),
             compartments: compartments(network, held),
             ids: held.clone(),
             formats,
-            synapses,
+            inputs,
             axons_out: Lists::default(),
         };
         Ok::<_, String>((image, sources))
@@ -115,46 +120,85 @@ fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment>
         .collect()
 }
 
-/// The formats of a core, its lists by input axon, and the source of each input axon.
-type Written = (Vec<CoreFormat>, Lists<Synapse>, Vec<u32>);
+/// The formats of a core, its input axons with their lists, and the source of each input axon.
+type Written = (Vec<CoreFormat>, Stored, Vec<u32>);
 
-/// What a core keeps of its synapses; with run-length lists where that takes fewer words, if limits are given.
-fn write_lists(
-    core: CoreId,
-    keys: &[Key],
-    formats: &Formats,
+/// Lists on their way into a core's image.
+struct Writer<'a> {
+    formats: &'a Formats,
     widths: Widths,
-    runs: Option<&Limits>,
-) -> Result<Written, String> {
-    let (mut known, mut sources): (Vec<CoreFormat>, Vec<u32>) = (Vec::new(), Vec::new());
-    let mut synapses = Lists::with_capacity(0, keys.len());
-    for list in gather::lists(keys) {
-        if sources.len() > usize::from(u16::MAX) {
-            return Err(format!("{core} has too many input axons"));
-        }
-        sources.push(list[0].source());
+    limits: &'a Limits,
+    runs: bool,
+    known: Vec<CoreFormat>,
+    lists: Lists<Synapse>,
+}
+
+impl Writer<'_> {
+    /// Writes a list, its slots counted from a base.
+    fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
         for group in gather::groups(list) {
-            let (format, made) = group_of(group, formats);
+            let (format, made) = group_of(group, self.formats);
+            let [_, (compression, _)] = ways_of(made, self.widths, self.limits);
             let format = CoreFormat {
-                synapse: formats.get(format),
-                delay_bits: if made.delayed { widths.delay } else { 0 },
-                index_bits: (!made.dense).then_some(widths.index),
-                skip_bits: match runs.map(|limits| packing::best(made, widths, limits).0) {
-                    Some(Compression::RunLength(bits)) => Some(bits),
+                synapse: self.formats.get(format),
+                delay_bits: if made.delayed { self.widths.delay } else { 0 },
+                index_bits: (!made.dense).then_some(self.widths.index),
+                skip_bits: match compression {
+                    Compression::RunLength(bits) if self.runs => Some(bits),
                     _ => None,
                 },
             };
-            let number = number_of(&mut known, format).ok_or_else(|| format!("{core} has too many synapse formats"))?;
+            let number = number_of(&mut self.known, format)?;
             for key in group {
-                let delay = Delay::new(key.delay().into()).map_err(|e| e.to_string())?;
-                let synapse = Synapse { slot: key.slot(), weight: key.weight(), format: number, delay };
-                synapses.extend_last([synapse]);
+                let delay = Delay::new(key.delay().into()).ok()?;
+                let synapse = Synapse { slot: key.slot() - base, weight: key.weight(), format: number, delay };
+                self.lists.extend_last([synapse]);
             }
         }
-        synapses.end();
+        self.lists.end();
+        Some(())
     }
-    synapses.shrink_to_fit();
-    Ok((known, synapses, sources))
+}
+
+/// What a core keeps of its synapses; `None` when it has more input axons or formats than can be numbered.
+fn write_lists(keys: &[Key], formats: &Formats, widths: Widths, tallies: &Tallies, limits: &Limits) -> Option<Written> {
+    let (runs, lists) = (tallies.runs(limits), Lists::with_capacity(0, keys.len()));
+    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), lists };
+    let shared: Vec<_> = tallies.shared(limits).filter(|&(_, places)| places > 0).collect();
+    let sources: Vec<u32> = gather::lists(keys).map(|list| list[0].source()).collect();
+    u16::try_from(sources.len().saturating_sub(1)).ok()?;
+    if shared.is_empty() {
+        gather::lists(keys).try_for_each(|list| writer.list(list, 0))?;
+        writer.lists.shrink_to_fit();
+        return Some((writer.known, Stored::discrete(writer.lists), sources));
+    }
+    let all: Vec<&[Key]> = gather::lists(keys).collect();
+    let (mut populations, mut members) = (Vec::new(), vec![None; all.len()]);
+    for (alike, places) in shared {
+        let (base, of_first) = alike.places.first()?;
+        let (table, atoms) = (writer.lists.len() as u32, of_first.last()?.0 + 1);
+        let mut of_atoms = of_first.iter().peekable();
+        for atom in 0..atoms {
+            match of_atoms.next_if(|(of, _)| *of == atom) {
+                Some((_, number)) => writer.list(all[*number as usize], *base)?,
+                None => writer.lists.end(),
+            }
+        }
+        for (base, lists) in &alike.places[..places as usize] {
+            let axon = u16::try_from(populations.len()).ok()?;
+            populations.push(PopulationAxon { table, atoms, base: *base });
+            lists.iter().for_each(|&(atom, number)| members[number as usize] = Some(InputAxon::Member { axon, atom }));
+        }
+    }
+    let mut axons = Vec::with_capacity(all.len());
+    for (list, member) in all.into_iter().zip(members) {
+        axons.push(member.unwrap_or(InputAxon::Discrete { list: writer.lists.len() as u32 }));
+        if member.is_none() {
+            writer.list(list, 0)?;
+        }
+    }
+    writer.lists.shrink_to_fit();
+    Some((writer.known, Stored { lists: writer.lists, populations, axons }, sources))
 }
 
 /// Messages by source.

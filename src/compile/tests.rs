@@ -1,18 +1,27 @@
 //! The compiler as a whole: what fits, what does not and why, and that wrong programs are found out.
 
+use std::collections::BTreeSet;
+
 use crate::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
-use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
+use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
 use crate::base::rng;
 use crate::compile::check::{Difference, check};
-use crate::compile::testing::{Builder, limits, neurons, random_network, slip, target};
+use crate::compile::fanin::FanIn;
+use crate::compile::fill::{Filling, Newcomer};
+use crate::compile::memory;
+use crate::compile::partition::tiles;
+use crate::compile::place;
+use crate::compile::route::route;
+use crate::compile::testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
+use crate::compile::usage::usage;
 use crate::compile::verify::{Violation, verify};
 use crate::compile::{CompileError, Compiled, Options, Reason, compile_quantised};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::target::{Limits, Packing};
-use crate::ir::graph::{PerCompartment, Shape};
-use crate::ir::partition::Resource;
-use crate::ir::program::{AxonTarget, Lists, Parts, Program, Synapse};
-use crate::ir::quantised::{Neurons, Quantised, Reset};
+use crate::ir::graph::{PerCompartment, Shape, Window};
+use crate::ir::partition::{Partition, Resource, seats};
+use crate::ir::program::{AxonTarget, Lists, Parts, Program, Stored, Synapse};
+use crate::ir::quantised::{Connectivity, Neurons, Quantised, Reset, Units};
 
 fn compiled(network: Quantised, limits: Limits) -> Compiled {
     compile_quantised(network, &target(2, 2, limits), &Options::default()).unwrap()
@@ -160,8 +169,8 @@ fn too_many_profiles_and_delays_split_a_population() {
     let mut builder = Builder::new();
     let (input, late) = (builder.input("in", 4), builder.loihi("late", 1000));
     let weights = vec![2i16; 4000].into();
-    let dense = crate::ir::quantised::Connectivity::Dense { targets: 1000, weights };
-    builder.connect((input, late), crate::compile::testing::plain_format(), 31, dense);
+    let dense = Connectivity::Dense { targets: 1000, weights };
+    builder.connect((input, late), plain_format(), 31, dense);
     let delays = compiled(builder.build(), limits());
     let used: Vec<u32> = delays.partition.usage().iter().map(|used| used.compartments).collect();
     assert_eq!(used, [256, 256, 256, 232], "8,192 accumulators, 32 slots a compartment");
@@ -229,7 +238,7 @@ fn mutable() -> (Quantised, Parts) {
     builder.random(b, a, 3, 5);
     let weights = (0..15i16).map(|w| w * 2 - 14).collect();
     let format = crate::compile::testing::format(1, SignMode::Mixed, 8);
-    let dense = crate::ir::quantised::Connectivity::Dense { targets: 3, weights };
+    let dense = Connectivity::Dense { targets: 3, weights };
     builder.connect((y, b), format, 2, dense);
     let network = builder.build();
     let parts = compiled(network.clone(), Limits { compartments: 4, ..limits() }).program.into_parts();
@@ -239,10 +248,7 @@ fn mutable() -> (Quantised, Parts) {
 /// Changes the synapses of one core.
 fn resynapse(parts: &mut Parts, core: u32, change: impl FnOnce(&mut Vec<Vec<Synapse>>)) {
     let image = &mut parts.cores[CoreId(core)];
-    let mut lists: Vec<Vec<Synapse>> = image.synapses.iter().map(<[Synapse]>::to_vec).collect();
-    change(&mut lists);
-    image.synapses = Lists::default();
-    lists.into_iter().for_each(|list| image.synapses.push(list));
+    relist(&mut image.inputs.lists, change);
 }
 
 fn relist<T: Copy>(lists: &mut Lists<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
@@ -355,7 +361,7 @@ fn each_rule_of_the_verifier_can_fail() {
     let reversed =
         verdict(limits, &|p| relist(&mut p.cores[CoreId(2)].axons_out, |l| l.iter_mut().for_each(|m| m.reverse())));
     assert!(matches!(&reversed, Violation::Multicast(who) if who.contains("core2")), "{reversed}");
-    assert!(matches!(verdict(limits, &|p| resynapse(p, 0, |l| l[0].clear())), Violation::EmptyAxon { axon: 0, .. }));
+    assert!(matches!(verdict(limits, &|p| resynapse(p, 0, |l| l[0].clear())), Violation::EmptyAxon { list: 0, .. }));
     let format = |change: fn(&mut Parts)| matches!(verdict(limits, &change), Violation::Format { .. });
     assert!(format(|p| {
         let copy = p.cores[CoreId(0)].formats[0];
@@ -379,13 +385,13 @@ fn each_rule_of_the_verifier_can_fail() {
         });
         resynapse(p, 0, |l| l[0][1].format = number as u8);
     });
-    assert!(matches!(scattered, Violation::Scattered { axon: 0, .. }), "{scattered}");
+    assert!(matches!(scattered, Violation::Scattered { list: 0, .. }), "{scattered}");
     let slots = verdict(limits, &|p| resynapse(p, 0, |l| l[0].swap(0, 1)));
-    assert!(matches!(slots, Violation::Slots { axon: 0, .. }), "{slots}");
+    assert!(matches!(slots, Violation::Slots { list: 0, .. }), "{slots}");
     let delay = verdict(limits, &|p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap()));
     assert!(matches!(delay, Violation::Delay { .. }), "{delay}");
     let weight = verdict(limits, &|p| resynapse(p, 0, |l| l[0][0].weight += 1));
-    assert!(matches!(weight, Violation::Weight { axon: 0, .. }), "{weight}");
+    assert!(matches!(weight, Violation::Weight { list: 0, .. }), "{weight}");
     // Each resource, one below what the program uses.
     let used = compiled(mutable().0, limits).partition.usage().clone();
     for resource in used.as_slice()[0].against(&limits).map(|(resource, _, _)| resource) {
@@ -438,4 +444,138 @@ fn a_random_network_of_6_4_million_synapses_keeps_every_limit_of_768_chips() {
     println!("{cores} cores, {:?}", compiled.seconds);
     // 64 targets on nearly 64 cores, most of them off chip: 4,096 / 128 compartments a core at worst.
     assert!(most <= 4096 && cores <= 3_125, "{cores} cores, {most} slots");
+}
+
+/// A convolution of 16 x 14 positions, 8 channels to 8 in a kernel of 3 x 3, to a layer that sees half of it, and pools it.
+fn layers() -> Quantised {
+    let mut net = Builder::new();
+    let of = |channels, height, width| Shape::Volume(channels, height, width);
+    let input = net.input_shape("in", of(8, 16, 14));
+    let wide = net.loihi_with("wide", of(8, 16, 14), neurons());
+    let pooled = net.loihi_with("pooled", of(8, 8, 7), neurons());
+    let window = |target, kernel, stride, padding| Window {
+        source: (8, 16, 14),
+        target,
+        kernel,
+        stride,
+        padding,
+        dilation: (1, 1),
+        groups: 1,
+    };
+    let kernel: Vec<i16> = (0..8 * 8 * 9).map(|i| (i * 37 % 128) * 2 - 128).collect();
+    let conv = Connectivity::Conv2d { window: window((8, 16, 14), (3, 3), (1, 1), (1, 1)), kernel: kernel.into() };
+    net.connect((input, wide), plain_format(), 0, conv);
+    let pool = Connectivity::SumPool2d { window: window((8, 8, 7), (2, 2), (2, 2), (0, 0)), weight: 60 };
+    net.connect((wide, pooled), plain_format(), 1, pool);
+    net.build()
+}
+
+#[test]
+fn a_kernel_is_stored_once() {
+    for packing in [Packing::Nengo, Packing::Nxtf] {
+        // 7 x 8 positions with their 8 channels are a core: its kernel has 576 weights, its lists 8 x 3,380 synapses.
+        let limits = Limits { packing, compartments: 512, ..limits() };
+        let compiled = compiled(layers(), limits);
+        for (core, image) in compiled.program.cores().enumerate() {
+            let used = &compiled.partition.usage()[core];
+            assert!(!image.inputs.populations.is_empty(), "{packing:?} {core}");
+            let stored = image.inputs.lists.items().len() as u64;
+            assert!(stored * 3 < image.inputs.count(), "{packing:?} {core}: {stored} of {}", image.inputs.count());
+            assert!(u64::from(used.axons_in) * 4 < image.inputs.len() as u64, "{packing:?} {core}: {}", used.axons_in);
+            let memory = memory::encode(image, &limits);
+            assert_eq!(memory.words.len() as u64, used.synapse_words, "{packing:?} {core}");
+            let meant: Vec<Vec<Synapse>> = image.inputs.iter().map(|list| list.synapses().collect()).collect();
+            assert_eq!(memory::decode(&memory, image, &limits), Some(meant), "{packing:?} {core}");
+        }
+    }
+}
+
+#[test]
+fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
+    let roomy = Limits { compartments: 512, ..limits() };
+    let most = |compiled: &Compiled| compiled.partition.usage().iter().map(|used| used.synapse_words).max().unwrap();
+    let found = compiled(layers(), roomy);
+    let tight = Limits { synapse_words: most(&found) as u32, ..roomy };
+    let same = compiled(layers(), tight);
+    assert_eq!((same.partition.cores(), most(&same)), (found.partition.cores(), most(&found)));
+    // With a list for each source the words of a core suffice for a fraction of its compartments.
+    let (network, mut alone) = (layers(), 0);
+    let fan_in = FanIn::new(&network);
+    let mut filling = Filling::new(&network, &fan_in, &tight);
+    for &id in &same.partition.members()[CoreId(0)] {
+        let (population, index) = network.population_of(id);
+        let Units::Loihi { neurons, .. } = &network.populations()[population].units else { unreachable!() };
+        let newcomer = Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 };
+        if filling.add(&newcomer).is_err() {
+            break;
+        }
+        alone += 1;
+    }
+    assert!(alone * 2 < same.partition.members()[CoreId(0)].len(), "{alone}");
+}
+
+#[test]
+fn population_axons_that_no_chip_has_are_found_out() {
+    let limits = Limits { compartments: 512, ..limits() };
+    let network = layers();
+    let good = compiled(network.clone(), limits).program.into_parts();
+    let board = target(1, 1, limits);
+    type Mutation = (&'static str, fn(&mut Stored));
+    let mutations: [Mutation; 8] = [
+        ("base between fours", |inputs| inputs.populations[0].base += 1),
+        ("base of another place", |inputs| inputs.populations[0].base += 4),
+        ("table of another", |inputs| inputs.populations[0].table += 1),
+        ("atom of another", |inputs| inputs.axons.swap(0, 1)),
+        ("atom outside", |inputs| inputs.populations[0].atoms = 600),
+        ("no atoms", |inputs| inputs.populations[0].atoms = 0),
+        ("a population too many", |inputs| inputs.populations.push(inputs.populations[0])),
+        ("an axon too few", |inputs| inputs.axons.truncate(1)),
+    ];
+    for (name, mutate) in mutations {
+        let mut parts = good.clone();
+        mutate(&mut parts.cores[CoreId(0)].inputs);
+        assert_ne!(parts, good, "{name} changes nothing");
+        let verdict = Program::new(parts).map(|program| (check(&network, &program), verify(&program, &board)));
+        assert!(!matches!(verdict, Ok((Ok(()), Ok(())))), "{name} goes unnoticed");
+    }
+}
+
+#[test]
+fn as_many_weights_are_stored_as_nengo_loihi_stores() {
+    // (source, filters, kernel, step), then lists, weights in them and axons of nengo-loihi 1.1's `conv2d_loihi_weights` for
+    // the convolution without padding, channels last, on one core.
+    type Layer = ((u32, u32, u32), u32, (u32, u32), (u32, u32));
+    let layers: [(Layer, [usize; 3]); 5] = [
+        (((4, 10, 9), 8, (3, 3), (1, 1)), [30, 3_456, 90]),
+        (((2, 16, 14), 4, (3, 2), (1, 1)), [21, 480, 224]),
+        (((3, 17, 15), 8, (3, 3), (2, 2)), [24, 960, 255]),
+        (((8, 14, 14), 4, (5, 5), (1, 1)), [82, 20_640, 196]),
+        (((2, 18, 18), 4, (3, 3), (1, 1)), [40, 1_296, 324]),
+    ];
+    for ((source, filters, kernel, stride), theirs) in layers {
+        let size = |source: u32, kernel: u32, stride: u32| (source - kernel) / stride + 1;
+        let target = (filters, size(source.1, kernel.0, stride.0), size(source.2, kernel.1, stride.1));
+        let mut net = Builder::new();
+        let input = net.input_shape("in", Shape::Volume(source.0, source.1, source.2));
+        let out = net.loihi_with("out", Shape::Volume(target.0, target.1, target.2), neurons());
+        let window = Window { source, target, kernel, stride, padding: (0, 0), dilation: (1, 1), groups: 1 };
+        let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
+        let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
+        net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        // Position by position, channels last, as a tile stands; lists of the same length in and outside of tables.
+        let (network, board) = (net.build(), crate::compile::testing::target(1, 1, limits()));
+        let order = tiles::cell(target, target, (0, 0, 0), false);
+        let members = IdVec::from(vec![order.into_iter().map(CompartmentId).collect::<Vec<_>>()]);
+        let seats = seats(network.compartments(), &members).unwrap();
+        let used = usage(&network, &members, &seats, &vec![0].into(), board.limits());
+        let partition = Partition::new(network.compartments(), members, used, board.limits()).unwrap();
+        let program = route(&network, &partition, &place::sequential(1, &board).unwrap(), board.limits()).unwrap();
+        check(&network, &program).unwrap();
+        verify(&program, &board).unwrap();
+        let [image] = program.cores().as_slice() else { unreachable!() };
+        let tables: BTreeSet<u32> = image.inputs.populations.iter().map(|axon| axon.table).collect();
+        let stored = image.inputs.lists.items().len();
+        assert_eq!([tables.len(), stored, image.inputs.populations.len()], theirs, "{source:?}");
+        assert_eq!(image.inputs.iter_discrete().count(), 0);
+    }
 }

@@ -3,11 +3,12 @@
 //! In come a network, the compartments of each core in slot order and the chip of each core; out goes a [`CoreUsage`] each.
 //! It counts what [`crate::compile::route`] will write:
 //!
-//! - input axons: distinct sources with a synapse on the core;
+//! - input axons: distinct sources with a synapse on the core, the members of a population axon as one ([`share`]);
 //! - output axons: one for each compartment and destination core; it takes `axon_out_slots` slots when the destination is
 //!   on the same chip (the own core included), `axon_out_slots_off_chip` otherwise;
-//! - words: as [`crate::compile::packing`] counts them, without runs or with them ([`Tallies`]); formats: distinct (synapse
-//!   format, delayed or not, compression), because widths are the same for all groups of a core;
+//! - words: as [`crate::compile::packing`] counts them, without runs or with them ([`Tallies`]), a table of population axons
+//!   once; formats: distinct (synapse format, delayed or not, compression), because widths are the same for all groups of a
+//!   core;
 //! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct mantissas;
 //! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse into the core.
 //!
@@ -21,6 +22,7 @@ use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
 use crate::compile::packing::{self, Compression, Group, Widths};
 use crate::compile::sent;
+use crate::compile::share::{self, Alike, Class, Places};
 use crate::desc::target::Limits;
 use crate::ir::partition::{CoreUsage, Seat};
 use crate::ir::quantised::{Neuron, Quantised, Units};
@@ -60,9 +62,12 @@ pub fn usage(
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
     let longest = longest_delays(network, seats, members.len());
-    let formats = Formats::of(network);
+    let (formats, places) = (Formats::of(network), Places::of(network));
     let counted = gather::by_core(network, &formats, seats, members.len(), |core, keys| {
-        of_core(keys, members[core].len() as u32, longest[core], &formats, limits)
+        let compartments = members[core].len() as u32;
+        let widths = Widths::of(compartments, longest[core], limits.packing);
+        let tallies = Tallies::of(keys, &formats, widths, limits, &places);
+        tallies.usage(compartments, keys.len() as u64, longest[core], limits)
     });
     let mut usage: IdVec<CoreId, CoreUsage> = counted.into();
     count_profiles(network, seats, &mut usage);
@@ -75,26 +80,11 @@ pub fn usage(
     usage
 }
 
-/// What a core's synapses use.
-fn of_core(keys: &[Key], compartments: u32, longest: Delay, formats: &Formats, limits: &Limits) -> CoreUsage {
-    let widths = Widths::of(compartments, longest, limits.packing);
-    let tallies = Tallies::of(keys, formats, widths, limits);
-    let stored = tallies.stored(limits);
-    CoreUsage {
-        compartments,
-        axons_in: tallies.axons,
-        synapses: keys.len() as u64,
-        synapse_words: stored.words,
-        synapse_words_per_axon: stored.widest,
-        synapse_formats: stored.formats.len() as u32,
-        accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
-        ..CoreUsage::default()
-    }
-}
-
 /// What lists take in one way of storing them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Tally {
+    /// Input axons.
+    pub axons: u32,
     /// Words of all lists.
     pub words: u64,
     /// The most words of a list.
@@ -111,71 +101,152 @@ impl Tally {
         }
     }
 
-    fn list(&mut self, words: u32) {
-        self.words += u64::from(words);
+    fn lists(&mut self, lists: u64, words: u32) {
+        self.axons = self.axons.saturating_add(u32::try_from(lists).unwrap_or(u32::MAX));
+        self.words += lists * u64::from(words);
         self.widest = self.widest.max(words);
+    }
+
+    /// Stores the tables of these classes instead of a list for each of their sources.
+    fn share(&mut self, classes: &[Class], limits: &Limits) -> Vec<u32> {
+        let sharing = share::sharing(classes, limits);
+        (self.words, self.axons) = share::left(self.words, self.axons, classes, &sharing);
+        let tables = classes.iter().zip(&sharing).filter(|(_, places)| **places > 0);
+        self.widest = tables.map(|(class, _)| class.list_words.1).fold(self.widest, u32::max);
+        sharing
     }
 }
 
 /// A core's lists without and with runs.
 #[derive(Debug, Clone, Default)]
 pub struct Tallies {
-    /// Input axons.
-    pub axons: u32,
-    plain: Tally,
-    with_runs: Tally,
+    /// Without runs, with runs.
+    ways: [Tally; 2],
+    /// Places whose lists are the same.
+    alike: Vec<Alike>,
+    /// How many places of each class share its table, without runs and with runs.
+    sharing: [Vec<u32>; 2],
 }
 
 impl Tallies {
     /// Of the synapses of a core.
     #[must_use]
-    pub fn of(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits) -> Self {
+    pub fn of(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits, places: &Places) -> Self {
         let mut tallies = Tallies::default();
-        let (mut last, mut last_of_runs) = (None, None);
+        let mut last = [None; 2];
+        // Words of each list, of a discrete axon and in a table.
+        let mut of_lists: Vec<[Words; 2]> = Vec::new();
         for list in gather::lists(keys) {
-            let (mut plain, mut with_runs) = (0, 0);
+            let mut of_list = [Words::default(); 2];
             for group in gather::groups(list) {
                 let (format, group) = group_of(group, formats);
-                let words = packing::words(group, widths, limits);
-                let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
-                tallies.plain.group((format, group.delayed, compression), &mut last);
-                let (compression, fewest) = packing::best(group, widths, limits);
-                tallies.with_runs.group((format, group.delayed, compression), &mut last_of_runs);
-                (plain, with_runs) = (plain + words, with_runs + fewest);
+                for (way, (compression, discrete)) in ways_of(group, widths, limits).into_iter().enumerate() {
+                    tallies.ways[way].group((format, group.delayed, compression), &mut last[way]);
+                    of_list[way].discrete += discrete;
+                    if !places.is_empty() {
+                        of_list[way].in_table += packing::words_in_table(group, compression, widths, limits);
+                    }
+                }
             }
-            tallies.axons += 1;
-            tallies.plain.list(plain);
-            tallies.with_runs.list(with_runs);
+            for (tally, words) in tallies.ways.iter_mut().zip(of_list) {
+                tally.lists(1, words.discrete);
+            }
+            if !places.is_empty() {
+                of_lists.push(of_list);
+            }
+        }
+        if !places.is_empty() {
+            tallies.alike = share::alike(keys, places);
+            for way in 0..2 {
+                let class = |alike: &Alike| {
+                    let lists = alike.places.first().map_or(&[][..], |(_, lists)| lists);
+                    let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][way]);
+                    Class {
+                        places: alike.places.len() as u32,
+                        lists: lists.len() as u32,
+                        atoms: lists.last().map_or(0, |(atom, _)| atom + 1),
+                        words: words().map(|words| words.discrete).sum(),
+                        list_words: words()
+                            .map(|words| words.in_table)
+                            .fold((u32::MAX, 0), |(least, most), words| (least.min(words), most.max(words))),
+                    }
+                };
+                let classes: Vec<Class> = tallies.alike.iter().map(class).collect();
+                tallies.sharing[way] = tallies.ways[way].share(&classes, limits);
+            }
         }
         tallies
     }
 
-    /// Counts so many lists of one such group each.
-    pub fn lists(&mut self, format: u16, group: Group, lists: u64, widths: Widths, limits: &Limits) {
-        let plain = packing::words(group, widths, limits);
-        let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
-        self.plain.formats.insert((format, group.delayed, compression));
-        let (compression, fewest) = packing::best(group, widths, limits);
-        self.with_runs.formats.insert((format, group.delayed, compression));
-        self.axons = self.axons.saturating_add(u32::try_from(lists).unwrap_or(u32::MAX));
-        for (tally, words) in [(&mut self.plain, plain), (&mut self.with_runs, fewest)] {
-            tally.words += lists * u64::from(words);
-            tally.widest = tally.widest.max(words);
+    /// Counts so many lists of one such group each; returns what one of them takes without and with runs.
+    pub fn lists(&mut self, format: u16, group: Group, lists: u64, widths: Widths, limits: &Limits) -> [Words; 2] {
+        let mut of_list = [Words::default(); 2];
+        for (way, (compression, discrete)) in ways_of(group, widths, limits).into_iter().enumerate() {
+            self.ways[way].formats.insert((format, group.delayed, compression));
+            self.ways[way].lists(lists, discrete);
+            of_list[way] = Words { discrete, in_table: packing::words_in_table(group, compression, widths, limits) };
+        }
+        of_list
+    }
+
+    /// Stores tables for these classes of the lists counted so far, given without and with runs.
+    pub fn share(&mut self, classes: [&[Class]; 2], limits: &Limits) {
+        for (way, classes) in classes.into_iter().enumerate() {
+            self.sharing[way] = self.ways[way].share(classes, limits);
         }
     }
 
     /// Whether the core stores runs: where that takes fewer words and its formats suffice.
     #[must_use]
     pub fn runs(&self, limits: &Limits) -> bool {
-        let Tallies { plain, with_runs, .. } = self;
+        let [plain, with_runs] = &self.ways;
         with_runs.words < plain.words && with_runs.formats.len() as u64 <= u64::from(limits.synapse_formats)
     }
 
     /// The way of storing that is taken.
     #[must_use]
     pub fn stored(&self, limits: &Limits) -> &Tally {
-        if self.runs(limits) { &self.with_runs } else { &self.plain }
+        &self.ways[usize::from(self.runs(limits))]
     }
+
+    /// Classes of places, and how many places of each share its table in the way of storing that is taken.
+    pub fn shared(&self, limits: &Limits) -> impl Iterator<Item = (&Alike, u32)> {
+        self.alike.iter().zip(self.sharing[usize::from(self.runs(limits))].iter().copied())
+    }
+
+    /// What a core with these lists uses, output axons and profiles left out.
+    #[must_use]
+    pub fn usage(&self, compartments: u32, synapses: u64, longest: Delay, limits: &Limits) -> CoreUsage {
+        let stored = self.stored(limits);
+        CoreUsage {
+            compartments,
+            axons_in: stored.axons,
+            synapses,
+            synapse_words: stored.words,
+            synapse_words_per_axon: stored.widest,
+            synapse_formats: stored.formats.len() as u32,
+            accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
+            ..CoreUsage::default()
+        }
+    }
+}
+
+/// Words of a list.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Words {
+    /// As the list of a discrete axon.
+    pub discrete: u32,
+    /// In the table of a population axon.
+    pub in_table: u32,
+}
+
+/// How a group of a discrete axon is stored without runs and with runs, and in how many words.
+#[inline]
+#[must_use]
+pub fn ways_of(group: Group, widths: Widths, limits: &Limits) -> [(Compression, u32); 2] {
+    let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
+    let plain = (compression, packing::words(group, widths, limits));
+    if group.dense { [plain; 2] } else { [plain, packing::best(group, widths, limits)] }
 }
 
 /// The fewest bits of runs over these distances between slots.

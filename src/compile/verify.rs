@@ -6,7 +6,9 @@
 //!
 //! - the mesh is the target's (`Mesh`);
 //! - an output axon table names each destination core once, in ascending order (`Multicast`);
-//! - an input axon's list is not empty (`EmptyAxon`);
+//! - a list that is selected is not empty, one that is not is (`EmptyAxon`);
+//! - population axons have atoms, bases and numbers that messages and tables can hold, tables are the same or apart, no two
+//!   sources are the same atom of one, and a source is the same atom on every core (`Population`);
 //! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the core's index and delay
 //!   widths or none (`Format`);
 //! - in a list the synapses of one format stand together, and two groups do not differ in density or delay alone
@@ -26,11 +28,12 @@ use rayon::prelude::*;
 use crate::base::fixed::Delay;
 use crate::base::id::{CoreId, Id};
 use crate::compile::packing::{self, Compression, Group, SKIP_BITS, Widths};
+use crate::compile::share::{BASE_END, BASE_STEP, MOST_ATOMS, most_axons};
 use crate::compile::usage::profiles;
 use crate::desc::target::{Limits, Target};
 use crate::ir::partition::{CoreUsage, Resource};
 use crate::ir::placement::Mesh;
-use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, Program, Synapse};
+use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Program, Stored, Synapse};
 
 /// A rule that is broken.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -41,13 +44,21 @@ pub enum Violation {
     /// Messages of one source are not one for each core, ascending.
     #[error("{0} does not name each destination core once, in ascending order")]
     Multicast(String),
-    /// A list without synapses.
-    #[error("{core}: input axon {axon} has no synapse")]
+    /// A list without synapses that is selected, or one with synapses that is not.
+    #[error("{core}: list {list} is selected and has no synapse, or has synapses and is not selected")]
     EmptyAxon {
         /// The core.
         core: CoreId,
-        /// The input axon.
-        axon: usize,
+        /// The list.
+        list: usize,
+    },
+    /// Population axons that the hardware does not have.
+    #[error("{place}: {what}")]
+    Population {
+        /// The core or the source.
+        place: String,
+        /// What is wrong.
+        what: &'static str,
     },
     /// A format that cannot be stored, is not used, or is there twice.
     #[error("{core}: synapse format {format} {what}")]
@@ -60,36 +71,36 @@ pub enum Violation {
         what: &'static str,
     },
     /// Synapses of one format that do not stand together.
-    #[error("{core}: input axon {axon} has its synapses of one format in several places")]
+    #[error("{core}: list {list} has its synapses of one format in several places")]
     Scattered {
         /// The core.
         core: CoreId,
-        /// The input axon.
-        axon: usize,
+        /// The list.
+        list: usize,
     },
     /// Slots that do not suit the format.
-    #[error("{core}: input axon {axon}: the slots of a group do not suit its format")]
+    #[error("{core}: list {list}: the slots of a group do not suit its format")]
     Slots {
         /// The core.
         core: CoreId,
-        /// The input axon.
-        axon: usize,
+        /// The list.
+        list: usize,
     },
     /// Delays that do not suit the format.
-    #[error("{core}: input axon {axon}: the delays of a group do not suit its format")]
+    #[error("{core}: list {list}: the delays of a group do not suit its format")]
     Delay {
         /// The core.
         core: CoreId,
-        /// The input axon.
-        axon: usize,
+        /// The list.
+        list: usize,
     },
     /// A weight that its format does not have.
-    #[error("{core}: input axon {axon}: weight {weight} is not in its format")]
+    #[error("{core}: list {list}: weight {weight} is not in its format")]
     Weight {
         /// The core.
         core: CoreId,
-        /// The input axon.
-        axon: usize,
+        /// The list.
+        list: usize,
         /// The weight.
         weight: i16,
     },
@@ -116,10 +127,9 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     if *program.mesh() != Mesh::of(target) {
         return Err(Violation::Mesh);
     }
+    let populations = program.cores().iter().any(|image| !image.inputs.populations.is_empty());
     for (channel, messages) in program.parts().channels.iter().enumerate() {
-        if !ascends(messages) {
-            return Err(Violation::Multicast(format!("input channel {channel}")));
-        }
+        verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
     }
     // Threads may finish in any order; the violation of the lowest core is told.
     let found: Vec<Violation> = program
@@ -127,38 +137,132 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
         .as_slice()
         .par_iter()
         .enumerate()
-        .filter_map(|(index, image)| verify_core(program, CoreId::new(index), image, limits).err())
+        .filter_map(|(index, image)| verify_core(program, CoreId::new(index), image, populations, limits).err())
         .collect();
     found.into_iter().next().map_or(Ok(()), Err)
 }
 
-fn ascends(messages: &[AxonTarget]) -> bool {
-    messages.windows(2).all(|pair| pair[0].core < pair[1].core)
+fn verify_messages(
+    program: &Program,
+    messages: &[AxonTarget],
+    populations: bool,
+    name: impl Fn() -> String,
+) -> Result<(), Violation> {
+    if !messages.windows(2).all(|pair| pair[0].core < pair[1].core) {
+        return Err(Violation::Multicast(name()));
+    }
+    if !populations {
+        return Ok(());
+    }
+    let atom = |message: &AxonTarget| match program.cores()[message.core].inputs.axon(message.axon.into()) {
+        InputAxon::Member { atom, .. } => Some(atom),
+        InputAxon::Discrete { .. } => None,
+    };
+    let mut atoms = messages.iter().filter_map(atom);
+    match atoms.next() {
+        Some(first) if atoms.any(|atom| atom != first) => {
+            Err(Violation::Population { place: name(), what: "it is another atom on another core" })
+        }
+        _ => Ok(()),
+    }
 }
 
-fn verify_core(program: &Program, core: CoreId, image: &CoreImage, limits: &Limits) -> Result<(), Violation> {
-    for (slot, messages) in image.axons_out.iter().enumerate() {
-        if !ascends(messages) {
-            return Err(Violation::Multicast(format!("compartment {} of {core}", image.ids[slot])));
+/// Whether each list belongs to a table; checks population axons.
+fn verify_populations(core: CoreId, inputs: &Stored) -> Result<Vec<bool>, Violation> {
+    let wrong = |what| Err(Violation::Population { place: core.to_string(), what });
+    let mut in_table = vec![false; inputs.lists.len()];
+    if inputs.populations.is_empty() {
+        return Ok(in_table);
+    }
+    let mut tables: Vec<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
+    tables.sort_unstable();
+    tables.dedup();
+    if tables.windows(2).any(|pair| pair[0].0 + u32::from(pair[0].1) > pair[1].0) {
+        return wrong("two tables of population axons overlap");
+    }
+    let atoms = tables.iter().map(|table| table.1).max().unwrap_or(0);
+    if atoms > MOST_ATOMS {
+        return wrong("a population axon has more atoms than a message can tell");
+    }
+    if inputs.populations.len() as u64 > u64::from(most_axons(atoms)) {
+        return wrong("there are more population axons than a message can tell beside their atoms");
+    }
+    if inputs.populations.iter().any(|axon| axon.base % BASE_STEP != 0 || axon.base >= BASE_END) {
+        return wrong("a population axon has a base that cannot be stored");
+    }
+    for &(table, atoms) in &tables {
+        in_table[table as usize..table as usize + usize::from(atoms)].fill(true);
+    }
+    let members = inputs.axons.iter().filter_map(|axon| match *axon {
+        InputAxon::Member { axon, atom } => Some((axon, atom)),
+        InputAxon::Discrete { .. } => None,
+    });
+    let mut members: Vec<(u16, u16)> = members.collect();
+    members.sort_unstable();
+    if members.windows(2).any(|pair| pair[0] == pair[1]) {
+        return wrong("two sources are the same atom of a population axon");
+    }
+    // What each population axon has lists for is what its members are.
+    let mut members = members.into_iter();
+    for (number, axon) in inputs.populations.iter().enumerate() {
+        for atom in 0..axon.atoms {
+            let list = axon.table as usize + usize::from(atom);
+            let selected = !inputs.lists.get(list).is_empty();
+            if selected && members.next() != Some((number as u16, atom)) {
+                return Err(Violation::EmptyAxon { core, list });
+            }
         }
     }
-    let longest = image.synapses.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
+    match members.next() {
+        Some((axon, atom)) => {
+            let list = inputs.populations[usize::from(axon)].table as usize + usize::from(atom);
+            Err(Violation::EmptyAxon { core, list })
+        }
+        None => Ok(in_table),
+    }
+}
+
+/// Words of a core's lists, those of a table as many times the longest as it has lists; and the most of one list.
+fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) {
+    let widest = of_lists.iter().copied().max().unwrap_or(0);
+    let discrete =
+        of_lists.iter().zip(in_table).filter(|(_, in_table)| !**in_table).map(|(words, _)| u64::from(*words));
+    let tables: BTreeSet<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
+    let of_table = |(table, atoms): (u32, u16)| {
+        let lists = &of_lists[table as usize..table as usize + usize::from(atoms)];
+        u64::from(atoms) * u64::from(lists.iter().copied().max().unwrap_or(0))
+    };
+    (discrete.sum::<u64>() + tables.into_iter().map(of_table).sum::<u64>(), widest)
+}
+
+fn verify_core(
+    program: &Program,
+    core: CoreId,
+    image: &CoreImage,
+    populations: bool,
+    limits: &Limits,
+) -> Result<(), Violation> {
+    for (slot, messages) in image.axons_out.iter().enumerate() {
+        verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
+    }
+    let in_table = verify_populations(core, &image.inputs)?;
+    let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::of(image.compartments.len() as u32, longest, limits.packing);
     verify_formats(core, image, widths)?;
-    let (mut words, mut widest, mut used) = (0u64, 0u32, BTreeSet::new());
-    for (axon, list) in image.synapses.iter().enumerate() {
-        if list.is_empty() {
-            return Err(Violation::EmptyAxon { core, axon });
+    let (mut of_lists, mut used) = (Vec::with_capacity(image.inputs.lists.len()), BTreeSet::new());
+    for (list, synapses) in image.inputs.lists.iter().enumerate() {
+        if synapses.is_empty() && !in_table[list] {
+            return Err(Violation::EmptyAxon { core, list });
         }
-        let mut axon_words = 0;
+        let mut list_words = 0;
         let mut kinds = BTreeSet::new();
-        for group in list.chunk_by(|a, b| a.format == b.format) {
+        for group in synapses.chunk_by(|a, b| a.format == b.format) {
             let format = image.formats[usize::from(group[0].format)];
             used.insert(group[0].format);
             if !kinds.insert(format.synapse) {
-                return Err(Violation::Scattered { core, axon });
+                return Err(Violation::Scattered { core, list });
             }
-            verify_group(core, axon, group, format)?;
+            verify_group(core, list, group, format)?;
             let group = Group {
                 weight_bits: format.synapse.bits,
                 synapses: group.len() as u32,
@@ -171,15 +275,16 @@ fn verify_core(program: &Program, core: CoreId, image: &CoreImage, limits: &Limi
                 (Some(_), Some(bits)) => Compression::RunLength(bits),
                 (Some(_), None) => Compression::Sparse,
             };
-            axon_words += packing::words_as(group, compression, widths, limits);
+            let words = if in_table[list] { packing::words_in_table } else { packing::words_as };
+            list_words += words(group, compression, widths, limits);
         }
-        words += u64::from(axon_words);
-        widest = widest.max(axon_words);
+        of_lists.push(list_words);
     }
     if let Some(format) = (0..image.formats.len()).find(|&f| !used.contains(&(f as u8))) {
         return Err(Violation::Format { core, format, what: "is not used" });
     }
-    let usage = usage_of(program, image, limits, longest, (words, widest));
+    let words = words_of(&image.inputs, &of_lists, &in_table);
+    let usage = usage_of(program, image, limits, longest, words);
     match usage.excesses(limits).next() {
         Some((resource, need, limit)) => Err(Violation::Excess { core, resource, need, limit }),
         None => Ok(()),
@@ -209,7 +314,7 @@ fn verify_formats(core: CoreId, image: &CoreImage, widths: Widths) -> Result<(),
     Ok(())
 }
 
-fn verify_group(core: CoreId, axon: usize, group: &[Synapse], format: CoreFormat) -> Result<(), Violation> {
+fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat) -> Result<(), Violation> {
     let in_order = match format.index_bits {
         None => group.windows(2).all(|pair| u32::from(pair[1].slot) == u32::from(pair[0].slot) + 1),
         Some(bits) => {
@@ -224,16 +329,16 @@ fn verify_group(core: CoreId, axon: usize, group: &[Synapse], format: CoreFormat
         })
     };
     if !in_order || !format.skip_bits.is_none_or(holds) {
-        return Err(Violation::Slots { core, axon });
+        return Err(Violation::Slots { core, list });
     }
     let longest = group.iter().map(|s| s.delay.get()).max().unwrap_or(0);
     if (longest > 0) != (format.delay_bits > 0) || u32::from(longest) >= 1 << format.delay_bits {
-        return Err(Violation::Delay { core, axon });
+        return Err(Violation::Delay { core, list });
     }
     let (low, high) = format.synapse.sign.range(format.synapse.bits);
     let step = format.synapse.sign.step(format.synapse.bits);
     match group.iter().find(|s| !(low..=high).contains(&s.weight) || s.weight % step != 0) {
-        Some(synapse) => Err(Violation::Weight { core, axon, weight: synapse.weight }),
+        Some(synapse) => Err(Violation::Weight { core, list, weight: synapse.weight }),
         None => Ok(()),
     }
 }
@@ -255,12 +360,13 @@ fn usage_of(
     };
     let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
+    let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u32;
     CoreUsage {
         compartments,
-        axons_in: image.synapses.len() as u32,
+        axons_in,
         axons_out: image.axons_out.items().iter().map(slots).sum(),
         axons_out_per_compartment: image.axons_out.iter().map(|list| list.len() as u32).max().unwrap_or(0),
-        synapses: image.synapses.items().len() as u64,
+        synapses: image.inputs.count(),
         synapse_words: words,
         synapse_words_per_axon: widest,
         synapse_formats: image.formats.len() as u32,

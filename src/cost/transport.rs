@@ -79,7 +79,7 @@ pub struct Ways {
 
 /// Dense and sparse synapses of an input axon.
 fn events(image: &CoreImage, axon: u16) -> (u32, u32) {
-    let synapses = image.synapses.get(usize::from(axon));
+    let synapses = image.inputs.get(usize::from(axon)).stored;
     let dense = |format: u8| image.formats[usize::from(format)].index_bits.is_none();
     let count = synapses.iter().filter(|synapse| dense(synapse.format)).count();
     (count as u32, (synapses.len() - count) as u32)

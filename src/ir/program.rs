@@ -1,8 +1,10 @@
 //! What the machine runs: one closed image for each core, and nothing by name.
 //!
 //! A spike of a compartment sends one message to each core that holds a target of it; there the message's input axon
-//! selects a list of synapses. Input channels do the same from outside. True of every [`Program`]: every table is closed
-//! (each message meets an existing axon, each synapse an existing compartment) and no axon is reached by two sources.
+//! selects a list of synapses. Input channels do the same from outside. Input axons whose lists differ by a shift of all
+//! their slots can be members of population axons and select one stored list ([`PopulationAxon`]). True of every
+//! [`Program`]: every table is closed (each message meets an existing axon, each synapse an existing compartment), no axon
+//! is reached by two sources, and every stored list is selected.
 //! That it equals its `Quantised` network is for `compile::check` to prove.
 
 use crate::base::fixed::Delay;
@@ -159,6 +161,162 @@ pub struct CoreFormat {
     pub skip_bits: Option<u8>,
 }
 
+/// A core's entry for several sources, told apart by the atom that their messages carry: the channels at one position of
+/// a population. Population axons that are given the same table store it once, each with another base.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PopulationAxon {
+    /// The list of atom 0; those of the other atoms follow it.
+    pub table: u32,
+    /// Lists of the table.
+    pub atoms: u16,
+    /// Added to every slot of the lists.
+    pub base: u16,
+}
+
+/// What the message of one source selects on a core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum InputAxon {
+    /// A list of its own, with the slots as they are.
+    Discrete {
+        /// The list.
+        list: u32,
+    },
+    /// The list of its atom in the table of a population axon.
+    Member {
+        /// The population axon.
+        axon: u16,
+        /// The atom.
+        atom: u16,
+    },
+}
+
+/// A stored list as an input axon selects it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Selected<'a> {
+    /// Added to every slot.
+    pub base: u16,
+    /// The synapses as they are stored.
+    pub stored: &'a [Synapse],
+}
+
+impl<'a> Selected<'a> {
+    /// The synapses with the slots that they lead to.
+    #[inline]
+    pub fn synapses(self) -> impl ExactSizeIterator<Item = Synapse> + Clone + 'a {
+        self.stored.iter().map(move |synapse| Synapse { slot: synapse.slot + self.base, ..*synapse })
+    }
+}
+
+/// A core's lists of synapses and the input axons that select them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Stored {
+    /// The lists: the tables of population axons, then those of discrete axons.
+    pub lists: Lists<Synapse>,
+    /// Population axons; few, or none.
+    pub populations: Vec<PopulationAxon>,
+    /// Input axons, one for each source that reaches the core; empty without population axons: axon i has list i then.
+    pub axons: Vec<InputAxon>,
+}
+
+impl Stored {
+    /// Lists of discrete axons.
+    #[must_use]
+    pub fn discrete(lists: Lists<Synapse>) -> Self {
+        Stored { lists, ..Stored::default() }
+    }
+
+    /// Sources that reach the core.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        if self.populations.is_empty() { self.lists.len() } else { self.axons.len() }
+    }
+
+    /// Whether no source reaches the core.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// An input axon.
+    #[inline]
+    #[must_use]
+    pub fn axon(&self, axon: usize) -> InputAxon {
+        if self.populations.is_empty() { InputAxon::Discrete { list: axon as u32 } } else { self.axons[axon] }
+    }
+
+    /// The list that an input axon selects.
+    #[inline]
+    #[must_use]
+    pub fn get(&self, axon: usize) -> Selected<'_> {
+        match self.axon(axon) {
+            InputAxon::Discrete { list } => Selected { base: 0, stored: self.lists.get(list as usize) },
+            InputAxon::Member { axon, atom } => {
+                let population = self.populations[usize::from(axon)];
+                let stored = self.lists.get(population.table as usize + usize::from(atom));
+                Selected { base: population.base, stored }
+            }
+        }
+    }
+
+    /// The lists that the input axons select, in order.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Selected<'_>> {
+        (0..self.len()).map(|axon| self.get(axon))
+    }
+
+    /// The lists of discrete axons, in the order of axons.
+    pub fn iter_discrete(&self) -> impl Iterator<Item = usize> {
+        (0..self.len()).filter_map(|axon| match self.axon(axon) {
+            InputAxon::Discrete { list } => Some(list as usize),
+            InputAxon::Member { .. } => None,
+        })
+    }
+
+    /// Every synapse, with the slot that it leads to; one that several sources share, once for each.
+    pub fn synapses(&self) -> impl Iterator<Item = Synapse> {
+        self.iter().flat_map(Selected::synapses)
+    }
+
+    /// Synapses, those that several sources share counted for each.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        match self.populations.is_empty() {
+            true => self.lists.items().len() as u64,
+            false => self.iter().map(|list| list.stored.len() as u64).sum(),
+        }
+    }
+
+    /// Whether every axon selects a list, each list of a discrete axon is selected by it alone, each axon's atom is in the
+    /// table of its population, and slots are below a number.
+    fn is_closed(&self, slots: usize) -> bool {
+        let most = |lists: std::ops::Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
+        if self.populations.is_empty() {
+            return self.axons.is_empty() && self.lists.items().iter().all(|synapse| usize::from(synapse.slot) < slots);
+        }
+        let mut selected = vec![false; self.lists.len()];
+        for population in &self.populations {
+            let table = population.table as usize..population.table as usize + usize::from(population.atoms);
+            let below = |slot: u16| usize::from(slot) + usize::from(population.base) < slots;
+            if population.atoms == 0 || table.end > selected.len() || !most(table.clone()).is_none_or(below) {
+                return false;
+            }
+            selected[table].fill(true);
+        }
+        let axons = self.axons.iter().all(|axon| match *axon {
+            InputAxon::Discrete { list } => match selected.get_mut(list as usize) {
+                Some(list_of @ false) => {
+                    *list_of = true;
+                    self.lists.get(list as usize).iter().all(|synapse| usize::from(synapse.slot) < slots)
+                }
+                _ => false,
+            },
+            InputAxon::Member { axon, atom } => {
+                self.populations.get(usize::from(axon)).is_some_and(|population| atom < population.atoms)
+            }
+        });
+        axons && selected.iter().all(|&selected| selected)
+    }
+}
+
 /// A compartment's parameters on its core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Compartment {
@@ -179,8 +337,8 @@ pub struct CoreImage {
     pub ids: Vec<CompartmentId>,
     /// Formats of its synapses.
     pub formats: Vec<CoreFormat>,
-    /// Synapses by input axon.
-    pub synapses: Lists<Synapse>,
+    /// Input axons and the synapses that they select.
+    pub inputs: Stored,
     /// Messages that a spike sends, by slot, in ascending order of cores.
     pub axons_out: Lists<AxonTarget>,
 }
@@ -227,7 +385,7 @@ impl Program {
     pub fn new(parts: Parts) -> Result<Self, NotClosed> {
         let wrong = |core: CoreId, what: &str| Err(NotClosed(format!("{core}: {what}")));
         let mut reached: IdVec<CoreId, Vec<bool>> =
-            parts.cores.iter().map(|image| vec![false; image.synapses.len()]).collect();
+            parts.cores.iter().map(|image| vec![false; image.inputs.len()]).collect();
         let mut reach = |target: &AxonTarget| match reached
             .as_mut_slice()
             .get_mut(target.core.index())
@@ -252,10 +410,15 @@ impl Program {
                     return wrong(core, "a compartment does not sit where its core says");
                 }
             }
-            for synapse in image.synapses.items() {
-                if usize::from(synapse.slot) >= slots || usize::from(synapse.format) >= image.formats.len() {
-                    return wrong(core, "a synapse leads to no compartment or has no format");
-                }
+            let has_format = |synapse: &Synapse| usize::from(synapse.format) < image.formats.len();
+            if !image.inputs.lists.items().iter().all(has_format) {
+                return wrong(core, "a synapse has no format");
+            }
+            if !image.inputs.is_closed(slots) {
+                return wrong(
+                    core,
+                    "a synapse leads to no compartment, or an input axon and a list do not find each other",
+                );
             }
             if !image.axons_out.items().iter().all(&mut reach) {
                 return wrong(core, "an output axon leads nowhere or shares its input axon");

@@ -291,8 +291,8 @@ impl<'p> Image<'p> {
         let mut most = 0;
         for image in self.program.cores() {
             let mut weight = vec![0u64; image.compartments.len()];
-            for synapse in image.synapses.items() {
-                weight[usize::from(synapse.slot)] += u64::from(units(image, synapse).unsigned_abs());
+            for synapse in image.inputs.synapses() {
+                weight[usize::from(synapse.slot)] += u64::from(units(image, &synapse).unsigned_abs());
             }
             if let Some(slot) = weight.iter().position(|&weight| weight > i32::MAX as u64) {
                 return Err(ImageError::FanIn(image.ids[slot]));
@@ -378,7 +378,7 @@ impl<'p> Image<'p> {
         let parts = self.program.parts();
         let mut delays: Vec<u8> = Vec::new();
         for image in &parts.cores {
-            for synapse in image.synapses.items() {
+            for synapse in image.inputs.lists.items() {
                 let delay = synapse.delay.get();
                 if !delays.contains(&delay) {
                     delays.push(delay);
@@ -437,10 +437,10 @@ impl<'p> Image<'p> {
             };
             for message in messages {
                 let image = &parts.cores[message.core];
-                for synapse in image.synapses.get(usize::from(message.axon)) {
+                for synapse in image.inputs.get(usize::from(message.axon)).synapses() {
                     let (share, lane) = self.lane(image.ids[usize::from(synapse.slot)]);
                     let delay = place_of[usize::from(synapse.delay.get())];
-                    reached[share][delay].push((lane as u32, units(image, synapse) as i16));
+                    reached[share][delay].push((lane as u32, units(image, &synapse) as i16));
                 }
             }
             for (share, reached) in reached.iter_mut().enumerate() {

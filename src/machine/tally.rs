@@ -13,14 +13,14 @@ use crate::ir::quantised::SpikeSource;
 /// The longest delay field of a program's synapses.
 #[must_use]
 pub fn longest_delay(program: &Program) -> u32 {
-    let synapses = program.cores().iter().flat_map(|image| image.synapses.items());
+    let synapses = program.cores().iter().flat_map(|image| image.inputs.lists.items());
     synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
 }
 
 /// Synaptic events of one axon's list whose delay field is below `reach`: (dense, sparse).
 fn events(image: &CoreImage, axon: u16, reach: u32) -> (u64, u64) {
     let (mut dense, mut sparse) = (0, 0);
-    for synapse in image.synapses.get(usize::from(axon)) {
+    for synapse in image.inputs.get(usize::from(axon)).stored {
         if u32::from(synapse.delay.get()) < reach {
             match image.formats[usize::from(synapse.format)].index_bits {
                 None => dense += 1,

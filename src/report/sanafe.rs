@@ -72,7 +72,7 @@ fn attributes(compartment: &Compartment, synapse: &str) -> String {
 /// Which synapse unit each compartment of a core has: that of most of its synapses.
 fn units(image: &CoreImage) -> Vec<&'static str> {
     let mut counts = vec![[0u64; 2]; image.compartments.len()];
-    for synapse in image.synapses.items() {
+    for synapse in image.inputs.synapses() {
         let sparse = image.formats[usize::from(synapse.format)].index_bits.is_some();
         counts[usize::from(synapse.slot)][usize::from(sparse)] += 1;
     }
@@ -83,7 +83,7 @@ fn units(image: &CoreImage) -> Vec<&'static str> {
 fn mixed(program: &Program) -> u64 {
     let of = |image: &CoreImage| {
         let mut kinds = vec![[false; 2]; image.compartments.len()];
-        for synapse in image.synapses.items() {
+        for synapse in image.inputs.synapses() {
             let sparse = image.formats[usize::from(synapse.format)].index_bits.is_some();
             kinds[usize::from(synapse.slot)][usize::from(sparse)] = true;
         }
@@ -163,7 +163,7 @@ impl Export<'_> {
     /// The least and the greatest delay of the synapses that these messages reach.
     fn delays<'m>(&self, messages: impl Iterator<Item = &'m AxonTarget>) -> (u8, u8) {
         let cores = self.program().cores();
-        let of = |message: &'m AxonTarget| cores[message.core].synapses.get(usize::from(message.axon)).iter();
+        let of = |message: &'m AxonTarget| cores[message.core].inputs.get(usize::from(message.axon)).stored;
         let delays = messages.flat_map(of).map(|synapse| synapse.delay.get());
         let (least, most) = delays.fold((u8::MAX, 0), |(least, most), delay| (least.min(delay), most.max(delay)));
         (least.min(most), most)
@@ -364,7 +364,7 @@ impl Export<'_> {
     /// The synapses that a message reaches.
     fn edges(&self, out: &mut String, from: &str, message: &AxonTarget) {
         let image = &self.program().cores()[message.core];
-        for synapse in image.synapses.get(usize::from(message.axon)) {
+        for synapse in image.inputs.get(usize::from(message.axon)).synapses() {
             let format = image.formats[usize::from(synapse.format)].synapse;
             let weight = f64::from(format.scaled(synapse.weight)) / 64.0;
             let _ = writeln!(out, "    - {from} -> c{}.{}: [weight: {weight:?}]", message.core.0, synapse.slot);

@@ -8,9 +8,10 @@ use std::collections::BTreeSet;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::compile::described::layer::{self, BoxUse, Cut, Lattice, Layer};
+use crate::compile::described::layer::{self, Cut, Lattice};
 use crate::compile::described::sends::{self, AllSends, Placed};
 use crate::compile::formats::Formats;
+use crate::compile::geometry::{BoxUse, Layer};
 use crate::compile::packing::MOST_SLOTS;
 use crate::compile::partition::{Members, row_of_chips};
 use crate::compile::reason::Reason;

@@ -62,14 +62,17 @@ fn enumerated(
     limits: &Limits,
 ) -> CoreUsage {
     filling.next_core();
+    let held = partition.members()[core].iter().filter_map(|&id| {
+        let (population, index) = network.population_of(id);
+        let Units::Loihi { neurons, .. } = &network.populations()[population].units else { return None };
+        Some(Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 })
+    });
+    let held: Vec<Newcomer> = held.collect();
+    // What does not fit is seen in the counts.
+    let _ = filling.add_whole(held.iter().copied());
     let (mut slots, mut most) = (0, 0);
     let (mut of_compartments, mut thresholds) = (BTreeSet::new(), BTreeSet::new());
-    for &id in &partition.members()[core] {
-        let (population, index) = network.population_of(id);
-        let Units::Loihi { neurons, .. } = &network.populations()[population].units else { continue };
-        let neuron = neurons.get(index);
-        // What does not fit is seen in the counts.
-        let _ = filling.add(&Newcomer { id, population, index, neuron, slots_out: 0 });
+    for Newcomer { population, index, neuron, .. } in held {
         let (profile, threshold) = profiles(&neuron);
         of_compartments.insert(profile);
         thresholds.insert(threshold);
@@ -91,7 +94,7 @@ fn enumerated(
         axons_out_per_compartment: most,
         compartment_profiles: of_compartments.len() as u32,
         threshold_profiles: thresholds.len() as u32,
-        ..filling.usage()
+        ..filling.usage_shared()
     }
 }
 

@@ -7,7 +7,8 @@
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use crate::compile::described::boxes::Lattices;
-use crate::compile::described::layer::{self, Lattice, Layer};
+use crate::compile::described::layer::{self, Lattice};
+use crate::compile::geometry::Layer;
 use crate::compile::packing::MOST_SLOTS;
 use crate::compile::saved::Membership;
 use crate::desc::mapping::{MappedLayer, MappingFile, OnChip};

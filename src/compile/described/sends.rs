@@ -11,7 +11,9 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::base::id::{IdVec, PopulationId};
-use crate::compile::described::layer::{Axis, Cut, Layer};
+use crate::compile::axis::Axis;
+use crate::compile::described::layer::Cut;
+use crate::compile::geometry::Layer;
 use crate::compile::partition::Members;
 use crate::desc::target::Limits;
 use crate::ir::quantised::Quantised;

@@ -7,14 +7,23 @@ use crate::compile::described::cost::only;
 use crate::compile::expect::{score, score_at};
 use crate::compile::fanin::first_source;
 use crate::compile::saved::one_copy;
-use crate::compile::testing::{Builder, format, limits, neurons, target};
+use crate::compile::testing::{Builder, format, limits, neurons, plain_format, target};
 use crate::compile::traffic::{links, traffic};
 use crate::compile::{self, Partitioned, compile_with_mapping};
 use crate::desc::mapping::{MappedLayer, OnChip};
 use crate::desc::target::{Limits, Packing};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{CoreUsage, Resource};
-use crate::ir::quantised::Connectivity;
+use crate::ir::quantised::{Connectivity, SynapseFormat};
+
+/// A weight of a format; those near each other differ: kernels in which parts repeat would share more tables than geometry
+/// can tell.
+fn weight(format: SynapseFormat, seed: u64, layer: u64, at: u64) -> i16 {
+    let (low, high) = format.sign.range(format.bits);
+    let step = format.sign.step(format.bits);
+    let levels = ((high - low) / step + 1) as u64;
+    low + step * ((rng::below(levels, seed, layer, at / levels) + at) * 37 % levels) as i16
+}
 
 /// Two inputs and layers of windows, some of which skip a layer or see their own channel only, and a dense one at the end.
 fn layered(seed: u64) -> Quantised {
@@ -55,7 +64,7 @@ fn layered(seed: u64) -> Quantised {
             net.connect((from, to), kind, delay, Connectivity::SumPool2d { window, weight: 8 });
         } else {
             let weights = (shape.0 * source.0 / groups * kernel.0 * kernel.1) as usize;
-            let kernel = (0..weights).map(|i| 8 * (i % 7) as i16).collect();
+            let kernel = (0..weights).map(|i| weight(kind, seed, k, i as u64)).collect();
             net.connect((from, to), kind, delay, Connectivity::Conv2d { window, kernel });
         }
         // Itself, as recurrent convolutions have it.
@@ -69,15 +78,18 @@ fn layered(seed: u64) -> Quantised {
                 dilation: (1, 1),
                 groups: 1,
             };
-            let kernel = vec![4; (shape.0 * shape.0 * 3) as usize].into();
-            net.connect((to, to), format(0, SignMode::Mixed, 8), 0, Connectivity::Conv2d { window: once, kernel });
+            let own = format(0, SignMode::Mixed, 8);
+            let weights = u64::from(shape.0 * shape.0 * 3);
+            let kernel = (0..weights).map(|i| weight(own, seed, k + 1, i)).collect();
+            net.connect((to, to), own, 0, Connectivity::Conv2d { window: once, kernel });
         }
         all.push((to, shape));
     }
     let out = net.loihi("out", 11);
-    net.dense(all[3].0, out, |s, t| ((s + t) % 9) as i16 * 2);
+    let plain = plain_format();
+    net.dense(all[3].0, out, |s, t| weight(plain, seed, 1, u64::from(s * 11 + t)));
     if draw(2, 50) == 0 {
-        net.dense(all[2].0, out, |s, t| ((s * t) % 9) as i16 * 2);
+        net.dense(all[2].0, out, |s, t| weight(plain, seed, 2, u64::from(s * 11 + t)));
     }
     net.build()
 }

@@ -30,6 +30,7 @@ use crate::compile::partition::refine::Effort;
 use crate::compile::rates::Rates;
 use crate::compile::reason::Reason;
 use crate::compile::sent::{cores_of, messages, sent, slots_of};
+use crate::compile::share::Places;
 use crate::compile::usage::usage;
 use crate::desc::target::{Limits, Target};
 use crate::ir::partition::{Partition, PartitionError, seats};
@@ -371,6 +372,7 @@ fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
 /// A number of cores below which no partition can be, from what copies cannot share.
 #[must_use]
 pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
+    let places = Places::of(one);
     let active: u64 = one
         .populations()
         .enumerate()
@@ -382,7 +384,12 @@ pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
                     connectivity => connectivity.count_from(index) > 0,
                 })
             };
-            (0..population.shape.len()).filter(active).count() as u64
+            // Sources at one place may share an input axon.
+            let positions = match population.shape.volume() {
+                Some((_, height, width)) if places.holds(one, id) => height * width,
+                _ => population.shape.len(),
+            };
+            (0..population.shape.len()).filter(active).count().min(positions as usize) as u64
         })
         .sum();
     let (copies, compartments) = (u64::from(copies), u64::from(one.compartments()));

@@ -59,6 +59,8 @@ pub enum Indices {
     All(u32),
     /// These.
     Listed(Vec<u32>),
+    /// These, which are a tile: their lists may be shared when they are on one core.
+    Tile(Vec<u32>),
 }
 
 impl Indices {
@@ -67,7 +69,7 @@ impl Indices {
     pub fn len(&self) -> u32 {
         match self {
             Indices::All(count) => *count,
-            Indices::Listed(indices) => indices.len() as u32,
+            Indices::Listed(indices) | Indices::Tile(indices) => indices.len() as u32,
         }
     }
 
@@ -80,7 +82,7 @@ impl Indices {
     fn get(&self, at: u32) -> u32 {
         match self {
             Indices::All(_) => at,
-            Indices::Listed(indices) => indices[at as usize],
+            Indices::Listed(indices) | Indices::Tile(indices) => indices[at as usize],
         }
     }
 }
@@ -284,6 +286,21 @@ impl<'a> Filler<'a> {
                 Newcomer { id, population, index, neuron: neurons.get(index), slots_out: estimate[id.index()] }
             };
             let size = indices.len();
+            if keep_whole && matches!(indices, Indices::Tile(_)) {
+                let before = filling.len();
+                if filling.add_whole((0..size).map(newcomer)).is_ok() {
+                    continue;
+                }
+                let mut held = filling.next_core();
+                held.truncate(before);
+                if !held.is_empty() {
+                    members.push(held);
+                    if filling.add_whole((0..size).map(newcomer)).is_ok() {
+                        continue;
+                    }
+                    filling.next_core();
+                }
+            }
             let before = filling.len();
             let mut may_move = keep_whole && before > 0 && size <= self.target.limits().compartments;
             let mut next = 0;

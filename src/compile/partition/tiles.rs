@@ -5,38 +5,39 @@
 //! under the rectangle and its rim; a core that holds as many compartments in the order of the file, channel by channel,
 //! needs nearly all sources of the layer before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks
 //! for the fewest cores with a beam search over them, here every grid is counted in closed form and the first that fits,
-//! in the order of cores and then of messages, is taken.
+//! in the order of cores and then of messages, is taken; cores are tiles and those that the layer before takes more because
+//! its output axons reach many tiles. Grids whose sources or whose weights alone are too many for a core
+//! are not tried, with lists of their own or shared ([`crate::compile::share`]), whichever are fewer.
 //!
 //! Compartments of a tile stand position by position, channels together, so that the targets of a spike follow each
 //! other; channel by channel where each channel only sees its own (pooling, depthwise convolution).
 
+use std::collections::BTreeSet;
+
 use crate::base::id::{CompartmentId, PopulationId};
+use crate::compile::axis::{Axis, Pattern, relative};
 use crate::compile::fill::{Filling, Newcomer};
+use crate::compile::formats::Formats;
+use crate::compile::geometry::{Incoming, Layer};
+use crate::compile::packing::MOST_SLOTS;
 use crate::compile::partition::order::{Indices, Segment};
+use crate::compile::share::Places;
 use crate::desc::target::Limits;
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Quantised, Units};
 
 /// Grids that are tried on a core before giving up.
 const TRIALS: usize = 60;
-
-/// Windows that reach a population, when that is all that reaches it.
-fn windows(network: &Quantised, population: PopulationId) -> Option<Vec<Window>> {
-    let into = network.projections().iter().filter(|p| p.target == population);
-    let windows: Option<Vec<Window>> = into
-        .map(|projection| match &projection.connectivity {
-            Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. } => Some(*window),
-            _ => None,
-        })
-        .collect();
-    windows.filter(|windows| !windows.is_empty())
-}
+/// Grids of as many cores that are tried one after the other.
+const OF_AS_MANY: usize = 3;
 
 /// Whether a population is one that is cut into tiles.
 #[must_use]
 pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
-    let shape = network.populations()[population].shape;
-    shape.volume().is_some() && windows(network, population).is_some()
+    let mut into = network.projections().iter().filter(|p| p.target == population).peekable();
+    network.populations()[population].shape.volume().is_some()
+        && into.peek().is_some()
+        && into.all(|p| matches!(p.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. }))
 }
 
 /// Numbers of parts into which a length is cut, each with the size of a part; parts that are no smaller are left out.
@@ -55,10 +56,21 @@ fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64
     reach.min(seen).min(u64::from(source))
 }
 
-/// A grid of tiles: (channels, height, width) of one, how many, and the messages that a spike everywhere would cost.
+/// What the sources of the part in the middle of an axis reach of it: targets of all sources, and of those whose targets
+/// and places in the kernel are not another's shifted.
+fn reached(axis: Axis, length: u32, size: u32) -> (u64, u64) {
+    let at = middle_of(length, size);
+    let patterns = axis.patterns(&(at * size..((at + 1) * size).min(length)));
+    let all = patterns.iter().map(|(pattern, sources)| pattern.len() as u64 * sources).sum();
+    let distinct: BTreeSet<Pattern> = patterns.iter().map(|(pattern, _)| relative(pattern)).collect();
+    (all, distinct.iter().map(|pattern| pattern.len() as u64).sum())
+}
+
+/// A grid of tiles: how many cores it takes, the messages that a spike everywhere would cost, and what a tile is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Grid {
-    tiles: u64,
+    /// Tiles, and cores that the sources take beyond those of their compartments because of the output axons to the tiles.
+    cores: u64,
     messages: u64,
     /// Channels, height and width of a tile; those at the end may be smaller.
     pub size: (u32, u32, u32),
@@ -66,27 +78,49 @@ pub struct Grid {
 
 /// Grids that may fit a core of so many compartments, the best first.
 #[must_use]
-pub fn grids(windows: &[Window], (c, h, w): (u32, u32, u32), limits: &Limits, most: u32) -> Vec<Grid> {
+pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
+    let (c, h, w) = layer.shape;
+    let along = |length: u32, axis: fn(&Window) -> Axis| -> Vec<(u32, u32, Vec<(u64, u64)>)> {
+        let cuts = cuts(length).into_iter().filter(|&(_, size)| size <= most);
+        let reached =
+            |size| layer.incoming.iter().map(|i| reached(axis(&i.window).uniform(i.uniform), length, size)).collect();
+        cuts.map(|(parts, size)| (parts, size, reached(size))).collect()
+    };
+    let (rows, columns) = (along(h, Axis::rows), along(w, Axis::columns));
     let mut grids = Vec::new();
     for (nc, tc) in cuts(c) {
-        for (nh, th) in cuts(h) {
-            for (nw, tw) in cuts(w) {
+        for &(nh, th, ref of_rows) in &rows {
+            for &(nw, tw, ref of_columns) in &columns {
                 let size = u64::from(tc) * u64::from(th) * u64::from(tw);
                 if size > u64::from(most) {
                     continue;
                 }
                 let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
-                let mut sources = 0;
-                for window in windows {
+                // Sources, input axons at least, and bits of weights at least.
+                let (mut sources, mut axons, mut bits, mut cores) = (0, 0, 0, tiles);
+                for (&Incoming { window, format, from, .. }, (rows, columns)) in
+                    layer.incoming.iter().zip(of_rows.iter().zip(of_columns))
+                {
+                    let weight_bits = formats.get(format).bits.get();
                     let out_of_group = (window.target.0 / window.groups).max(1);
                     let groups = tc.div_ceil(out_of_group).min(window.groups);
                     let channels = u64::from(groups) * u64::from(window.source.0 / window.groups);
-                    let rows = under(th, window.kernel.0, window.stride.0, window.dilation.0, window.source.1);
-                    let columns = under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
-                    sources += channels * rows * columns;
+                    let places = under(th, window.kernel.0, window.stride.0, window.dilation.0, window.source.1)
+                        * under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
+                    let (all, distinct) = ((rows.0, columns.0), (rows.1, columns.1));
+                    sources += channels * places;
+                    // As many targets on the same chip as on another are assumed.
+                    let slots = u64::from(limits.axon_out_slots) + u64::from(limits.axon_out_slots_off_chip);
+                    let senders = (tiles * channels * places * slots).div_ceil(2 * u64::from(limits.axons_out.max(1)));
+                    let anyway = from.map(|from| u64::from(from.div_ceil(limits.compartments.max(1))));
+                    cores += anyway.map_or(0, |anyway| senders.saturating_sub(anyway));
+                    axons += places;
+                    // Of every group the sources reach its own channels, which are the tile's together.
+                    let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
+                    bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
-                if sources <= u64::from(limits.axons_in) {
-                    grids.push(Grid { tiles, messages: tiles * sources, size: (tc, th, tw) });
+                if axons <= u64::from(limits.axons_in) && bits <= 64 * u64::from(limits.synapse_words) {
+                    grids.push(Grid { cores, messages: tiles * sources, size: (tc, th, tw) });
                 }
             }
         }
@@ -106,41 +140,48 @@ pub fn tiles(
     most: u32,
 ) -> Option<Vec<Segment>> {
     let description = &network.populations()[population];
-    let shape = description.shape.volume()?;
-    let windows = windows(network, population)?;
-    let own_only = windows.iter().all(|window| window.groups == window.source.0 && window.groups > 1);
+    let formats = Formats::of(network);
+    let layer = Layer::of(network, population, &formats, &Places::of(network))?;
+    let (shape, own_only) = (layer.shape, layer.own_only);
     let Units::Loihi { first, neurons, .. } = &description.units else { return None };
     let fits = |filling: &mut Filling, indices: &[u32]| {
         filling.next_core();
-        let fits = indices.iter().all(|&index| {
+        let fits = filling.add_whole(indices.iter().map(|&index| {
             let id = CompartmentId(first.0 + index);
-            filling.add(&Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 }).is_ok()
-        });
+            Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 }
+        }));
         filling.next_core();
-        fits
+        fits.is_ok()
     };
-    let all = grids(&windows, shape, limits, most.min(limits.compartments));
+    let all = grids(&layer, &formats, limits, most.min(limits.compartments).min(MOST_SLOTS));
     let found = first_that_fits(&all, TRIALS, |grid| {
-        fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only))
+        // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
+        let counted = layer.joined || !layer.middle(grid.size, &formats, limits).exceeds(limits);
+        counted && fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only))
     });
     found.map(|grid| segments(population, shape, grid.size, own_only))
 }
 
 /// The first of these grids that fits, as far as trials tell.
 pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
-    // A grid that failed for its synapses says that others with as many compartments of as many sources fail too; so the
-    // trials thin out as they go on.
-    let mut tried = 0;
-    let mut at = 0;
+    // Of as many cores some are tried, which differ in what their lists have in common; a grid that failed says that others
+    // with a few more cores are likely to fail too, so the trials thin out as they go on.
+    let (mut tried, mut of_as_many, mut at) = (0, 0, 0);
     while at < all.len() && tried < trials {
         let grid = all[at];
         if fits(&grid) {
             return Some(grid);
         }
         tried += 1;
-        // Skip ahead to grids with more tiles, the faster the more have failed.
-        let wanted = grid.tiles + 1 + grid.tiles * tried as u64 / 64;
-        while at < all.len() && all[at].tiles < wanted {
+        of_as_many += 1;
+        at += 1;
+        if of_as_many < OF_AS_MANY && at < all.len() && all[at].cores == grid.cores {
+            continue;
+        }
+        of_as_many = 0;
+        // Skip ahead to grids with more cores, the faster the more have failed.
+        let wanted = grid.cores + 1 + grid.cores * tried as u64 / 64;
+        while at < all.len() && all[at].cores < wanted {
             at += 1;
         }
     }
@@ -150,8 +191,11 @@ pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) 
 /// The tile in the middle of a grid, whose windows are whole.
 #[must_use]
 pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
-    let of = |length: u32, size: u32| (length.div_ceil(size) - 1) / 2;
-    (of(shape.0, size.0), of(shape.1, size.1), of(shape.2, size.2))
+    (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
+}
+
+fn middle_of(length: u32, size: u32) -> u32 {
+    (length.div_ceil(size) - 1) / 2
 }
 
 /// Indices of one tile, in the order in which they stand on its core.
@@ -184,7 +228,7 @@ fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u
         for x in 0..nw {
             let x = if y % 2 == 0 { x } else { nw - 1 - x };
             for c in 0..nc {
-                let indices = Indices::Listed(cell(shape, size, (c, y, x), own_only));
+                let indices = Indices::Tile(cell(shape, size, (c, y, x), own_only));
                 segments.push(Segment { population, indices });
             }
         }
@@ -204,8 +248,8 @@ mod tests {
                 let mut all: Vec<u32> = segments
                     .into_iter()
                     .flat_map(|segment| match segment.indices {
-                        Indices::Listed(indices) => indices,
-                        Indices::All(_) => panic!("tiles are listed"),
+                        Indices::Tile(indices) => indices,
+                        _ => panic!("tiles are tiles"),
                     })
                     .collect();
                 all.sort_unstable();

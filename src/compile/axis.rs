@@ -1,0 +1,104 @@
+//! One axis of a window: who reaches whom.
+//!
+//! In comes a window (convolution or pooling); out go, for its rows or its columns alone, the targets of a source, and the
+//! patterns in which the sources of a part of the targets reach it. A window reaches rows and columns independently, so
+//! both are counted in the length of an axis instead of the area.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use crate::ir::graph::Window;
+
+/// One axis of a window.
+#[derive(Debug, Clone, Copy)]
+pub struct Axis {
+    kernel: u64,
+    stride: u64,
+    padding: u64,
+    dilation: u64,
+    source: u32,
+    target: u32,
+    uniform: bool,
+}
+
+/// Targets that a source reaches in a part of an axis, ascending, each with its place in the kernel.
+pub type Pattern = Vec<(u16, u32)>;
+
+impl Axis {
+    /// From north to south.
+    #[must_use]
+    pub fn rows(window: &Window) -> Self {
+        Axis::of(window, |pair| pair.0, window.source.1, window.target.1)
+    }
+
+    /// With the same weight at every place of the kernel.
+    #[must_use]
+    pub fn uniform(self, uniform: bool) -> Self {
+        Axis { uniform, ..self }
+    }
+
+    /// From west to east.
+    #[must_use]
+    pub fn columns(window: &Window) -> Self {
+        Axis::of(window, |pair| pair.1, window.source.2, window.target.2)
+    }
+
+    fn of(window: &Window, side: fn((u32, u32)) -> u32, source: u32, target: u32) -> Self {
+        let of = |pair| u64::from(side(pair));
+        let (kernel, stride) = (of(window.kernel), of(window.stride));
+        Axis {
+            kernel,
+            stride,
+            padding: of(window.padding),
+            dilation: of(window.dilation),
+            source,
+            target,
+            uniform: false,
+        }
+    }
+
+    /// Target positions, ascending, whose windows cover a source position.
+    pub fn reached(self, source: u32) -> impl Iterator<Item = u32> {
+        self.reached_by(source).map(|(at, _)| at)
+    }
+
+    /// Target positions, ascending, whose windows cover a source position, and the places in the kernel where they do; one
+    /// place for all where the kernel is the same everywhere.
+    fn reached_by(self, source: u32) -> impl Iterator<Item = (u32, u32)> {
+        // Output o covers s at k when o stride - padding + k dilation = s.
+        (0..self.kernel).rev().filter_map(move |k| {
+            let at = (u64::from(source) + self.padding).checked_sub(k * self.dilation)?;
+            let inside = at % self.stride == 0 && at / self.stride < u64::from(self.target);
+            inside.then_some(((at / self.stride) as u32, if self.uniform { 0 } else { k as u32 }))
+        })
+    }
+
+    /// Source positions that may reach a part of the targets.
+    fn under(self, part: &Range<u32>) -> Range<u32> {
+        let first = (u64::from(part.start) * self.stride).saturating_sub(self.padding);
+        let last = (u64::from(part.end) - 1) * self.stride + self.kernel.saturating_sub(1) * self.dilation;
+        let end = (last + 1).saturating_sub(self.padding).min(u64::from(self.source));
+        first.min(end) as u32..end as u32
+    }
+
+    /// What sources reach of a part, and how many sources reach the same.
+    #[must_use]
+    pub fn patterns(self, part: &Range<u32>) -> Vec<(Pattern, u64)> {
+        let mut patterns: BTreeMap<Pattern, u64> = BTreeMap::new();
+        for source in self.under(part) {
+            let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
+            let pattern: Pattern = inside.map(|(at, k)| ((at - part.start) as u16, k)).collect();
+            if !pattern.is_empty() {
+                *patterns.entry(pattern).or_default() += 1;
+            }
+        }
+        patterns.into_iter().collect()
+    }
+}
+
+/// Targets of a source, counted from where they begin, each with its place in the kernel.
+#[must_use]
+pub fn relative(pattern: &Pattern) -> Pattern {
+    let first = pattern.first().map_or(0, |&(at, _)| at);
+    pattern.iter().map(|&(at, k)| (at - first, k)).collect()
+}
