@@ -410,7 +410,7 @@ impl<'a> Filling<'a> {
     /// Classes of places whose lists are the same, without and with runs.
     fn classes(&self) -> [Vec<Class>; 2] {
         let mut in_table = vec![[0u32; 2]; self.axons.len()];
-        for entry in self.entries.iter() {
+        for entry in &self.entries {
             let group = entry.group(self.formats.get(entry.format).bits);
             let plain = if entry.dense { Compression::Dense } else { Compression::Sparse };
             for (way, compression) in [plain, entry.compression].into_iter().enumerate() {
@@ -421,7 +421,8 @@ impl<'a> Filling<'a> {
         let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
         let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
         placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
-        let (mut classes, mut known): ([Vec<Class>; 2], HashMap<Vec<(u16, u64)>, usize>) = Default::default();
+        let mut classes: [Vec<Class>; 2] = Default::default();
+        let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
             let told = of_place.iter().map(|(placed, _)| (placed.atom, placed.told)).collect();
             let next = classes[0].len();

@@ -157,7 +157,7 @@ impl Tallies {
         }
         if !places.is_empty() {
             tallies.alike = share::alike(keys, places);
-            for way in 0..2 {
+            for (way, tally) in tallies.ways.iter_mut().enumerate() {
                 let class = |alike: &Alike| {
                     let lists = alike.places.first().map_or(&[][..], |(_, lists)| lists);
                     let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][way]);
@@ -172,7 +172,7 @@ impl Tallies {
                     }
                 };
                 let classes: Vec<Class> = tallies.alike.iter().map(class).collect();
-                tallies.sharing[way] = tallies.ways[way].share(&classes, limits);
+                tallies.sharing[way] = tally.share(&classes, limits);
             }
         }
         tallies

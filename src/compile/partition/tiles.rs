@@ -76,11 +76,14 @@ pub struct Grid {
     pub size: (u32, u32, u32),
 }
 
+/// A way of cutting an axis: parts, the size of one, and what sources reach of it ([`reached`]) by projection.
+type Along = (u32, u32, Vec<(u64, u64)>);
+
 /// Grids that may fit a core of so many compartments, the best first.
 #[must_use]
 pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
     let (c, h, w) = layer.shape;
-    let along = |length: u32, axis: fn(&Window) -> Axis| -> Vec<(u32, u32, Vec<(u64, u64)>)> {
+    let along = |length: u32, axis: fn(&Window) -> Axis| -> Vec<Along> {
         let cuts = cuts(length).into_iter().filter(|&(_, size)| size <= most);
         let reached =
             |size| layer.incoming.iter().map(|i| reached(axis(&i.window).uniform(i.uniform), length, size)).collect();
