@@ -10,7 +10,7 @@
 use rayon::prelude::*;
 
 use crate::base::fixed::WEIGHT_SHIFT;
-use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
+use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::program::{CoreFormat, Program, Synapse};
 use crate::ir::quantised::{Neuron, Reset, SpikeSource};
@@ -201,15 +201,6 @@ impl<'p> Image<'p> {
     #[must_use]
     pub fn sources(&self) -> usize {
         self.channels as usize + self.compartments()
-    }
-
-    /// The source of a number.
-    #[must_use]
-    pub(super) fn source(&self, number: usize) -> SpikeSource {
-        match number.checked_sub(self.channels as usize) {
-            None => SpikeSource::Channel(ChannelId::new(number)),
-            Some(compartment) => SpikeSource::Compartment(CompartmentId::new(compartment)),
-        }
     }
 
     /// A source's number.
