@@ -3,6 +3,7 @@
 //! Comes in: which sources are to be panels (`plan`), and their synapses. Goes out: [`Panels`]. What is in no row remains for
 //! the lists. How many synapses a source has is kept beside its row, for zeros are no synapses.
 
+use crate::base::id::Id;
 use crate::machine::kernel::LANES;
 use crate::machine::plan::Planned;
 use crate::machine::store::Aligned;
@@ -32,6 +33,17 @@ pub(super) struct Panel {
     pub stride: usize,
     /// Synapses of each source: those of its lanes that are no zeros for want of one.
     pub synapses: Counts,
+}
+
+impl Panel {
+    /// Synapses of these sources, which are all the panel's.
+    #[inline(always)]
+    pub fn synapses<I: Id>(&self, ids: &[I]) -> u64 {
+        match &self.synapses {
+            Counts::Same(count) => u64::from(*count) * ids.len() as u64,
+            Counts::Each(counts) => ids.iter().map(|id| u64::from(counts[id.index() - self.first as usize])).sum(),
+        }
+    }
 }
 
 /// A number for each source.

@@ -89,6 +89,21 @@ impl<S: Sum> Ring<S> {
             panels = &panels[passed..];
             let Some(panel) = panels.first() else { break };
             rest = &rest[before(rest, panel.first)..];
+            if let [row @ Row { chunks: 1..=4, .. }] = panel.rows.as_slice() {
+                let passed = match row.chunks {
+                    1 => self.pass::<I, 1>(panel, row, weights, rest, slot),
+                    2 => self.pass::<I, 2>(panel, row, weights, rest, slot),
+                    3 => self.pass::<I, 3>(panel, row, weights, rest, slot),
+                    _ => self.pass::<I, 4>(panel, row, weights, rest, slot),
+                };
+                let (spiking, after) = rest.split_at(passed);
+                rest = after;
+                if NOTE && !spiking.is_empty() {
+                    self.note(slot, row);
+                }
+                events += panel.synapses(spiking);
+                continue;
+            }
             let (spiking, after) = rest.split_at(before(rest, panel.end));
             rest = after;
             if !spiking.is_empty() {
@@ -128,10 +143,32 @@ impl<S: Sum> Ring<S> {
             }
             chunk += count;
         }
-        match &panel.synapses {
-            Counts::Same(count) => u64::from(*count) * ids.len() as u64,
-            Counts::Each(counts) => sources().map(|s| u64::from(counts[s])).sum(),
+        panel.synapses(ids)
+    }
+
+    /// Adds the weights of a panel's sources that has one row of so many chunks, as long as sources are the panel's; returns
+    /// how many were. None is looked for beforehand: where they end is seen as each is looked up.
+    #[inline(always)]
+    fn pass<I: Id, const N: usize>(
+        &mut self,
+        panel: &Panel,
+        row: &Row,
+        weights: &[[i16; LANES]],
+        ids: &[I],
+        slot: usize,
+    ) -> usize {
+        let sources = (panel.end - panel.first) as usize;
+        let weights = weights[panel.weights..panel.weights + sources * N].as_chunks::<N>().0;
+        let (sums, _) = self.sums[slot][row.target as usize..].as_chunks_mut::<LANES>();
+        let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
+        let (mut kept, mut passed) = (*sums, 0);
+        for id in ids {
+            let Some(weights) = weights.get(id.index() - panel.first as usize) else { break };
+            plus(&mut kept, weights);
+            passed += 1;
         }
+        *sums = kept;
+        passed
     }
 
     /// Notes that something arrives at a row's granules.
@@ -250,14 +287,21 @@ fn add<S: Sum, const N: usize>(
 ) {
     let mut kept = *sums;
     for place in places {
-        let weights = &weights[place..place + N];
-        for chunk in 0..N {
-            for lane in 0..LANES {
-                kept[chunk][lane] = kept[chunk][lane].plus(weights[chunk][lane]);
-            }
+        if let Some(weights) = weights[place..].first_chunk() {
+            plus(&mut kept, weights);
         }
     }
     *sums = kept;
+}
+
+/// Adds chunks of weights to as many chunks of sums.
+#[inline(always)]
+fn plus<S: Sum, const N: usize>(sums: &mut [[S; LANES]; N], weights: &[[i16; LANES]; N]) {
+    for chunk in 0..N {
+        for lane in 0..LANES {
+            sums[chunk][lane] = sums[chunk][lane].plus(weights[chunk][lane]);
+        }
+    }
 }
 
 #[cfg(test)]
