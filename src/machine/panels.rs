@@ -176,7 +176,7 @@ mod tests {
     use super::*;
     use crate::base::rng;
     use crate::machine::image::Reach;
-    use crate::machine::lists::{Draft, Lists, Part, Reached, Synapses};
+    use crate::machine::lists::{Draft, Lists, Reached, Synapses};
     use std::collections::BTreeMap;
 
     /// Lays sources out, and checks that rows and lists together hold each source's weights by lane and its number of synapses.
@@ -202,10 +202,10 @@ mod tests {
                 all_listed += place.len();
                 match &table.synapses {
                     Synapses::Small(lists) => {
-                        lists.each(place, Part::Whole, |lane, weight| hold(lane.into(), weight.into()));
+                        lists.each(place, |lane, weight| hold(lane.into(), weight.into()));
                     }
-                    Synapses::Packed(lists) => lists.each(place, Part::Whole, &mut hold),
-                    Synapses::Apart(lists) => lists.each(place, Part::Whole, &mut hold),
+                    Synapses::Packed(lists) => lists.each(place, &mut hold),
+                    Synapses::Apart(lists) => lists.each(place, &mut hold),
                 }
             }
             if let Some(panel) = panels.panels.iter().find(|panel| (panel.first..panel.end).contains(&source)) {

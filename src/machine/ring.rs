@@ -7,8 +7,8 @@ use crate::base::id::Id;
 use crate::machine::bits::ones;
 use crate::machine::image::{GRANULE, Reach};
 use crate::machine::kernel::{LANES, Sum};
-use crate::machine::lists::{ADDRESSED, Lists, Part, Synapses, Table};
-use crate::machine::panels::{Counts, Panel, Panels, Row};
+use crate::machine::lists::{ADDRESSED, Lists, Synapses, Table};
+use crate::machine::panels::{Panel, Panels, Row};
 use crate::machine::prefetch::prefetch;
 use crate::machine::store::Aligned;
 
@@ -183,7 +183,7 @@ impl<S: Sum> Ring<S> {
 
     #[inline(always)]
     fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
-        let (lanes, sums, arrivals) = (self.lanes, &mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
+        let (sums, arrivals) = (&mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
         let mut note = |target: usize| {
             if NOTE {
                 let granule = target / GRANULE;
@@ -195,23 +195,18 @@ impl<S: Sum> Ring<S> {
                 // As many sums as a lane of 16 bits can name, so that none has to be looked at.
                 let sums: &mut [S; ADDRESSED] =
                     sums.first_chunk_mut().expect("small lists have all sums they can name");
-                let mut add = |target: u16, weight: i8| {
+                let add = |target: u16, weight: i8| {
                     let target = usize::from(target);
                     sums[target] = sums[target].plus(i16::from(weight));
                     note(target);
                 };
-                if table.halves && size_of::<S>() * lanes > FIRST_LEVEL {
-                    deliver_each(table, ids, lists, Part::Low, &mut add)
-                        + deliver_each(table, ids, lists, Part::High, &mut add)
-                } else {
-                    deliver_each(table, ids, lists, Part::Whole, add)
-                }
+                deliver_each(table, ids, lists, add)
             }
-            Synapses::Packed(lists) => deliver_each(table, ids, lists, Part::Whole, |target: usize, weight: i16| {
+            Synapses::Packed(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
                 sums[target] = sums[target].plus(weight);
                 note(target);
             }),
-            Synapses::Apart(lists) => deliver_each(table, ids, lists, Part::Whole, |target: usize, weight: i16| {
+            Synapses::Apart(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
                 sums[target] = sums[target].plus(weight);
                 note(target);
             }),
@@ -222,33 +217,22 @@ impl<S: Sum> Ring<S> {
 /// Calls with every synapse of a part that these sources reach over a table, while the lists of the next are fetched; returns
 /// of how many synapses.
 #[inline(always)]
-fn deliver_each<L: Lists, I: Id>(
-    table: &Table,
-    ids: &[I],
-    lists: &L,
-    part: Part,
-    mut add: impl FnMut(L::Lane, L::Weight),
-) -> u64 {
+fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: impl FnMut(L::Lane, L::Weight)) -> u64 {
     let mut events = 0;
-    let ahead = if part == Part::Whole { table.ahead } else { 2 * table.ahead };
+    let ahead = table.ahead;
     for (index, id) in ids.iter().enumerate() {
         if let Some(far) = ids.get(index + ahead + FAR) {
             prefetch(&table.places, far.index());
         }
         if let Some(near) = ids.get(index + ahead) {
-            lists.fetch(table.places[near.index()], part);
+            lists.fetch(table.places[near.index()]);
         }
         let place = table.places[id.index()];
-        // Both halves of a list are one list.
-        events += if part == Part::High { 0 } else { place.len() as u64 };
-        lists.each(place, part, &mut add);
+        events += place.len() as u64;
+        lists.each(place, &mut add);
     }
     events
 }
-
-/// Bytes of sums that stay in a core's first-level cache while lists pass through it. Sums that do not fit are better added to
-/// half by half, although each list is then come back to.
-const FIRST_LEVEL: usize = 40 << 10;
 
 /// Sources from one whose list is fetched to one whose place in the table is.
 const FAR: usize = 12;
@@ -358,11 +342,15 @@ mod tests {
         assert!(rows.table.is_none() && !rows.panels.panels.is_empty());
         let whole = compare::<i16>(8_192, 70, 8_192);
         assert!(whole.panels.panels.is_empty() && whole.table.is_some());
-        // Lists in two halves, of sums of either width.
-        for lists in [compare::<i16>(32_768, 70, 32_768), compare::<i32>(16_384, 70, 16_384)] {
-            assert!(lists.table.is_some_and(|table| table.halves));
+        for wide in [compare::<i32>(16_384, 70, 16_384), compare::<i32>(70_016, 70, 70_000)] {
+            assert!(wide.table.is_some());
         }
-        let packed = compare::<i32>(70_016, 70, 70_000);
-        assert!(packed.table.is_some_and(|table| !table.halves));
+        // Rows of one chunk to four, and one that is no longer narrow.
+        for chunks in 1..=5 {
+            let lanes = chunks * LANES as u32;
+            let rows = compare::<i16>(lanes as usize, 30, lanes.into());
+            assert!(rows.table.is_none());
+            assert!(rows.panels.panels.iter().all(|panel| panel.rows == [Row { target: 0, chunks }]));
+        }
     }
 }
