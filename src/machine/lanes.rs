@@ -46,7 +46,7 @@ pub(super) struct Step<'a> {
     /// Its share.
     pub share: &'a Share,
     /// What to do.
-    pub order: Order<'a>,
+    pub order: &'a Order<'a>,
 }
 
 impl Step<'_> {
@@ -69,7 +69,7 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
     #[inline(always)]
     fn call(self) {
         let With(step, vectors) = self;
-        step.lanes.step(step.image, step.share, step.order, vectors);
+        step.lanes.step(step.image, step.share, *step.order, vectors);
     }
 }
 

@@ -206,7 +206,7 @@ impl Engine for Machine<'_> {
             self.note_late(channels.iter().map(|&channel| SpikeSource::Channel(channel)), left);
         }
         let everywhere = self.last_events >= CROWDED * image.granules as u64;
-        let order = Order {
+        let order = &Order {
             step: self.step,
             left,
             channels,
@@ -225,8 +225,11 @@ impl Engine for Machine<'_> {
         }
         self.spikes.clear();
         self.last_events = 0;
-        for lanes in &self.shares {
-            self.spikes.extend_from_slice(&lanes.spikes);
+        for lanes in &mut self.shares {
+            match image.shares.len() {
+                1 => std::mem::swap(&mut self.spikes, &mut lanes.spikes),
+                _ => self.spikes.extend_from_slice(&lanes.spikes),
+            }
             self.totals.active_updates += lanes.active_now;
             self.last_events += lanes.events_now;
         }
