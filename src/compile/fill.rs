@@ -39,14 +39,16 @@ pub struct Newcomer {
     pub slots_out: u32,
 }
 
-/// An input axon so far.
+/// The input axons of a bundle of sources ([`crate::compile::fanin`]) so far, which are alike.
 #[derive(Debug, Clone, Copy)]
 struct Axon {
+    /// How many.
+    bundle: u32,
     /// The last of its groups, which leads to the others.
     last: Option<u32>,
     /// Without and with runs.
     words: [u32; 2],
-    /// Where its source stands, if it has a place.
+    /// Where the first of its sources stands, if it has a place.
     placed: Option<PlacedAxon>,
 }
 
@@ -171,6 +173,8 @@ pub struct Filling<'a> {
     axon_of: AxonOf,
     members: Vec<CompartmentId>,
     axons: Vec<Axon>,
+    /// Input axons, all of a bundle.
+    axons_in: u32,
     entries: Vec<Entry>,
     /// Groups by format and class without runs: twice delayed plus dense.
     groups: Vec<[u32; 4]>,
@@ -205,6 +209,7 @@ impl<'a> Filling<'a> {
             axon_of: AxonOf::new(),
             members: Vec::new(),
             axons: Vec::new(),
+            axons_in: 0,
             entries: Vec::new(),
             groups: vec![[0; 4]; formats.len()],
             groups_with_runs: vec![[0; 12]; formats.len()],
@@ -227,6 +232,7 @@ impl<'a> Filling<'a> {
     pub fn next_core(&mut self) -> Vec<CompartmentId> {
         self.axon_of.clear();
         self.axons.clear();
+        self.axons_in = 0;
         self.entries.clear();
         self.groups.fill([0; 4]);
         self.groups_with_runs.fill([0; 12]);
@@ -289,10 +295,10 @@ impl<'a> Filling<'a> {
         let slot = self.members.len() as u16;
         self.members.push(newcomer.id);
         let fan_in = self.fan_in;
-        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part| {
+        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part, bundle| {
             let projection = projection.0 as usize;
             self.longest = self.longest.max(self.delays[projection]);
-            self.synapse(source, projection, part, slot);
+            self.synapse((source, bundle), projection, part, slot);
         });
         let widths = Widths::of(self.members.len() as u32, self.longest, self.limits.packing);
         if widths != self.widths {
@@ -318,7 +324,8 @@ impl<'a> Filling<'a> {
         if fits { Ok(()) } else { Err(used) }
     }
 
-    fn synapse(&mut self, source: u32, projection: usize, part: u64, slot: u16) {
+    /// Adds a synapse of each source of a bundle.
+    fn synapse(&mut self, (source, bundle): (u32, u32), projection: usize, part: u64, slot: u16) {
         let format = self.formats.by_projection()[projection];
         let weight_bits = self.weight_bits[projection];
         let axon_index = self.axon_of.get_or_insert(source, self.axons.len() as u32);
@@ -327,7 +334,8 @@ impl<'a> Filling<'a> {
                 let first_slot = *self.begins.entry(place).or_insert(slot);
                 PlacedAxon { place, atom, base: share::base_of(first_slot), told: 0 }
             });
-            self.axons.push(Axon { last: None, words: [0; 2], placed });
+            self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
+            self.axons_in += bundle;
         }
         let axon = &mut self.axons[axon_index as usize];
         if let Some(placed) = &mut axon.placed {
@@ -381,9 +389,10 @@ impl<'a> Filling<'a> {
             // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
             axon.words[way] = axon.words[way] + entry.words[way] - before;
             self.widest[way] = self.widest[way].max(axon.words[way]);
-            self.words[way] = self.words[way] + u64::from(entry.words[way]) - u64::from(before);
+            let [now, before] = [entry.words[way], before].map(|words| u64::from(words) * u64::from(bundle));
+            self.words[way] = self.words[way] + now - before;
         }
-        self.synapses += 1;
+        self.synapses += u64::from(bundle);
     }
 
     /// Counts all words again, with other widths.
@@ -398,8 +407,9 @@ impl<'a> Filling<'a> {
             self.groups_with_runs[usize::from(entry.format)][entry.classes()[1]] += 1;
             entry.words = [packing::words(group, self.widths, self.limits), fewest];
             for way in 0..2 {
-                self.axons[entry.axon as usize].words[way] += entry.words[way];
-                self.words[way] += u64::from(entry.words[way]);
+                let axon = &mut self.axons[entry.axon as usize];
+                axon.words[way] += entry.words[way];
+                self.words[way] += u64::from(entry.words[way]) * u64::from(axon.bundle);
             }
         }
         for way in 0..2 {
@@ -432,9 +442,9 @@ impl<'a> Filling<'a> {
                     let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
                     classes.push(Class {
                         places: 0,
-                        lists: of_place.len() as u32,
-                        atoms: of_place.last().map_or(0, |(placed, _)| placed.atom + 1),
-                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way]).sum(),
+                        lists: of_place.iter().map(|&(_, at)| self.axons[at].bundle).sum(),
+                        atoms: of_place.last().map_or(0, |&(placed, at)| placed.atom + self.axons[at].bundle as u16),
+                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way] * self.axons[at].bundle).sum(),
                         list_words: (words().min().unwrap_or(0), words().max().unwrap_or(0)),
                     });
                 }
@@ -447,7 +457,7 @@ impl<'a> Filling<'a> {
     /// What the compartments so far use when lists are shared, output axons left out.
     #[must_use]
     pub fn usage_shared(&self) -> CoreUsage {
-        let (formats, axons) = (self.formats_in_use(), self.axons.len() as u32);
+        let (formats, axons) = (self.formats_in_use(), self.axons_in);
         let of_way = |(way, classes): (usize, &Vec<Class>)| {
             let sharing = share::sharing(classes, self.limits);
             let widest = classes.iter().zip(&sharing).filter(|(_, places)| **places > 0);
@@ -486,7 +496,7 @@ impl<'a> Filling<'a> {
         let way = usize::from(runs);
         CoreUsage {
             compartments,
-            axons_in: self.axons.len() as u32,
+            axons_in: self.axons_in,
             axons_out: 0,
             axons_out_per_compartment: 0,
             synapses: self.synapses,
