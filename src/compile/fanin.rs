@@ -129,9 +129,14 @@ enum Key {
 /// How one projection is read backwards.
 #[derive(Debug)]
 enum Backwards {
-    Dense { sources: u32 },
+    Dense {
+        sources: u32,
+    },
     /// Channels of a bundle: those of a group, or one.
-    Conv { window: Window, bundle: u32 },
+    Conv {
+        window: Window,
+        bundle: u32,
+    },
     Pool(Window),
     Listed(Arc<Transposed>),
 }
@@ -162,12 +167,7 @@ impl FanIn {
             let backwards = match &projection.connectivity {
                 Connectivity::Dense { .. } => Backwards::Dense { sources },
                 Connectivity::Conv2d { window, .. } => {
-                    let bundle = if is_bundled(network, projection.source, window.groups) {
-                        window.source.0 / window.groups
-                    } else {
-                        1
-                    };
-                    Backwards::Conv { window: *window, bundle }
+                    Backwards::Conv { window: *window, bundle: bundle(network, projection.source) }
                 }
                 Connectivity::SumPool2d { window, .. } => Backwards::Pool(*window),
                 Connectivity::Sparse { first, targets: list, .. } => {
@@ -221,12 +221,19 @@ impl FanIn {
     }
 }
 
-/// Whether all that a population sends goes out through convolutions of so many groups.
-fn is_bundled(network: &Quantised, population: PopulationId, groups: u32) -> bool {
-    network.outgoing(population).iter().all(|&id| match &network.projections()[id].connectivity {
-        Connectivity::Conv2d { window, .. } => window.groups == groups,
-        _ => false,
-    })
+/// Channels of a bundle of a population: those of a group where all that it sends goes out through convolutions of the same
+/// groups, one otherwise.
+#[must_use]
+pub fn bundle(network: &Quantised, population: PopulationId) -> u32 {
+    let mut bundle = None;
+    for &id in network.outgoing(population) {
+        let Connectivity::Conv2d { window, .. } = &network.projections()[id].connectivity else { return 1 };
+        let of_group = window.source.0 / window.groups;
+        if bundle.replace(of_group).is_some_and(|other| other != of_group) {
+            return 1;
+        }
+    }
+    bundle.unwrap_or(1)
 }
 
 /// The sources of one channel that the window of a target covers, and their places in the window.

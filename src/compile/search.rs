@@ -6,8 +6,9 @@
 //!
 //! The expected step of mean rates is not the simulated one: spikes come together, and more cores mean more messages over
 //! the busiest link when they do. For the time of a step a candidate must therefore be no slower than the unplaced
-//! sequential one when every source spikes at once, and when all sources of one population do unless that is `SHORT`; and,
-//! unless it holds the same compartments on the same cores, faster by `MARGIN` at the rates that it is made for.
+//! sequential one when every source spikes at once, and when all sources of one population do, over all populations and, but
+//! for `MARGIN` and where that is `SHORT`, for each; and, unless it holds the same compartments on the same cores, faster by
+//! `MARGIN` at the rates that it is made for.
 
 use std::sync::Mutex;
 
@@ -103,6 +104,7 @@ fn all(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Re
             // The sequential cores are looked at unplaced too.
             let places = if number == 0 && options.place { &[false, true][..] } else { &[options.place] };
             mapped(one, target, options, rates, (strategy, divisor), places).unwrap_or_else(|error| {
+                tracing::debug!(strategy = strategy.name(), divisor, %error, "candidate");
                 let mut first = first_error.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                 if first.is_none() || number == 0 {
                     *first = Some(error);
@@ -134,6 +136,7 @@ fn mapped(
         let routed = partitioned.routed(target, &Options { place: placed, ..asked })?;
         let score = score(&routed.0, target).map_err(CompileError::Input)?;
         let found = Found { candidate: Candidate { strategy, divisor, placed }, score };
+        tracing::debug!(?found, "candidate");
         Ok(Made { found, mapping: routed })
     };
     places.iter().map(made).collect()
@@ -173,7 +176,9 @@ pub(super) fn chosen<M>(
     }
     let least = if others.is_empty() { Vec::new() } else { times(&plain.mapping)? };
     for other in others {
-        if no_slower(&times(&other.mapping)?, &least) {
+        let times = times(&other.mapping)?;
+        tracing::debug!(candidate = ?other.found.candidate, ?times, ?least, "steps of bursts in microseconds");
+        if no_slower(&times, &least) {
             return Ok(other.mapping);
         }
     }
@@ -188,15 +193,17 @@ fn better(other: &Found, plain: &Found, objective: Objective) -> bool {
         && (objective != Objective::Latency || other.score.step_us < margin * plain.score.step_us)
 }
 
-/// Whether no burst takes longer than in the unplaced sequential mapping, but for those of one population that are short
-/// in both beside the first, in which all sources spike.
+/// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all sources spike; those of one
+/// population, all of them together; and each of these, but for what a mean step has to be shorter by, and for those that are
+/// short beside the first.
 fn no_slower(times: &[f64], plain: &[f64]) -> bool {
-    let short = plain.first().map_or(0.0, |all| SHORT * all);
-    times
-        .iter()
-        .zip(plain)
-        .enumerate()
-        .all(|(burst, (time, plain))| *time <= if burst == 0 { *plain } else { plain.max(short) })
+    let (Some((all, each)), Some((all_plain, each_plain))) = (times.split_first(), plain.split_first()) else {
+        return true;
+    };
+    let short = SHORT * all_plain;
+    all <= all_plain
+        && each.iter().sum::<f64>() <= each_plain.iter().sum::<f64>()
+        && each.iter().zip(each_plain).all(|(time, plain)| *time <= (plain / MARGIN).max(short))
 }
 
 /// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.
