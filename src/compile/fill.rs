@@ -194,6 +194,8 @@ pub struct Filling<'a> {
     begins: HashMap<u32, u16>,
     /// Whether the core holds its compartments only because lists are shared.
     shares: bool,
+    /// What a group took when last asked, by format: neighbours mostly are made up alike.
+    last: Vec<Option<(Widths, Group, [u32; 2], Compression)>>,
 }
 
 impl<'a> Filling<'a> {
@@ -213,6 +215,7 @@ impl<'a> Filling<'a> {
             entries: Vec::new(),
             groups: vec![[0; 4]; formats.len()],
             groups_with_runs: vec![[0; 12]; formats.len()],
+            last: vec![None; formats.len()],
             formats,
             profiles: BTreeSet::new(),
             thresholds: BTreeSet::new(),
@@ -378,13 +381,21 @@ impl<'a> Filling<'a> {
         entry.synapses += 1;
         entry.last_slot = slot;
         let group = entry.group(weight_bits);
-        let plain = packing::words(group, self.widths, self.limits);
-        let (compression, fewest) = packing::best(group, self.widths, self.limits);
+        let last = &mut self.last[usize::from(format)];
+        let (words, compression) = match *last {
+            Some((widths, same, words, compression)) if widths == self.widths && same == group => (words, compression),
+            _ => {
+                let plain = packing::words(group, self.widths, self.limits);
+                let (compression, fewest) = packing::best(group, self.widths, self.limits);
+                *last = Some((self.widths, group, [plain, fewest], compression));
+                ([plain, fewest], compression)
+            }
+        };
         entry.compression = compression;
         let [class, class_with_runs] = entry.classes();
         self.groups[usize::from(format)][class] += 1;
         self.groups_with_runs[usize::from(format)][class_with_runs] += 1;
-        let before = std::mem::replace(&mut entry.words, [plain, fewest]);
+        let before = std::mem::replace(&mut entry.words, words);
         for (way, before) in before.into_iter().enumerate() {
             // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
             axon.words[way] = axon.words[way] + entry.words[way] - before;

@@ -16,7 +16,7 @@ use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
-use crate::compile::packing::{Compression, Widths};
+use crate::compile::packing::{Compression, Group, Widths};
 use crate::compile::share::Places;
 use crate::compile::usage::{Tallies, group_of, longest_delays, ways_of};
 use crate::desc::target::Limits;
@@ -130,25 +130,36 @@ struct Writer<'a> {
     limits: &'a Limits,
     runs: bool,
     known: Vec<CoreFormat>,
+    /// The last group's make-up and the number of its format.
+    last: Option<((u16, Group), u8)>,
     lists: Lists<Synapse>,
 }
 
 impl Writer<'_> {
+    /// The number of the format of a group of this make-up.
+    fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
+        if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
+            return Some(number);
+        }
+        let [_, (compression, _)] = ways_of(made, self.widths, self.limits);
+        let stored = CoreFormat {
+            synapse: self.formats.get(format),
+            delay_bits: if made.delayed { self.widths.delay } else { 0 },
+            index_bits: (!made.dense).then_some(self.widths.index),
+            skip_bits: match compression {
+                Compression::RunLength(bits) if self.runs => Some(bits),
+                _ => None,
+            },
+        };
+        let number = number_of(&mut self.known, stored)?;
+        self.last = Some(((format, made), number));
+        Some(number)
+    }
+
     /// Writes a list, its slots counted from a base.
     fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
         for group in gather::groups(list) {
-            let (format, made) = group_of(group, self.formats);
-            let [_, (compression, _)] = ways_of(made, self.widths, self.limits);
-            let format = CoreFormat {
-                synapse: self.formats.get(format),
-                delay_bits: if made.delayed { self.widths.delay } else { 0 },
-                index_bits: (!made.dense).then_some(self.widths.index),
-                skip_bits: match compression {
-                    Compression::RunLength(bits) if self.runs => Some(bits),
-                    _ => None,
-                },
-            };
-            let number = number_of(&mut self.known, format)?;
+            let number = self.number(group_of(group, self.formats))?;
             for key in group {
                 let delay = Delay::new(key.delay().into()).ok()?;
                 let synapse = Synapse { slot: key.slot() - base, weight: key.weight(), format: number, delay };
@@ -163,7 +174,7 @@ impl Writer<'_> {
 /// What a core keeps of its synapses; `None` when it has more input axons or formats than can be numbered.
 fn write_lists(keys: &[Key], formats: &Formats, widths: Widths, tallies: &Tallies, limits: &Limits) -> Option<Written> {
     let (runs, lists) = (tallies.runs(limits), Lists::with_capacity(0, keys.len()));
-    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), lists };
+    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
     let shared: Vec<_> = tallies.shared(limits).filter(|&(_, places)| places > 0).collect();
     let sources: Vec<u32> = gather::lists(keys).map(|list| list[0].source()).collect();
     u16::try_from(sources.len().saturating_sub(1)).ok()?;
@@ -198,7 +209,7 @@ fn write_lists(keys: &[Key], formats: &Formats, widths: Widths, tallies: &Tallie
         }
     }
     writer.lists.shrink_to_fit();
-    Some((writer.known, Stored { lists: writer.lists, populations, axons }, sources))
+    Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
 }
 
 /// Messages by source.
