@@ -1,5 +1,6 @@
 //! `nsim bench`: measures.
 
+use std::cell::OnceCell;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
@@ -157,16 +158,17 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     let budget = args.steps.map_or(Budget::Time(args.seconds), Budget::Steps);
     let bar = common::progress(context, networks.len() as u64, "networks");
     let mut rows = Vec::new();
-    let mut mapped: Option<(Standard, Program)> = None;
-    for standard in networks {
-        let Bench { network, period, target } = standard.build().map_err(|e| fault(standard, &e))?;
-        let program = match mapped.take() {
-            Some((of, program)) if of == standard.program_of() => program,
-            _ => map(standard, network, target)?,
-        };
-        rows.extend(step_rows(standard, &program, &period, budget, context)?);
-        mapped = Some((standard.program_of(), program));
-        bar.inc(1);
+    // Networks of the same program are mapped and flattened once.
+    for same in networks.chunk_by(|a, b| a.program_of() == b.program_of()) {
+        let build = |standard: Standard| standard.build().map_err(|e| fault(standard, &e));
+        let Bench { network, target, .. } = build(same[0])?;
+        let program = map(same[0], network, target)?;
+        let images = Images::of(&program);
+        for standard in same {
+            let Bench { period, .. } = build(*standard)?;
+            rows.extend(step_rows(*standard, &images, &period, budget, context)?);
+            bar.inc(1);
+        }
     }
     bar.finish_and_clear();
     let report = StepReport { environment: &environment, rows: &rows };
@@ -174,10 +176,34 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
+/// A program flattened for one thread and for all, each when it is first asked for.
+struct Images<'p> {
+    program: &'p Program,
+    one: OnceCell<Image<'p>>,
+    shared: OnceCell<Image<'p>>,
+}
+
+impl<'p> Images<'p> {
+    fn of(program: &'p Program) -> Self {
+        Images { program, one: OnceCell::new(), shared: OnceCell::new() }
+    }
+
+    fn get(&self, standard: Standard, threads: usize) -> Result<&Image<'p>, Error> {
+        let place = if threads == 1 { &self.one } else { &self.shared };
+        if let Some(image) = place.get() {
+            return Ok(image);
+        }
+        let begin = Instant::now();
+        let image = Image::new(self.program, threads).map_err(|e| fault(standard, &e))?;
+        tracing::info!("{}: image {:.3} s", standard.name(), begin.elapsed().as_secs_f64());
+        Ok(place.get_or_init(|| image))
+    }
+}
+
 /// One network's rows: with skipping and without on one thread, and on all threads where that can pay.
 fn step_rows(
     standard: Standard,
-    program: &Program,
+    images: &Images,
     period: &Sample,
     budget: Budget,
     context: Context,
@@ -189,10 +215,10 @@ fn step_rows(
     if standard.wants_threads() && context.threads > 1 {
         wanted.push((context.threads, true));
     }
-    let synapses: u64 = program.cores().iter().map(|core| core.inputs.count()).sum();
+    let synapses: u64 = images.program.cores().iter().map(|core| core.inputs.count()).sum();
     let measured = wanted.into_iter().map(|(threads, skip)| {
-        let image = Image::new(program, threads).map_err(|e| fault(standard, &e))?;
-        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+        let image = images.get(standard, threads)?;
+        let mut machine = Machine::new(image, Settings { skip, per_step: false });
         // Threads that share a step are called from one of them, as a run does.
         let measured = match threads {
             1 => measure(&mut machine, period, budget),

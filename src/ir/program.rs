@@ -107,6 +107,12 @@ impl<T> Lists<T> {
         &mut self.items[self.first[index] as usize..self.first[index + 1] as usize]
     }
 
+    /// Where each list begins among all items, and where the last ends.
+    #[must_use]
+    pub fn firsts(&self) -> &[u32] {
+        &self.first
+    }
+
     /// All items of all lists.
     #[must_use]
     pub fn items(&self) -> &[T] {
@@ -271,18 +277,25 @@ impl Stored {
         })
     }
 
+    /// Which of the stored lists an input axon selects, and what it adds to every slot of it.
+    #[inline]
+    #[must_use]
+    pub fn selected(&self, axon: usize) -> (usize, u16) {
+        match self.axon(axon) {
+            InputAxon::Discrete { list } => (list as usize, 0),
+            InputAxon::Member { axon, atom } => {
+                let population = self.populations[usize::from(axon)];
+                (population.table as usize + usize::from(atom), population.base)
+            }
+        }
+    }
+
     /// The list that an input axon selects.
     #[inline]
     #[must_use]
     pub fn get(&self, axon: usize) -> Selected<'_> {
-        match self.axon(axon) {
-            InputAxon::Discrete { list } => Selected { base: 0, stored: self.lists.get(list as usize) },
-            InputAxon::Member { axon, atom } => {
-                let population = self.populations[usize::from(axon)];
-                let stored = self.lists.get(population.table as usize + usize::from(atom));
-                Selected { base: population.base, stored }
-            }
-        }
+        let (list, base) = self.selected(axon);
+        Selected { base, stored: self.lists.get(list) }
     }
 
     /// The lists that the input axons select, in order.

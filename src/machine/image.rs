@@ -7,18 +7,20 @@
 //! multiple of sixteen lanes; 64 lanes are a *granule*, the unit of skipping and of sharing out. Lanes that hold no
 //! compartment are padding: rows of weights are padded with zeros to whole chunks, so adding into padding changes nothing.
 
-use std::ops::Range;
+use rayon::prelude::*;
 
 use crate::base::fixed::WEIGHT_SHIFT;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
-use crate::ir::program::{CoreImage, Program, Synapse};
+use crate::ir::program::{CoreFormat, Program, Synapse};
 use crate::ir::quantised::{Neuron, Reset, SpikeSource};
+use crate::machine::gather::Gatherer;
 use crate::machine::kernel::{LANES, Shared};
 use crate::machine::lists::{Draft, Table};
 use crate::machine::neuron::Fields;
-use crate::machine::panels::{Layout, Panels, Plan, Reached};
-use crate::machine::tally::longest_delay;
+use crate::machine::panels::{Layout, Panels};
+use crate::machine::plan::Plan;
+use crate::machine::tally::Tally;
 
 /// Lanes of a granule.
 pub const GRANULE: usize = 64;
@@ -45,6 +47,23 @@ pub(super) struct Reach {
     pub panels: Panels,
     /// The others.
     pub table: Option<Table>,
+}
+
+impl Reach {
+    /// Chooses which of these synapses stand in rows; `None` when there are none. The share has so many lanes.
+    ///
+    /// # Errors
+    /// As [`Draft::finish`].
+    pub fn new(delay: u8, mut draft: Draft, lanes: usize) -> Result<Option<Self>, usize> {
+        let mut plan = Plan::new(lanes);
+        draft.each(|source, synapses| plan.take(source, synapses));
+        let mut layout = Layout::new(plan.choose(), lanes);
+        if !layout.is_empty() {
+            draft.retain(|source, lane, weight| !layout.put(source, lane, weight));
+        }
+        let (panels, table) = (layout.finish(), draft.finish()?);
+        Ok((table.is_some() || !panels.panels.is_empty()).then_some(Reach { delay, panels, table }))
+    }
 }
 
 /// Fields of a block.
@@ -109,6 +128,8 @@ pub(super) struct Share {
 #[derive(Debug)]
 pub struct Image<'p> {
     program: &'p Program,
+    /// What spikes cost on the chip.
+    pub(super) tally: Tally<'p>,
     /// The longest delay field.
     pub(super) longest_delay: u32,
     pub(super) semantics: Semantics,
@@ -119,9 +140,9 @@ pub struct Image<'p> {
     /// Whether compartments stand in lanes in the network's own order.
     pub(super) in_order: bool,
     /// Share and lane of each compartment of the network.
-    lanes: Vec<u32>,
+    pub(super) lanes: Vec<u32>,
     /// First lane of each share, over all.
-    bases: Vec<u32>,
+    pub(super) bases: Vec<u32>,
     pub(super) shares: Vec<Share>,
     /// Whether no sum of a step can leave 16 bits.
     pub(super) narrow: bool,
@@ -137,9 +158,11 @@ impl<'p> Image<'p> {
     /// [`ImageError`] when sums could not be exact or an index would overflow.
     pub fn new(program: &'p Program, shares: usize) -> Result<Self, ImageError> {
         let parts = program.parts();
+        let tally = Tally::new(program);
         let mut image = Image {
             program,
-            longest_delay: longest_delay(program),
+            longest_delay: tally.longest_delay(),
+            tally,
             semantics: parts.semantics,
             reset: parts.reset,
             fields: Vec::new(),
@@ -225,7 +248,7 @@ impl<'p> Image<'p> {
         };
         let shares: usize = self.shares.iter().map(of).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
-        shares + fields + 4 * self.lanes.len()
+        shares + fields + 4 * self.lanes.len() + self.tally.bytes()
     }
 
     /// Lays compartments out in lanes over all shares and returns their blocks.
@@ -292,7 +315,7 @@ impl<'p> Image<'p> {
         for image in self.program.cores() {
             let mut weight = vec![0u64; image.compartments.len()];
             for synapse in image.inputs.synapses() {
-                weight[usize::from(synapse.slot)] += u64::from(units(image, &synapse).unsigned_abs());
+                weight[usize::from(synapse.slot)] += u64::from(units(&image.formats, &synapse).unsigned_abs());
             }
             if let Some(slot) = weight.iter().position(|&weight| weight > i32::MAX as u64) {
                 return Err(ImageError::FanIn(image.ids[slot]));
@@ -386,70 +409,25 @@ impl<'p> Image<'p> {
             }
         }
         delays.sort_unstable();
+        let lanes: Vec<usize> = self.shares.iter().map(|share| share.lanes).collect();
+        let gatherer = Gatherer::new(self.program, &self.lanes, &self.bases, &delays);
         for (kind, sources) in [0..self.channels, self.channels..self.sources() as u32].into_iter().enumerate() {
-            let first = sources.start;
-            let plan = |share: &Share| delays.iter().map(|_| Plan::new(share.lanes)).collect::<Vec<_>>();
-            let mut plans: Vec<_> = self.shares.iter().map(plan).collect();
-            self.reach(sources.clone(), &delays, |source, share, delay, synapses| {
-                plans[share][delay].take(source - first, synapses);
-            });
-            let mut reaches: Vec<Vec<(Layout, Draft)>> = Vec::new();
-            for (plans, share) in plans.into_iter().zip(&self.shares) {
-                reaches.push(plans.into_iter().map(|plan| (plan.layout(), Draft::new(share.lanes))).collect());
-            }
-            self.reach(sources, &delays, |source, share, delay, synapses| {
-                let (layout, draft) = &mut reaches[share][delay];
-                layout.put(source - first, synapses, draft);
-                draft.close();
-            });
-            for (share, reaches) in self.shares.iter_mut().zip(reaches) {
-                let mut reached = Vec::new();
-                for (&delay, (layout, draft)) in delays.iter().zip(reaches) {
-                    let (panels, table) = (layout.finish(), draft.finish().map_err(ImageError::TooMany)?);
-                    if table.is_some() || !panels.panels.is_empty() {
-                        reached.push(Reach { delay, panels, table });
-                    }
-                }
+            let drafts = gatherer.gather(sources, &lanes).into_par_iter().enumerate();
+            let reached: Vec<_> = drafts
+                .map(|(place, draft)| Reach::new(delays[place % delays.len()], draft, lanes[place / delays.len()]))
+                .collect();
+            let mut reached = reached.into_iter();
+            for share in &mut self.shares {
+                let of_share: Result<Vec<_>, usize> =
+                    reached.by_ref().take(delays.len()).filter_map(Result::transpose).collect();
+                let of_share = of_share.map_err(ImageError::TooMany)?;
                 match kind {
-                    0 => share.of_channels = reached,
-                    _ => share.of_compartments = reached,
+                    0 => share.of_channels = of_share,
+                    _ => share.of_compartments = of_share,
                 }
             }
         }
         Ok(())
-    }
-
-    /// Calls with what each of these sources reaches: source, share, place of the delay, lanes and weights.
-    fn reach(&self, sources: Range<u32>, delays: &[u8], mut each: impl FnMut(u32, usize, usize, &[Reached])) {
-        let parts = self.program.parts();
-        let mut place_of = [0; u8::MAX as usize + 1];
-        for (place, &delay) in delays.iter().enumerate() {
-            place_of[usize::from(delay)] = place;
-        }
-        let mut reached = vec![vec![Vec::new(); delays.len()]; self.shares.len()];
-        for source in sources {
-            let messages = match source.checked_sub(self.channels) {
-                None => self.program.channel(ChannelId(source)),
-                Some(compartment) => {
-                    let seat = parts.seats[CompartmentId(compartment)];
-                    parts.cores[seat.core].axons_out.get(usize::from(seat.slot))
-                }
-            };
-            for message in messages {
-                let image = &parts.cores[message.core];
-                for synapse in image.inputs.get(usize::from(message.axon)).synapses() {
-                    let (share, lane) = self.lane(image.ids[usize::from(synapse.slot)]);
-                    let delay = place_of[usize::from(synapse.delay.get())];
-                    reached[share][delay].push((lane as u32, units(image, &synapse) as i16));
-                }
-            }
-            for (share, reached) in reached.iter_mut().enumerate() {
-                for (delay, reached) in reached.iter_mut().enumerate() {
-                    each(source, share, delay, reached);
-                    reached.clear();
-                }
-            }
-        }
     }
 }
 
@@ -469,6 +447,7 @@ impl Share {
 }
 
 /// A synapse's weight in units of 64, which fit 16 bits: |w| <= 256 and the exponent is at most 7.
-fn units(image: &CoreImage, synapse: &Synapse) -> i32 {
-    image.formats[usize::from(synapse.format)].synapse.scaled(synapse.weight) >> WEIGHT_SHIFT
+#[inline]
+pub(super) fn units(formats: &[CoreFormat], synapse: &Synapse) -> i32 {
+    formats[usize::from(synapse.format)].synapse.scaled(synapse.weight) >> WEIGHT_SHIFT
 }

@@ -246,15 +246,17 @@ impl Table {
     }
 }
 
+/// A synapse that a source reaches: lane, and weight in units of 64.
+pub(super) type Reached = (u32, i16);
+
 /// A table while it is written: lanes and weights as they come.
 #[derive(Debug)]
 pub(super) struct Draft {
+    lanes: usize,
     packing: Packing,
     /// Synapses up to the end of each source.
     ends: Vec<usize>,
     words: Words,
-    /// Whether every lane fits 16 bits and every weight 8, and lanes are enough to be worth it.
-    small: bool,
 }
 
 /// Synapses in the order of sources, without gaps.
@@ -267,8 +269,7 @@ enum Words {
 impl Draft {
     /// Nothing yet, of a share with so many lanes.
     pub fn new(lanes: usize) -> Self {
-        let words = Words::Packed(Vec::new());
-        Draft { packing: Packing::new(lanes), ends: Vec::new(), words, small: lanes >= SMALL_FROM }
+        Draft { lanes, packing: Packing::new(lanes), ends: Vec::new(), words: Words::Packed(Vec::new()) }
     }
 
     fn len(&self) -> usize {
@@ -279,8 +280,7 @@ impl Draft {
     }
 
     /// Appends a synapse; the first that does not fit a word takes all apart.
-    pub fn push(&mut self, target: u32, weight: i16) {
-        self.small &= u16::try_from(target).is_ok() && i8::try_from(weight).is_ok();
+    fn push(&mut self, (target, weight): Reached) {
         if let Words::Packed(words) = &mut self.words {
             if let Some(word) = self.packing.pack(target, weight) {
                 return words.push(word);
@@ -295,9 +295,71 @@ impl Draft {
         }
     }
 
-    /// Ends a source's list.
-    pub fn close(&mut self) {
-        self.ends.push(self.len());
+    /// Appends the lists of sources, which have so many synapses each.
+    pub fn append(&mut self, counts: &[u32], mut synapses: &[Reached]) {
+        for &count in counts {
+            let list;
+            (list, synapses) = synapses.split_at(count as usize);
+            list.iter().for_each(|&synapse| self.push(synapse));
+            self.ends.push(self.len());
+        }
+    }
+
+    /// Calls with each source, ascending, and the lanes that it reaches.
+    pub fn each(&self, mut take: impl FnMut(u32, &[u32])) {
+        let (mut begin, mut unpacked) = (0, Vec::new());
+        for (source, &end) in (0..).zip(&self.ends) {
+            let list = begin..end;
+            begin = end;
+            match &self.words {
+                Words::Packed(words) => {
+                    unpacked.clear();
+                    unpacked.extend(words[list].iter().map(|&word| self.packing.unpack(word).0 as u32));
+                    take(source, &unpacked);
+                }
+                Words::Apart { targets, .. } => take(source, &targets[list]),
+            }
+        }
+    }
+
+    /// Leaves those synapses out for which `keep` is false of source, lane and weight.
+    pub fn retain(&mut self, mut keep: impl FnMut(u32, u32, i16) -> bool) {
+        let (mut begin, mut kept, mut fit) = (0, 0, true);
+        for (source, end) in (0..).zip(&mut self.ends) {
+            let list = begin..*end;
+            begin = list.end;
+            for at in list {
+                match &mut self.words {
+                    Words::Packed(words) => {
+                        let (target, weight) = self.packing.unpack(words[at]);
+                        if keep(source, target as u32, weight) {
+                            words[kept] = words[at];
+                            kept += 1;
+                        }
+                    }
+                    Words::Apart { targets, weights } => {
+                        let (target, weight) = (targets[at], weights[at]);
+                        if keep(source, target, weight) {
+                            (targets[kept], weights[kept]) = (target, weight);
+                            fit &= self.packing.pack(target, weight).is_some();
+                            kept += 1;
+                        }
+                    }
+                }
+            }
+            *end = kept;
+        }
+        match &mut self.words {
+            Words::Packed(words) => words.truncate(kept),
+            Words::Apart { targets, weights } => {
+                targets.truncate(kept);
+                weights.truncate(kept);
+                if fit {
+                    let all = targets.iter().zip(weights);
+                    self.words = Words::Packed(all.filter_map(|(&t, &mut w)| self.packing.pack(t, w)).collect());
+                }
+            }
+        }
     }
 
     /// The table, `None` when it is empty.
@@ -305,13 +367,19 @@ impl Draft {
     /// # Errors
     /// The number of synapses when there are too many to say where each list is.
     pub fn finish(self) -> Result<Option<Table>, usize> {
-        let Draft { packing, ends, words, small } = self;
+        let Draft { lanes, packing, ends, words } = self;
         let begins = || std::iter::once(0).chain(ends.iter().copied());
         let lists = || begins().zip(&ends).map(|(begin, &end)| begin..end);
         let total = ends.last().copied().unwrap_or(0);
         if total == 0 {
             return Ok(None);
         }
+        let fits = |&word: &u32| {
+            let (target, weight) = packing.unpack(word);
+            u16::try_from(target).is_ok() && i8::try_from(weight).is_ok()
+        };
+        // Every lane fits 16 bits and every weight 8, and lanes are enough to be worth it.
+        let small = lanes >= SMALL_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
         let each = if small { SMALL } else { PACKED };
         let ahead = (MEANWHILE * ends.len()).div_ceil(total).clamp(AHEAD.0, AHEAD.1);
         let halves = small && total >= WORTH_HALVES * lists().filter(|list| !list.is_empty()).count();
@@ -377,10 +445,7 @@ mod tests {
     /// What the table of these lists says.
     fn read(lists: &[Vec<(u32, i16)>], lanes: usize) -> (Vec<Vec<(u32, i16)>>, Table) {
         let mut draft = Draft::new(lanes);
-        for list in lists {
-            list.iter().for_each(|&(target, weight)| draft.push(target, weight));
-            draft.close();
-        }
+        lists.iter().for_each(|list| draft.append(&[list.len() as u32], list));
         let table = draft.finish().unwrap().unwrap();
         let list = |&place: &Place| {
             let mut list = Vec::new();
@@ -468,7 +533,7 @@ mod tests {
     #[test]
     fn an_empty_table_is_none() {
         let mut draft = Draft::new(100);
-        draft.close();
+        draft.append(&[0], &[]);
         assert!(draft.finish().unwrap().is_none());
     }
 }

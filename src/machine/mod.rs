@@ -15,12 +15,14 @@
 //! What it leaves out on purpose: energy and time, which `cost` computes from the counts, and names.
 
 mod bits;
+mod gather;
 pub mod image;
 pub mod kernel;
 mod lanes;
 mod lists;
 pub mod neuron;
 mod panels;
+mod plan;
 mod prefetch;
 mod ring;
 mod store;
@@ -118,16 +120,16 @@ impl<'i> Machine<'i> {
 
     /// What all steps did since this was last asked, over any number of samples.
     pub fn take_activity(&mut self) -> Activity {
-        let program = self.image.program();
+        let (program, tally) = (self.image.program(), &self.image.tally);
         let mut sum = StepActivity::new(program.cores().len());
         let mut fired = self.take_fired();
         for &(source, reach) in &self.late {
             fired[self.image.number(source)] -= 1;
-            tally::add_spikes(program, source, reach, 1, &mut sum);
+            tally.add_spikes(source, reach, 1, &mut sum);
         }
         self.late.clear();
         for (source, &times) in fired.iter().enumerate().filter(|(_, times)| **times > 0) {
-            tally::add_spikes(program, self.image.source(source), u32::MAX, times.into(), &mut sum);
+            tally.add_spikes(self.image.source(source), u32::MAX, times.into(), &mut sum);
         }
         tally::add_visits(program, self.run_steps, &mut sum);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
@@ -247,7 +249,7 @@ impl Engine for Machine<'_> {
             for lanes in &self.shares {
                 tally::add_active(&lanes.active, &mut self.last);
             }
-            tally::add_step(image.program(), channels, &self.spikes, left, &mut self.last);
+            image.tally.add_step(channels, &self.spikes, left, &mut self.last);
         }
         self.step += 1;
         self.run_steps += 1;
@@ -299,8 +301,8 @@ impl Engine for Machine<'_> {
     fn totals(&self) -> Totals {
         // A spike's events are its own step's, and are added up where they are delivered, a step later.
         let left = self.steps.saturating_sub(self.step);
-        let pending =
-            |&spike: &CompartmentId| tally::events_within(self.image.program(), SpikeSource::Compartment(spike), left);
+        let tally = &self.image.tally;
+        let pending = |&spike: &CompartmentId| tally.events_within(SpikeSource::Compartment(spike), left);
         let pending: u64 = self.spikes.iter().map(pending).sum();
         Totals { synaptic_events: self.totals.synaptic_events + pending, ..self.totals }
     }

@@ -1,16 +1,10 @@
-//! Rows of synapses: which of a source's synapses stand lane beside lane, with zeros where there is none, and which are
-//! listed one by one.
+//! Rows of synapses: those of a source's that stand lane beside lane, with zeros where there is none.
 //!
-//! Comes in: what each source reaches over synapses of one delay, source after source, twice. The first time a [`Plan`]
-//! chooses; the second time a [`Layout`] writes. Goes out: [`Panels`], and in a [`Draft`] what is left. The choice is by an
-//! estimate of what delivery costs, in time and in memory. A chunk of sixteen lanes is added in less time than a synapse from
-//! a list, so rows with many zeros still gain; but a chunk takes the memory of ten synapses, so in a network that no cache
-//! holds rows with many zeros lose.
-//!
-//! How many synapses a source has is kept beside its row, for zeros are no synapses.
+//! Comes in: which sources are to be panels (`plan`), and their synapses. Goes out: [`Panels`]. What is in no row remains for
+//! the lists. How many synapses a source has is kept beside its row, for zeros are no synapses.
 
 use crate::machine::kernel::LANES;
-use crate::machine::lists::{Draft, PACKED};
+use crate::machine::plan::Planned;
 use crate::machine::store::Aligned;
 
 /// Consecutive lanes that each source of a panel reaches.
@@ -74,259 +68,6 @@ impl Panels {
     }
 }
 
-/// A synapse that a source reaches: lane, and weight in units of 64.
-pub(super) type Reached = (u32, i16);
-
-/// Bytes of a chunk.
-const CHUNK_BYTES: usize = 2 * LANES;
-/// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a synapse.
-const DENSE: u32 = 5;
-/// Bytes of weights that may be mostly zeros: half of a core's second-level cache, in which a chunk costs next to nothing.
-const CACHED: usize = 1 << 20;
-/// What delivery costs, in tenths of a nanosecond: a chunk of a row, by `vtsnn-5pct`.
-const CHUNK_COST: usize = 4;
-/// A synapse of a list, by `random-32k`.
-const SYNAPSE_COST: usize = 6;
-/// Looking up a list.
-const LIST_COST: usize = 40;
-/// Finding a panel.
-const PANEL_COST: usize = 50;
-/// Beginning a row of it: taking sums into registers and back.
-const ROW_COST: usize = 40;
-/// Steps in which each source spikes about once: sources of a panel that spike together find it together.
-const STEPS: usize = 20;
-/// Chunks of zeros for a source, growing, that may be laid out to have a panel less; up to what finding it costs. Those that
-/// are alike join before those that are less so.
-const ZEROS: [usize; 5] = [1, 3, 6, 12, (PANEL_COST + ROW_COST) / CHUNK_COST];
-
-/// Sources that are to be a panel.
-#[derive(Debug)]
-struct Planned {
-    first: u32,
-    end: u32,
-    /// Its chunks, ascending.
-    chunks: Vec<u32>,
-    /// Chunks of its sources, summed: without the zeros that a source has for the others' sake.
-    own: usize,
-    /// Synapses that they hold.
-    synapses: usize,
-}
-
-impl Planned {
-    fn sources(&self) -> usize {
-        (self.end - self.first) as usize
-    }
-
-    /// Chunks of all sources.
-    fn size(&self) -> usize {
-        self.sources() * self.chunks.len()
-    }
-
-    /// What it costs when each source spikes once.
-    fn cost(&self) -> usize {
-        let rows = self.chunks.chunk_by(|a, b| a + 1 == *b).count();
-        self.size() * CHUNK_COST + self.sources().min(STEPS) * (PANEL_COST + rows * ROW_COST)
-    }
-
-    /// Takes the next in, if that needs few zeros; says how many it took, or gives the next back. Zeros may be half of all,
-    /// and as many as are `spare` besides.
-    fn join(&mut self, next: Planned, zeros: usize, spare: usize) -> Result<usize, Planned> {
-        let sources = (next.end - self.first) as usize;
-        let others = || next.chunks.iter().filter(|chunk| self.chunks.binary_search(chunk).is_err());
-        let size = (self.chunks.len() + others().count()) * sources;
-        let (own, more) = (self.own + next.own, size - self.size() - next.size());
-        if more > zeros * self.sources().min(next.sources()).min(STEPS) || (size > 2 * own && more > spare) {
-            return Err(next);
-        }
-        let others: Vec<u32> = others().copied().collect();
-        self.chunks.extend(others);
-        self.chunks.sort_unstable();
-        (self.end, self.own, self.synapses) = (next.end, own, self.synapses + next.synapses);
-        Ok(more)
-    }
-}
-
-/// One way to choose.
-#[derive(Debug)]
-struct Choice {
-    /// The fewest synapses of a chunk that belongs into a row.
-    least: u32,
-    panels: Vec<Planned>,
-    /// Chunks of all panels.
-    size: usize,
-    /// Synapses that are left.
-    listed: usize,
-    /// The present source's chunks.
-    chunks: Vec<u32>,
-}
-
-impl Choice {
-    fn new(least: u32) -> Self {
-        Choice { least, panels: Vec::new(), size: 0, listed: 0, chunks: Vec::new() }
-    }
-
-    fn take(&mut self, source: u32, touched: &[u32], counts: &[u32]) {
-        let mut synapses = 0;
-        self.chunks.clear();
-        for &chunk in touched {
-            let count = counts[chunk as usize];
-            if count >= self.least {
-                self.chunks.push(chunk);
-                synapses += count as usize;
-            } else {
-                self.listed += count as usize;
-            }
-        }
-        if self.chunks.is_empty() {
-            return;
-        }
-        self.chunks.sort_unstable();
-        self.size += self.chunks.len();
-        if let Some(last) = self.panels.last_mut()
-            && last.end == source
-            && last.chunks == self.chunks
-        {
-            (last.end, last.own) = (source + 1, last.own + self.chunks.len());
-            last.synapses += synapses;
-            return;
-        }
-        let (chunks, own) = (self.chunks.clone(), self.chunks.len());
-        self.panels.push(Planned { first: source, end: source + 1, chunks, own, synapses });
-    }
-
-    /// Joins neighbours where zeros cost less than panels.
-    fn join(&mut self) {
-        for zeros in ZEROS {
-            let mut joined: Vec<Planned> = Vec::with_capacity(self.panels.len());
-            for mut next in self.panels.drain(..) {
-                if let Some(last) = joined.last_mut() {
-                    let spare = (CACHED / CHUNK_BYTES).saturating_sub(self.size);
-                    match last.join(next, zeros, spare) {
-                        Ok(more) => {
-                            self.size += more;
-                            continue;
-                        }
-                        Err(back) => next = back,
-                    }
-                }
-                joined.push(next);
-            }
-            self.panels = joined;
-        }
-    }
-
-    /// Bytes of all weights in rows.
-    fn bytes(&self) -> usize {
-        CHUNK_BYTES * self.size
-    }
-
-    /// Leaves those panels to the lists that cost more than lists would.
-    fn drop_losses(&mut self) {
-        let (listed, size) = (&mut self.listed, &mut self.size);
-        self.panels.retain(|panel| {
-            let keep = panel.cost() <= panel.synapses * SYNAPSE_COST + panel.sources() * LIST_COST;
-            *listed += if keep { 0 } else { panel.synapses };
-            *size -= if keep { 0 } else { panel.size() };
-            keep
-        });
-    }
-
-    /// What all costs when each source spikes once.
-    fn cost(&self, sources: usize) -> usize {
-        let lists = if self.listed > 0 { self.listed * SYNAPSE_COST + sources * LIST_COST } else { 0 };
-        self.panels.iter().map(Planned::cost).sum::<usize>() + lists
-    }
-}
-
-/// The choice between rows and lists for what the sources of one kind reach over synapses of one delay.
-#[derive(Debug)]
-pub(super) struct Plan {
-    /// The present source's synapses by chunk; zeros between sources.
-    counts: Vec<u32>,
-    /// Chunks with any.
-    touched: Vec<u32>,
-    synapses: usize,
-    sources: usize,
-    /// Rows alone, as long as it is not too large.
-    rows: Option<Choice>,
-    /// Rows where they are dense.
-    both: Choice,
-}
-
-impl Plan {
-    /// Nothing yet, of a share with so many lanes.
-    pub fn new(lanes: usize) -> Self {
-        Plan {
-            counts: vec![0; lanes.div_ceil(LANES)],
-            touched: Vec::new(),
-            synapses: 0,
-            sources: 0,
-            rows: Some(Choice::new(1)),
-            both: Choice::new(DENSE),
-        }
-    }
-
-    /// Looks at what a source reaches; sources come in ascending order.
-    pub fn take(&mut self, source: u32, synapses: &[Reached]) {
-        for &(lane, _) in synapses {
-            let chunk = lane / LANES as u32;
-            let count = &mut self.counts[chunk as usize];
-            if *count == 0 {
-                self.touched.push(chunk);
-            }
-            *count += 1;
-        }
-        self.synapses += synapses.len();
-        self.sources += usize::from(!synapses.is_empty());
-        self.both.take(source, &self.touched, &self.counts);
-        let most = self.most();
-        if let Some(rows) = &mut self.rows {
-            rows.take(source, &self.touched, &self.counts);
-            // Dense rows may follow, but not so many that what came before is few.
-            if rows.bytes() > 4 * most {
-                self.rows = None;
-            }
-        }
-        for chunk in self.touched.drain(..) {
-            self.counts[chunk as usize] = 0;
-        }
-    }
-
-    /// The most bytes that rows alone may take: what the cache holds, or no more than lists.
-    fn most(&self) -> usize {
-        CACHED.max(PACKED * self.synapses)
-    }
-
-    /// Chooses.
-    pub fn layout(mut self) -> Layout {
-        self.both.join();
-        self.both.drop_losses();
-        let (most, whole) = (self.most(), self.both.cost(self.sources));
-        let rows = self.rows.take().filter(|rows| rows.bytes() <= most).map(|mut rows| {
-            rows.join();
-            rows
-        });
-        let cheaper = |rows: &Choice| rows.bytes() <= most && rows.cost(self.sources) <= whole;
-        let chosen = rows.filter(cheaper).unwrap_or(self.both);
-        tracing::debug!(
-            "{} synapses: {} listed, {} panels of {} bytes",
-            self.synapses,
-            chosen.listed,
-            chosen.panels.len(),
-            chosen.bytes()
-        );
-        let mut places = self.counts;
-        places.fill(0);
-        Layout {
-            planned: chosen.panels.into_iter().peekable(),
-            places,
-            panels: Vec::new(),
-            weights: Vec::new(),
-            counts: Vec::new(),
-        }
-    }
-}
-
 /// Panels while their weights are written.
 #[derive(Debug)]
 pub(super) struct Layout {
@@ -335,44 +76,56 @@ pub(super) struct Layout {
     /// One more than the place of each chunk in a source's weights of the present panel; 0 where it is in none.
     places: Vec<u32>,
     panels: Vec<Panel>,
-    weights: Vec<[i16; LANES]>,
+    weights: Aligned<i16>,
+    /// Chunks of weights up to the end of the present panel.
+    end: usize,
     /// Synapses of the present panel's sources.
     counts: Vec<u32>,
 }
 
 impl Layout {
-    /// Writes what a source reaches: into its rows, or else into the draft of lists. The same sources as were planned with,
-    /// in ascending order.
-    pub fn put(&mut self, source: u32, synapses: &[Reached], draft: &mut Draft) {
+    /// Of these panels, ascending, of a share with so many lanes.
+    pub fn new(planned: Vec<Planned>, lanes: usize) -> Self {
+        let size: usize = planned.iter().map(Planned::size).sum();
+        Layout {
+            planned: planned.into_iter().peekable(),
+            places: vec![0; lanes.div_ceil(LANES)],
+            panels: Vec::new(),
+            weights: Aligned::new(size * LANES),
+            end: 0,
+            counts: Vec::new(),
+        }
+    }
+
+    /// Whether no panel is to come.
+    pub fn is_empty(&mut self) -> bool {
+        self.planned.peek().is_none()
+    }
+
+    /// Writes a synapse into its source's rows; says whether it has one. Sources come in ascending order.
+    #[inline]
+    pub fn put(&mut self, source: u32, lane: u32, weight: i16) -> bool {
         while self.planned.peek().is_some_and(|panel| panel.end <= source) {
             self.close();
         }
-        let mut own = None;
-        if let Some(panel) = self.planned.peek().filter(|panel| panel.first <= source) {
-            if self.counts.is_empty() {
-                self.counts = vec![0; panel.sources()];
-                for (chunk, place) in panel.chunks.iter().zip(1..) {
-                    self.places[*chunk as usize] = place;
-                }
-                self.weights.resize(self.weights.len() + panel.size(), [0; LANES]);
+        let Some(panel) = self.planned.peek().filter(|panel| panel.first <= source) else { return false };
+        if self.counts.is_empty() {
+            self.counts = vec![0; panel.sources()];
+            for (chunk, place) in panel.chunks.iter().zip(1..) {
+                self.places[*chunk as usize] = place;
             }
-            let at = (source - panel.first) as usize;
-            let begin = self.weights.len() - panel.size() + at * panel.chunks.len();
-            own = Some((&mut self.weights[begin..begin + panel.chunks.len()], &mut self.counts[at]));
+            self.end += panel.size();
         }
-        for &(lane, weight) in synapses {
-            let (chunk, offset) = (lane as usize / LANES, lane as usize % LANES);
-            let row = own.as_mut().and_then(|(weights, count)| {
-                let weight_of_lane = &mut weights[(self.places[chunk] as usize).checked_sub(1)?][offset];
-                // Several synapses to one lane add up, as long as 16 bits hold the sum.
-                *weight_of_lane = weight_of_lane.checked_add(weight)?;
-                **count += 1;
-                Some(())
-            });
-            if row.is_none() {
-                draft.push(lane, weight);
-            }
-        }
+        let (chunk, offset) = (lane as usize / LANES, lane as usize % LANES);
+        let Some(place) = (self.places[chunk] as usize).checked_sub(1) else { return false };
+        let at = (source - panel.first) as usize;
+        let begin = self.end - panel.size() + at * panel.chunks.len();
+        let weight_of_lane = &mut self.weights[(begin + place) * LANES + offset];
+        // Several synapses to one lane add up, as long as 16 bits hold the sum.
+        let Some(sum) = weight_of_lane.checked_add(weight) else { return false };
+        *weight_of_lane = sum;
+        self.counts[at] += 1;
+        true
     }
 
     /// Ends the present panel.
@@ -388,7 +141,7 @@ impl Layout {
         }
         let counts = std::mem::take(&mut self.counts);
         let stride = chunks.len();
-        let weights = self.weights.len() - stride * (end - first) as usize;
+        let weights = self.end - stride * (end - first) as usize;
         let synapses = match counts.first() {
             Some(&first) if counts.iter().all(|&count| count == first) => Counts::Same(first),
             _ => Counts::Each(counts),
@@ -402,9 +155,7 @@ impl Layout {
             self.close();
         }
         self.panels.shrink_to_fit();
-        let mut weights = Aligned::new(self.weights.len() * LANES);
-        weights.copy_from_slice(self.weights.as_flattened());
-        Panels { panels: self.panels, weights }
+        Panels { panels: self.panels, weights: self.weights }
     }
 }
 
@@ -412,22 +163,18 @@ impl Layout {
 mod tests {
     use super::*;
     use crate::base::rng;
-    use crate::machine::lists::{Lists, Part, Synapses};
+    use crate::machine::image::Reach;
+    use crate::machine::lists::{Draft, Lists, Part, Reached, Synapses};
     use std::collections::BTreeMap;
 
     /// Lays sources out, and checks that rows and lists together hold each source's weights by lane and its number of synapses.
     /// Returns the panels and the number of synapses in lists.
     fn laid_out(sources: &[Vec<Reached>], lanes: usize) -> (Panels, usize) {
-        let mut plan = Plan::new(lanes);
-        for (source, synapses) in (0..).zip(sources) {
-            plan.take(source, synapses);
+        let mut draft = Draft::new(lanes);
+        for synapses in sources {
+            draft.append(&[synapses.len() as u32], synapses);
         }
-        let (mut layout, mut draft) = (plan.layout(), Draft::new(lanes));
-        for (source, synapses) in (0..).zip(sources) {
-            layout.put(source, synapses, &mut draft);
-            draft.close();
-        }
-        let (panels, table) = (layout.finish(), draft.finish().unwrap());
+        let Some(Reach { panels, table, .. }) = Reach::new(0, draft, lanes).unwrap() else { panic!("no synapses") };
         assert!(panels.panels.is_sorted_by(|a, b| a.end <= b.first));
         let mut all_listed = 0;
         for (source, synapses) in (0u32..).zip(sources) {

@@ -265,18 +265,12 @@ mod tests {
     use super::*;
     use crate::base::id::ChannelId;
     use crate::base::rng;
-    use crate::machine::lists::Draft;
-    use crate::machine::panels::{Plan, Reached};
+    use crate::machine::lists::{Draft, Reached};
 
     fn flattened(sources: &[Vec<Reached>], lanes: usize) -> Reach {
-        let (mut plan, mut draft) = (Plan::new(lanes), Draft::new(lanes));
-        (0..).zip(sources).for_each(|(source, synapses)| plan.take(source, synapses));
-        let mut layout = plan.layout();
-        for (source, synapses) in (0..).zip(sources) {
-            layout.put(source, synapses, &mut draft);
-            draft.close();
-        }
-        Reach { delay: 1, panels: layout.finish(), table: draft.finish().unwrap() }
+        let mut draft = Draft::new(lanes);
+        sources.iter().for_each(|synapses| draft.append(&[synapses.len() as u32], synapses));
+        Reach::new(1, draft, lanes).unwrap().unwrap()
     }
 
     /// Sums, noted granules and numbers of synapses are those of adding one synapse after the other.
