@@ -21,7 +21,7 @@ use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
 use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
 use crate::compile::packing::{self, Compression, Group, Widths};
-use crate::compile::sent;
+use crate::compile::sent::{self, Sent};
 use crate::compile::share::{self, Alike, Class, Places};
 use crate::desc::target::Limits;
 use crate::ir::partition::{CoreUsage, Seat};
@@ -61,6 +61,22 @@ pub fn usage(
     chips: &IdVec<CoreId, u32>,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
+    let core_of = seats.iter().map(|seat| seat.core).collect();
+    usage_sending(network, members, seats, &sent::sent(network, &core_of, chips, limits), limits)
+}
+
+/// The use of each core, where it is known what compartments send.
+///
+/// # Panics
+/// As [`usage`].
+#[must_use]
+pub fn usage_sending(
+    network: &Quantised,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    seats: &IdVec<CompartmentId, Seat>,
+    sent: &Sent,
+    limits: &Limits,
+) -> IdVec<CoreId, CoreUsage> {
     let longest = longest_delays(network, seats, members.len());
     let (formats, places) = (Formats::of(network), Places::of(network));
     let counted = gather::by_core(network, &formats, seats, members.len(), |core, keys| {
@@ -71,10 +87,8 @@ pub fn usage(
     });
     let mut usage: IdVec<CoreId, CoreUsage> = counted.into();
     count_profiles(network, seats, &mut usage);
-    let core_of = seats.iter().map(|seat| seat.core).collect();
-    let sent = sent::sent(network, &core_of, chips, limits);
     for (used, held) in usage.iter_mut().zip(members) {
-        used.axons_out = u32::try_from(sent::slots_of(held, &sent)).unwrap_or(u32::MAX);
+        used.axons_out = u32::try_from(sent::slots_of(held, sent)).unwrap_or(u32::MAX);
         used.axons_out_per_compartment = held.iter().map(|id| sent.axons[id.index()]).max().unwrap_or(0);
     }
     usage
