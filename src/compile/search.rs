@@ -6,9 +6,9 @@
 //!
 //! The expected step of mean rates is not the simulated one: spikes come together, and more cores mean more messages over
 //! the busiest link when they do. For the time of a step a candidate must therefore be no slower than the unplaced
-//! sequential one when every source spikes at once, and when all sources of one population do, over all populations and, but
-//! for `MARGIN` and where that is `SHORT`, for each; and, unless it holds the same compartments on the same cores, faster by
-//! `MARGIN` at the rates that it is made for.
+//! sequential one when every source spikes at once, and when all sources of one population do: over all populations and, but
+//! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
+//! compartments on the same cores, may be slower by as much in one population's burst.
 
 use std::sync::Mutex;
 
@@ -24,8 +24,8 @@ use crate::ir::quantised::Quantised;
 /// Parts of a core, as divisors, that candidates fill.
 pub(super) const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 /// The same in the order in which they are likely to take the shortest step, for networks so large that the effort is not
-/// enough for all: in most of the suite's that is at an eighth (`nsim bench map`).
-const SHORTEST: [u32; 6] = [8, 2, 1, 4, 16, 32];
+/// enough for all: in most of the suite's that is at an eighth (`nsim bench map`). The first two are always tried.
+const SHORTEST: [u32; 6] = [8, 1, 2, 4, 16, 32];
 /// How much less a mean step must take to be trusted to take no longer when spikes come together.
 const MARGIN: f64 = 0.9;
 /// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
@@ -93,11 +93,15 @@ pub fn candidates(
 
 fn all(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Result<Vec<Made<Routed>>, CompileError> {
     let synapses = one.synapses() * u64::from(options.copies);
-    let affordable = (u64::from(options.effort_s) * SYNAPSES_PER_SECOND / synapses.max(1)).max(1) as usize;
+    let affordable = u64::from(options.effort_s) * SYNAPSES_PER_SECOND / synapses.max(1);
     let mut all = vec![(Strategy::Sequential, 1)];
-    let divisors = if options.objective == Objective::Latency { SHORTEST } else { DIVISORS };
+    let (divisors, least) = match options.objective {
+        Objective::Latency => (SHORTEST, 2),
+        Objective::Cores | Objective::Energy => (DIVISORS, 1),
+    };
     let wanted = divisors.map(|divisor| (options.strategy, divisor));
-    all.extend(wanted.into_iter().filter(|way| *way != all[0]).take(affordable).collect::<Vec<_>>());
+    let wanted = wanted.into_iter().filter(|way| *way != (Strategy::Sequential, 1));
+    all.extend(wanted.take(affordable.max(least) as usize));
     // The effort is for all of them together.
     let options = &Options { effort_s: options.effort_s.div_ceil(all.len() as u32), ..*options };
     let first_error = Mutex::new(None);
@@ -173,7 +177,8 @@ pub(super) fn chosen<M>(
     let Some(plain) = made.next() else {
         return Err(CompileError::Fault("there is no candidate".to_string()));
     };
-    let mut others: Vec<Made<M>> = made.filter(|other| better(&other.found, &plain.found, objective)).collect();
+    let better = |other: &Made<M>| other.found.score.better(&plain.found.score, objective).is_lt();
+    let mut others: Vec<Made<M>> = made.filter(better).collect();
     others.sort_by(|a, b| a.found.score.better(&b.found.score, objective));
     if objective != Objective::Latency {
         return Ok(others.into_iter().next().unwrap_or(plain).mapping);
@@ -182,32 +187,30 @@ pub(super) fn chosen<M>(
     for other in others {
         let times = times(&other.mapping)?;
         tracing::debug!(candidate = ?other.found.candidate, ?times, ?least, "steps of bursts in microseconds");
-        if no_slower(&times, &least) {
+        let slack = if shorter(&other.found, &plain.found) { 1.0 / MARGIN } else { 1.0 };
+        if no_slower(&times, &least, slack) {
             return Ok(other.mapping);
         }
     }
     Ok(plain.mapping)
 }
 
-/// Whether a candidate is better than the first, unplaced one by enough to be looked at.
-fn better(other: &Found, plain: &Found, objective: Objective) -> bool {
+/// Whether a candidate's mean step is shorter than that of the first, unplaced one by enough not to be so by chance.
+fn shorter(other: &Found, plain: &Found) -> bool {
     let cores = |found: &Found| (found.candidate.strategy, found.candidate.divisor);
-    let margin = if cores(other) == cores(plain) { 1.0 } else { MARGIN };
-    other.score.better(&plain.score, objective).is_lt()
-        && (objective != Objective::Latency || other.score.step_us < margin * plain.score.step_us)
+    cores(other) == cores(plain) || other.score.step_us < MARGIN * plain.score.step_us
 }
 
 /// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all sources spike; those of one
-/// population, all of them together; and each of these, but for what a mean step has to be shorter by, and for those that are
-/// short beside the first.
-fn no_slower(times: &[f64], plain: &[f64]) -> bool {
+/// population, all of them together; and each of these, but for `slack` and for those that are short beside the first.
+fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
     let (Some((all, each)), Some((all_plain, each_plain))) = (times.split_first(), plain.split_first()) else {
         return true;
     };
     let short = SHORT * all_plain;
     all <= all_plain
         && each.iter().sum::<f64>() <= each_plain.iter().sum::<f64>()
-        && each.iter().zip(each_plain).all(|(time, plain)| *time <= (plain / MARGIN).max(short))
+        && each.iter().zip(each_plain).all(|(time, plain)| *time <= (plain * slack).max(short))
 }
 
 /// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.
