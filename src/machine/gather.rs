@@ -1,56 +1,24 @@
 //! What each source of spikes reaches, gathered from the cores' tables.
 //!
 //! Comes in: a [`Program`], and the lane of each slot of each core. Goes out: for each share of the lanes and each delay a
-//! [`Draft`], source after source: the synapses in the order of the source's messages and their lists.
-//!
-//! Where every synapse is a message of its own, each leads to another core, axon and list, so that gathering them one after
-//! the other would wait for memory three or four times a synapse. So messages are taken some at a time, and each step of the
-//! way is asked for on behalf of all of them before the first of them takes it. Threads take consecutive sources each, and
-//! what they bring is put together in the order of sources. What it leaves out on purpose: which synapses stand in rows
-//! (`plan`).
+//! [`Draft`], source after source: the synapses in the order of the source's messages and their lists. Threads take
+//! consecutive sources each, and what they bring is put together in the order of sources. What it leaves out on purpose: which
+//! synapses stand in rows (`plan`).
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::base::id::{ChannelId, CompartmentId, Id};
-use crate::ir::program::{AxonTarget, CoreFormat, Program, Stored, Synapse};
+use crate::base::id::Id;
+use crate::ir::program::Program;
+use crate::machine::follow::Ways;
 use crate::machine::image::units;
 use crate::machine::lists::{Draft, Reached};
-use crate::machine::prefetch::prefetch;
 
 /// Sources that a thread takes at a time.
 const PIECE: u32 = 1_024;
 /// Pieces a thread that are gathered before they are put together: what bounds the memory that they take.
 const PIECES: usize = 4;
-/// Messages that are followed at a time: many times those that a core of the processor can wait for at once, few enough for
-/// what was asked for to be still in its first-level cache.
-const MESSAGES: usize = 128;
-
-/// A core, as far as a message's way leads through it.
-#[derive(Debug)]
-struct Core<'p> {
-    inputs: &'p Stored,
-    firsts: &'p [u32],
-    synapses: &'p [Synapse],
-    formats: &'p [CoreFormat],
-    /// Place of its first slot's lane.
-    slots: usize,
-}
-
-/// A message on its way.
-#[derive(Debug)]
-struct Sent {
-    /// Its source, from the first of the piece.
-    source: u32,
-    target: AxonTarget,
-    /// The list that it selects, then the first of the list's synapses.
-    at: usize,
-    /// How many there are.
-    count: usize,
-    /// Added to their slots.
-    base: u16,
-}
 
 /// What consecutive sources reach on one share over synapses of one delay.
 #[derive(Debug)]
@@ -64,8 +32,9 @@ struct Piece {
 /// The way from sources to lanes.
 #[derive(Debug)]
 pub(super) struct Gatherer<'a> {
-    program: &'a Program,
-    cores: Vec<Core<'a>>,
+    ways: Ways<'a>,
+    /// Place of the lane of each core's first slot.
+    slots: Vec<u32>,
     /// The lane of each slot, over all shares, core after core.
     lanes: Vec<u32>,
     /// First lane of each share, over all.
@@ -77,23 +46,19 @@ pub(super) struct Gatherer<'a> {
 impl<'a> Gatherer<'a> {
     /// With the lane of each compartment over all shares, the first lane of each share, and all delay fields, ascending.
     pub fn new(program: &'a Program, lane_of: &[u32], bases: &'a [u32], delays: &'a [u8]) -> Self {
-        let mut lanes = Vec::with_capacity(lane_of.len());
-        let core = |image: &'a crate::ir::program::CoreImage| {
-            let slots = lanes.len();
+        let (mut slots, mut lanes) = (Vec::new(), Vec::with_capacity(lane_of.len()));
+        for image in program.cores() {
+            slots.push(lanes.len() as u32);
             lanes.extend(image.ids.iter().map(|id| lane_of[id.index()]));
-            let inputs = &image.inputs;
-            let (firsts, synapses) = (inputs.lists.firsts(), inputs.lists.items());
-            Core { inputs, firsts, synapses, formats: &image.formats, slots }
-        };
-        let cores = program.cores().iter().map(core).collect();
-        Gatherer { program, cores, lanes, bases, delays }
+        }
+        Gatherer { ways: Ways::new(program), slots, lanes, bases, delays }
     }
 
     /// What these sources reach, by share and then by delay; the shares have so many lanes. Sources are numbered channels
-    /// first, and all of one kind.
+    /// first.
     pub fn gather(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Draft> {
-        let mut drafts: Vec<Draft> =
-            lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| lanes)).map(Draft::new).collect();
+        let drafts = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| Draft::new(lanes)));
+        let mut drafts: Vec<Draft> = drafts.collect();
         let pieces: Vec<u32> = sources.clone().step_by(PIECE as usize).collect();
         for some in pieces.chunks(PIECES * rayon::current_num_threads()) {
             let piece = |&first: &u32| self.piece(first..sources.end.min(first.saturating_add(PIECE)));
@@ -107,16 +72,6 @@ impl<'a> Gatherer<'a> {
         drafts
     }
 
-    fn messages(&self, source: u32) -> &'a [AxonTarget] {
-        match source.checked_sub(self.program.channels()) {
-            None => self.program.channel(ChannelId(source)),
-            Some(compartment) => {
-                let seat = self.program.seats()[CompartmentId(compartment)];
-                self.program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
-            }
-        }
-    }
-
     fn piece(&self, sources: Range<u32>) -> Vec<Piece> {
         let mut place_of = [0; u8::MAX as usize + 1];
         for (place, &delay) in self.delays.iter().enumerate() {
@@ -124,46 +79,17 @@ impl<'a> Gatherer<'a> {
         }
         let empty = || Piece { counts: vec![0; sources.len()], reached: Vec::new() };
         let mut pieces: Vec<Piece> = (0..self.bases.len() * self.delays.len()).map(|_| empty()).collect();
-        let mut sent = Vec::with_capacity(MESSAGES);
-        for (source, number) in (0..).zip(sources) {
-            for &target in self.messages(number) {
-                sent.push(Sent { source, target, at: 0, count: 0, base: 0 });
-                if sent.len() == MESSAGES {
-                    self.follow(&mut sent, &place_of, &mut pieces);
-                }
-            }
-        }
-        self.follow(&mut sent, &place_of, &mut pieces);
-        pieces
-    }
-
-    /// Follows messages to their synapses, all of them step by step; none are left.
-    fn follow(&self, sent: &mut Vec<Sent>, place_of: &[usize], pieces: &mut [Piece]) {
-        for message in sent.iter() {
-            prefetch(&self.cores, message.target.core.index());
-        }
-        for message in sent.iter_mut() {
-            let core = &self.cores[message.target.core.index()];
-            (message.at, message.base) = core.inputs.selected(usize::from(message.target.axon));
-            prefetch(core.firsts, message.at);
-            prefetch(core.formats, 0);
-        }
-        for message in sent.iter_mut() {
-            let core = &self.cores[message.target.core.index()];
-            let (first, end) = (core.firsts[message.at], core.firsts[message.at + 1]);
-            (message.at, message.count) = (first as usize, (end - first) as usize);
-            prefetch(core.synapses, message.at);
-        }
-        for message in sent.drain(..) {
-            let core = &self.cores[message.target.core.index()];
-            for synapse in &core.synapses[message.at..message.at + message.count] {
-                let lane = self.lanes[core.slots + usize::from(synapse.slot) + usize::from(message.base)];
+        self.ways.follow(sources.clone(), |selected| {
+            let slots = self.slots[selected.core.index()] as usize + usize::from(selected.base);
+            for synapse in selected.stored {
+                let lane = self.lanes[slots + usize::from(synapse.slot)];
                 let share = self.bases.partition_point(|&base| base <= lane) - 1;
                 let piece = &mut pieces[share * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
-                piece.counts[message.source as usize] += 1;
-                piece.reached.push((lane - self.bases[share], units(core.formats, synapse) as i16));
+                piece.counts[(selected.source - sources.start) as usize] += 1;
+                piece.reached.push((lane - self.bases[share], units(selected.formats, synapse) as i16));
             }
-        }
+        });
+        pieces
     }
 }
 
@@ -174,12 +100,14 @@ mod tests {
         BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
         WeightBits, WeightExponent,
     };
-    use crate::base::id::{CoreId, PopulationId};
+    use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
     use crate::base::rng;
     use crate::desc::network::{Semantics, ThresholdTest};
     use crate::ir::partition::Seat;
     use crate::ir::placement::{Mesh, Site};
-    use crate::ir::program::{Compartment, CoreImage, InputAxon, Lists, Parts, PopulationAxon};
+    use crate::ir::program::{
+        AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Stored, Synapse,
+    };
     use crate::ir::quantised::{Neuron, SynapseFormat};
     use crate::machine::image::Image;
 

@@ -10,7 +10,7 @@
 use rayon::prelude::*;
 
 use crate::base::fixed::WEIGHT_SHIFT;
-use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
+use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::program::{CoreFormat, Program, Synapse};
 use crate::ir::quantised::{Neuron, Reset, SpikeSource};
@@ -97,6 +97,12 @@ pub(super) struct Stretch {
     pub first: u32,
     /// The first block after it.
     pub end: u32,
+    /// Its first lane.
+    pub start: u32,
+    /// Its lanes, padding up to the next multiple of sixteen included.
+    pub lanes: u32,
+    /// The earliest step from which one of its compartments is not held at zero; all its blocks have the same fields.
+    pub starts: u32,
     /// The fields that all share where they can be updated as vectors; one block alone otherwise.
     pub vector: Option<u32>,
     /// A bit for each of its lanes, from its first, that is no padding.
@@ -201,15 +207,6 @@ impl<'p> Image<'p> {
     #[must_use]
     pub fn sources(&self) -> usize {
         self.channels as usize + self.compartments()
-    }
-
-    /// The source of a number.
-    #[must_use]
-    pub(super) fn source(&self, number: usize) -> SpikeSource {
-        match number.checked_sub(self.channels as usize) {
-            None => SpikeSource::Channel(ChannelId::new(number)),
-            Some(compartment) => SpikeSource::Compartment(CompartmentId::new(compartment)),
-        }
     }
 
     /// A source's number.
@@ -348,7 +345,8 @@ impl<'p> Image<'p> {
                 }
                 _ => None,
             };
-            let lanes = u64::MAX >> (GRANULE as u32 - block.length);
+            let mask = u64::MAX >> (GRANULE as u32 - block.length);
+            let lanes = block.length.next_multiple_of(LANES as u32);
             let begins = share.granules.len() <= block.start as usize / GRANULE;
             while share.granules.len() <= block.start as usize / GRANULE {
                 share.granules.push(share.stretches.len() as u32);
@@ -357,9 +355,13 @@ impl<'p> Image<'p> {
             match share.stretches.last_mut() {
                 Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => {
                     stretch.end += 1;
-                    stretch.mask |= lanes << (block.start - share.blocks[stretch.first as usize].start);
+                    stretch.mask |= mask << (block.start - stretch.start);
+                    stretch.lanes = block.start + lanes - stretch.start;
                 }
-                _ => share.stretches.push(Stretch { first: index, end: index + 1, vector, mask: lanes }),
+                _ => {
+                    let Block { start, starts, .. } = block;
+                    share.stretches.push(Stretch { first: index, end: index + 1, start, lanes, starts, vector, mask });
+                }
             }
             share.blocks.push(block);
         }

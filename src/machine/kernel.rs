@@ -181,9 +181,13 @@ pub trait Vectors: Copy {
     /// for fields that are.
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
 
-    /// The same of four chunks, for whoever has the registers; `None` also if not.
+    /// The same of some chunks at once, for whoever has the registers; `None` also if not.
     #[inline(always)]
-    fn update_four<S: Sum, const PLAIN: bool>(self, chunks: Chunks<'_, S, 4>, shared: &Shared) -> Option<Effect> {
+    fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
+        self,
+        chunks: Chunks<'_, S, N>,
+        shared: &Shared,
+    ) -> Option<Effect> {
         let _ = (chunks, shared);
         None
     }
@@ -250,10 +254,13 @@ fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, 
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
-    if let (Some(u), Some(v), Some(sums)) =
-        (u.first_chunk_mut::<4>(), v.first_chunk_mut::<4>(), sums.first_chunk_mut::<4>())
-        && let Some(Effect { spiked, moved, busy }) = vectors.update_four::<S, PLAIN>(Chunks { u, v, sums }, shared)
-    {
+    let at_once = match u.len() {
+        4 => some::<S, PLAIN, 4>(u, v, sums, shared, vectors),
+        3 => some::<S, PLAIN, 3>(u, v, sums, shared, vectors),
+        2 => some::<S, PLAIN, 2>(u, v, sums, shared, vectors),
+        _ => None,
+    };
+    if let Some(Effect { spiked, moved, busy }) = at_once {
         return Effects { spiked, moved, busy, overflowed: 0 };
     }
     for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
@@ -268,6 +275,19 @@ fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, 
         }
     }
     effects
+}
+
+/// Updates so many chunks at once.
+#[inline(always)]
+fn some<S: Sum, const PLAIN: bool, const N: usize>(
+    u: &mut [[i32; LANES]],
+    v: &mut [[i32; LANES]],
+    sums: &mut [[S; LANES]],
+    shared: &Shared,
+    vectors: impl Vectors,
+) -> Option<Effect> {
+    let (u, v, sums) = (u.first_chunk_mut::<N>()?, v.first_chunk_mut::<N>()?, sums.first_chunk_mut::<N>()?);
+    vectors.update_some::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
 }
 
 /// One bit a lane: the product gathers the lowest bits of eight bytes in its highest byte, as no two of its terms meet.

@@ -314,39 +314,34 @@ impl State {
         order: Order,
         vectors: impl Vectors,
     ) -> bool {
-        let stretch = share.stretches[index];
-        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
-        let Some(first) = blocks.first() else { return false };
-        // All blocks of a stretch have the same fields, the first step among them.
-        if order.step < first.starts {
-            for block in blocks {
-                self.visited += u64::from(block.length);
-                sums[block.start as usize..(block.start + block.length) as usize].fill(S::default());
-            }
+        let stretch = &share.stretches[index];
+        let lanes = stretch.start as usize..(stretch.start + stretch.lanes) as usize;
+        if order.step < stretch.starts {
+            self.visited += u64::from(stretch.mask.count_ones());
+            sums[lanes].fill(S::default());
             return false;
         }
         let Some(fields) = stretch.vector else {
-            let did = self.scalar(sums, image, share, *first, 0..first.length as usize, order);
+            let block = share.blocks[stretch.first as usize];
+            let did = self.scalar(sums, image, share, block, 0..block.length as usize, order);
             return self.note(share, index, did, order);
         };
-        let start = first.start as usize;
-        let end = blocks.last().map_or(start, |last| (last.start + last.length) as usize).next_multiple_of(LANES);
-        let lanes = start..end;
         if let Some(reset) = image.reset
             && reset.falls_on(order.step, image.fields[fields as usize].resets_from)
         {
             self.u[lanes.clone()].fill(0);
             self.v[lanes.clone()].fill(0);
         }
+        let shared = &image.shared[fields as usize];
         let mut registers =
             kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
-        let effects = kernel::hardware(&mut registers, &image.shared[fields as usize], vectors);
+        let effects = kernel::hardware(&mut registers, shared, vectors);
         let mut did = Did { spiked: effects.spiked, moved: effects.moved, busy: effects.busy };
         if effects.overflowed != 0 {
-            did.merge(self.redo(sums, image, share, stretch, effects.overflowed, order));
+            did.merge(self.redo(sums, image, share, *stretch, effects.overflowed, order));
         }
         // Padding is never at rest under a bias, and always without.
-        let moved = if image.fields[fields as usize].bias != 0 { stretch.mask } else { did.moved };
+        let moved = if shared.plain { did.moved } else { stretch.mask };
         self.note(share, index, Did { spiked: did.spiked & stretch.mask, moved, ..did }, order)
     }
 
@@ -378,14 +373,14 @@ impl State {
     /// Counts what a stretch did; says whether it is busy.
     #[inline(always)]
     fn note(&mut self, share: &Share, index: usize, did: Did, order: Order) -> bool {
-        let stretch = share.stretches[index];
-        let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
-        let Some(start) = blocks.first().map(|block| block.start) else { return false };
+        let stretch = &share.stretches[index];
+        let start = stretch.start;
         self.visited += u64::from(stretch.mask.count_ones());
         self.active_now += u64::from(did.moved.count_ones());
         if did.moved == stretch.mask && !order.list_active {
             self.whole[index] += 1;
         } else {
+            let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
             for (block, sum) in blocks.iter().zip(&mut self.active_by_block[stretch.first as usize..]) {
                 let active = (did.moved >> (block.start - start) & ones(block.length as usize)).count_ones();
                 *sum += u64::from(active);

@@ -26,37 +26,7 @@ pub(super) struct Table {
     pub synapses: Synapses,
     /// Sources ahead whose list is fetched: as many as have enough synapses to be busy with meanwhile.
     pub ahead: usize,
-    /// Whether lists are in the order of lanes, and long enough to be delivered half by half.
-    pub halves: bool,
 }
-
-/// Which synapses of a list: those of low lanes come first. Halves of equal number and not of equal lanes, so that a loop over
-/// one is as long as the loop before it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
-    /// All.
-    Whole,
-    /// The first half.
-    Low,
-    /// The others.
-    High,
-}
-
-impl Part {
-    /// Of so many.
-    #[inline(always)]
-    fn of(self, count: usize) -> Range<usize> {
-        let half = count / 2 / TOGETHER * TOGETHER;
-        match self {
-            Part::Whole => 0..count,
-            Part::Low => 0..half,
-            Part::High => half..count,
-        }
-    }
-}
-
-/// The fewest synapses of a list, in the mean, that is worth coming back to.
-const WORTH_HALVES: usize = 32;
 
 /// Synapses delivered while a list is fetched.
 const MEANWHILE: usize = 192;
@@ -120,10 +90,10 @@ pub(super) trait Lists {
     type Lane;
     /// What holds a weight.
     type Weight;
-    /// Asks for a part of a list.
-    fn fetch(&self, place: Place, part: Part);
-    /// Calls with lane and weight of each synapse of a part of a list.
-    fn each(&self, place: Place, part: Part, add: impl FnMut(Self::Lane, Self::Weight));
+    /// Asks for a list.
+    fn fetch(&self, place: Place);
+    /// Calls with lane and weight of each synapse of a list.
+    fn each(&self, place: Place, add: impl FnMut(Self::Lane, Self::Weight));
 }
 
 /// All lanes of a list, 16 bits each, then all its weights, 8 bits each.
@@ -135,23 +105,15 @@ impl Lists for Small {
     type Weight = i8;
 
     #[inline(always)]
-    fn fetch(&self, place: Place, part: Part) {
-        let Range { start, end } = place.bytes(SMALL);
-        if part == Part::Whole {
-            return prefetch_range(self.0.bytes(), start..end);
-        }
-        let (some, weights) = (part.of(place.len()), start + 2 * place.len());
-        prefetch_range(self.0.bytes(), start + 2 * some.start..start + 2 * some.end);
-        prefetch_range(self.0.bytes(), weights + some.start..weights + some.end);
+    fn fetch(&self, place: Place) {
+        prefetch_range(self.0.bytes(), place.bytes(SMALL));
     }
 
     #[inline(always)]
-    fn each(&self, place: Place, part: Part, mut add: impl FnMut(u16, i8)) {
+    fn each(&self, place: Place, mut add: impl FnMut(u16, i8)) {
         let (lanes, weights) = self.0.bytes()[place.bytes(SMALL)].split_at(2 * place.len());
-        let some = part.of(place.len());
-        let (lanes, weights) = (&lanes.as_chunks::<2>().0[some.clone()], &weights[some]);
-        let ((lanes, last_lanes), (weights, last_weights)) =
-            (lanes.as_chunks::<TOGETHER>(), weights.as_chunks::<TOGETHER>());
+        let (lanes, last_lanes) = lanes.as_chunks::<2>().0.as_chunks::<TOGETHER>();
+        let (weights, last_weights) = weights.as_chunks::<TOGETHER>();
         for (lanes, weights) in lanes.iter().zip(weights) {
             for (&lane, &weight) in lanes.iter().zip(weights) {
                 add(u16::from_le_bytes(lane), weight as i8);
@@ -172,14 +134,14 @@ impl Lists for Packed {
     type Weight = i16;
 
     #[inline(always)]
-    fn fetch(&self, place: Place, _: Part) {
+    fn fetch(&self, place: Place) {
         prefetch_range(self.1.bytes(), place.bytes(PACKED));
     }
 
     #[inline(always)]
-    fn each(&self, place: Place, part: Part, mut add: impl FnMut(usize, i16)) {
+    fn each(&self, place: Place, mut add: impl FnMut(usize, i16)) {
         let packing = self.0;
-        for &word in &self.1.bytes()[place.bytes(PACKED)].as_chunks::<PACKED>().0[part.of(place.len())] {
+        for &word in self.1.bytes()[place.bytes(PACKED)].as_chunks::<PACKED>().0 {
             let (lane, weight) = packing.unpack(u32::from_le_bytes(word));
             add(lane, weight);
         }
@@ -198,13 +160,12 @@ impl Lists for Apart {
     type Weight = i16;
 
     #[inline(always)]
-    fn fetch(&self, _: Place, _: Part) {}
+    fn fetch(&self, _: Place) {}
 
     #[inline(always)]
-    fn each(&self, place: Place, part: Part, mut add: impl FnMut(usize, i16)) {
+    fn each(&self, place: Place, mut add: impl FnMut(usize, i16)) {
         let (targets, weights) = (&self.targets[place.elements()], &self.weights[place.elements()]);
-        let some = part.of(place.len());
-        for (&lane, &weight) in targets[some.clone()].iter().zip(&weights[some]) {
+        for (&lane, &weight) in targets.iter().zip(weights) {
             add(lane as usize, weight);
         }
     }
@@ -382,12 +343,8 @@ impl Draft {
         let small = lanes >= SMALL_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
         let each = if small { SMALL } else { PACKED };
         let ahead = (MEANWHILE * ends.len()).div_ceil(total).clamp(AHEAD.0, AHEAD.1);
-        let halves = small && total >= WORTH_HALVES * lists().filter(|list| !list.is_empty()).count();
         let (places, synapses) = match words {
-            Words::Packed(mut words) => {
-                if halves {
-                    lists().for_each(|list| words[list].sort_unstable_by_key(|&word| packing.unpack(word).0));
-                }
+            Words::Packed(words) => {
                 let (places, size) = lay_out(lists().map(|list| list.len()), each).ok_or(total)?;
                 let mut store = Store::new(size);
                 let bytes = store.bytes_mut();
@@ -415,7 +372,7 @@ impl Draft {
                 (lists().map(place).collect::<Option<_>>().ok_or(total)?, Synapses::Apart(Apart { targets, weights }))
             }
         };
-        Ok(Some(Table { places, synapses, ahead, halves }))
+        Ok(Some(Table { places, synapses, ahead }))
     }
 }
 
@@ -452,12 +409,10 @@ mod tests {
             let mut push = |target: usize, weight| list.push((target as u32, weight));
             match &table.synapses {
                 Synapses::Small(lists) => {
-                    for part in [Part::Low, Part::High] {
-                        lists.each(place, part, |lane, weight| push(lane.into(), weight.into()));
-                    }
+                    lists.each(place, |lane, weight| push(lane.into(), weight.into()));
                 }
-                Synapses::Packed(lists) => lists.each(place, Part::Whole, push),
-                Synapses::Apart(lists) => lists.each(place, Part::Whole, push),
+                Synapses::Packed(lists) => lists.each(place, push),
+                Synapses::Apart(lists) => lists.each(place, push),
             }
             list
         };
@@ -470,25 +425,6 @@ mod tests {
             (rng::below(lanes, 1, source, index) as u32, weight as i16)
         };
         (0..sources).map(|source| (0..rng::below(60, 3, source, 0)).map(|index| of(source, index)).collect()).collect()
-    }
-
-    #[test]
-    fn long_small_lists_are_in_order_and_their_halves_are_all_of_them() {
-        for (length, lanes, ordered) in [(64, 5_000, true), (31, 5_000, false), (64, 100_000, false)] {
-            let lane = |source, index| rng::below(lanes, 1, source, index) as u32;
-            let lists: Vec<Vec<_>> =
-                (0..50).map(|source| (0..length).map(|index| (lane(source, index), index as i16)).collect()).collect();
-            let (mut out, table) = read(&lists, lanes as usize);
-            assert_eq!(table.halves, ordered, "{length} {lanes}");
-            assert_eq!(out.iter().all(|list| list.is_sorted_by_key(|&(lane, _)| lane)), ordered);
-            out.iter_mut().for_each(|list| list.sort_unstable_by_key(|&(_, weight)| weight));
-            assert_eq!(out, lists);
-        }
-        for count in 0..200 {
-            let (low, high) = (Part::Low.of(count), Part::High.of(count));
-            assert_eq!((low.start, low.end, high.end), (0, high.start, count));
-            assert!(low.len() <= high.len() && high.len() - low.len() < 2 * TOGETHER);
-        }
     }
 
     /// The narrowest form that holds all, and what was put in comes out.

@@ -15,6 +15,7 @@
 //! What it leaves out on purpose: energy and time, which `cost` computes from the counts, and names.
 
 mod bits;
+mod follow;
 mod gather;
 pub mod image;
 pub mod kernel;
@@ -121,17 +122,15 @@ impl<'i> Machine<'i> {
     /// What all steps did since this was last asked, over any number of samples.
     pub fn take_activity(&mut self) -> Activity {
         let (program, tally) = (self.image.program(), &self.image.tally);
-        let mut sum = StepActivity::new(program.cores().len());
         let mut fired = self.take_fired();
-        for &(source, reach) in &self.late {
+        for &(source, _) in &self.late {
             fired[self.image.number(source)] -= 1;
+        }
+        let mut sum = tally.sum(&fired);
+        for (source, reach) in self.late.drain(..) {
             tally.add_spikes(source, reach, 1, &mut sum);
         }
-        self.late.clear();
-        for (source, &times) in fired.iter().enumerate().filter(|(_, times)| **times > 0) {
-            tally.add_spikes(self.image.source(source), u32::MAX, times.into(), &mut sum);
-        }
-        tally::add_visits(program, self.run_steps, &mut sum);
+        tally.add_visits(self.run_steps, &mut sum);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
             for (count, block) in lanes.take_active(share).into_iter().zip(&share.blocks) {
                 sum.cores[block.core].active += count;
@@ -245,7 +244,7 @@ impl Engine for Machine<'_> {
         }
         if self.settings.per_step {
             self.last.clear();
-            tally::add_visits(image.program(), 1, &mut self.last);
+            image.tally.add_visits(1, &mut self.last);
             for lanes in &self.shares {
                 tally::add_active(&lanes.active, &mut self.last);
             }
@@ -264,7 +263,7 @@ impl Engine for Machine<'_> {
         self.totals.compartment_updates += u64::from(steps) * self.image.compartments() as u64;
         if self.settings.per_step {
             self.last.clear();
-            tally::add_visits(self.image.program(), 1, &mut self.last);
+            self.image.tally.add_visits(1, &mut self.last);
         }
         true
     }

@@ -3,6 +3,7 @@
 //! Comes in: which sources are to be panels (`plan`), and their synapses. Goes out: [`Panels`]. What is in no row remains for
 //! the lists. How many synapses a source has is kept beside its row, for zeros are no synapses.
 
+use crate::base::id::Id;
 use crate::machine::kernel::LANES;
 use crate::machine::plan::Planned;
 use crate::machine::store::Aligned;
@@ -32,6 +33,17 @@ pub(super) struct Panel {
     pub stride: usize,
     /// Synapses of each source: those of its lanes that are no zeros for want of one.
     pub synapses: Counts,
+}
+
+impl Panel {
+    /// Synapses of these sources, which are all the panel's.
+    #[inline(always)]
+    pub fn synapses<I: Id>(&self, ids: &[I]) -> u64 {
+        match &self.synapses {
+            Counts::Same(count) => u64::from(*count) * ids.len() as u64,
+            Counts::Each(counts) => ids.iter().map(|id| u64::from(counts[id.index() - self.first as usize])).sum(),
+        }
+    }
 }
 
 /// A number for each source.
@@ -164,7 +176,7 @@ mod tests {
     use super::*;
     use crate::base::rng;
     use crate::machine::image::Reach;
-    use crate::machine::lists::{Draft, Lists, Part, Reached, Synapses};
+    use crate::machine::lists::{Draft, Lists, Reached, Synapses};
     use std::collections::BTreeMap;
 
     /// Lays sources out, and checks that rows and lists together hold each source's weights by lane and its number of synapses.
@@ -190,10 +202,10 @@ mod tests {
                 all_listed += place.len();
                 match &table.synapses {
                     Synapses::Small(lists) => {
-                        lists.each(place, Part::Whole, |lane, weight| hold(lane.into(), weight.into()));
+                        lists.each(place, |lane, weight| hold(lane.into(), weight.into()));
                     }
-                    Synapses::Packed(lists) => lists.each(place, Part::Whole, &mut hold),
-                    Synapses::Apart(lists) => lists.each(place, Part::Whole, &mut hold),
+                    Synapses::Packed(lists) => lists.each(place, &mut hold),
+                    Synapses::Apart(lists) => lists.each(place, &mut hold),
                 }
             }
             if let Some(panel) = panels.panels.iter().find(|panel| (panel.first..panel.end).contains(&source)) {

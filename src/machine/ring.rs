@@ -7,8 +7,8 @@ use crate::base::id::Id;
 use crate::machine::bits::ones;
 use crate::machine::image::{GRANULE, Reach};
 use crate::machine::kernel::{LANES, Sum};
-use crate::machine::lists::{ADDRESSED, Lists, Part, Synapses, Table};
-use crate::machine::panels::{Counts, Panel, Panels, Row};
+use crate::machine::lists::{ADDRESSED, Lists, Synapses, Table};
+use crate::machine::panels::{Panel, Panels, Row};
 use crate::machine::prefetch::prefetch;
 use crate::machine::store::Aligned;
 
@@ -89,6 +89,21 @@ impl<S: Sum> Ring<S> {
             panels = &panels[passed..];
             let Some(panel) = panels.first() else { break };
             rest = &rest[before(rest, panel.first)..];
+            if let [row @ Row { chunks: 1..=4, .. }] = panel.rows.as_slice() {
+                let passed = match row.chunks {
+                    1 => self.pass::<I, 1>(panel, row, weights, rest, slot),
+                    2 => self.pass::<I, 2>(panel, row, weights, rest, slot),
+                    3 => self.pass::<I, 3>(panel, row, weights, rest, slot),
+                    _ => self.pass::<I, 4>(panel, row, weights, rest, slot),
+                };
+                let (spiking, after) = rest.split_at(passed);
+                rest = after;
+                if NOTE && !spiking.is_empty() {
+                    self.note(slot, row);
+                }
+                events += panel.synapses(spiking);
+                continue;
+            }
             let (spiking, after) = rest.split_at(before(rest, panel.end));
             rest = after;
             if !spiking.is_empty() {
@@ -128,10 +143,32 @@ impl<S: Sum> Ring<S> {
             }
             chunk += count;
         }
-        match &panel.synapses {
-            Counts::Same(count) => u64::from(*count) * ids.len() as u64,
-            Counts::Each(counts) => sources().map(|s| u64::from(counts[s])).sum(),
+        panel.synapses(ids)
+    }
+
+    /// Adds the weights of a panel's sources that has one row of so many chunks, as long as sources are the panel's; returns
+    /// how many were. None is looked for beforehand: where they end is seen as each is looked up.
+    #[inline(always)]
+    fn pass<I: Id, const N: usize>(
+        &mut self,
+        panel: &Panel,
+        row: &Row,
+        weights: &[[i16; LANES]],
+        ids: &[I],
+        slot: usize,
+    ) -> usize {
+        let sources = (panel.end - panel.first) as usize;
+        let weights = weights[panel.weights..panel.weights + sources * N].as_chunks::<N>().0;
+        let (sums, _) = self.sums[slot][row.target as usize..].as_chunks_mut::<LANES>();
+        let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
+        let (mut kept, mut passed) = (*sums, 0);
+        for id in ids {
+            let Some(weights) = weights.get(id.index() - panel.first as usize) else { break };
+            plus(&mut kept, weights);
+            passed += 1;
         }
+        *sums = kept;
+        passed
     }
 
     /// Notes that something arrives at a row's granules.
@@ -146,7 +183,7 @@ impl<S: Sum> Ring<S> {
 
     #[inline(always)]
     fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
-        let (lanes, sums, arrivals) = (self.lanes, &mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
+        let (sums, arrivals) = (&mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
         let mut note = |target: usize| {
             if NOTE {
                 let granule = target / GRANULE;
@@ -158,23 +195,18 @@ impl<S: Sum> Ring<S> {
                 // As many sums as a lane of 16 bits can name, so that none has to be looked at.
                 let sums: &mut [S; ADDRESSED] =
                     sums.first_chunk_mut().expect("small lists have all sums they can name");
-                let mut add = |target: u16, weight: i8| {
+                let add = |target: u16, weight: i8| {
                     let target = usize::from(target);
                     sums[target] = sums[target].plus(i16::from(weight));
                     note(target);
                 };
-                if table.halves && size_of::<S>() * lanes > FIRST_LEVEL {
-                    deliver_each(table, ids, lists, Part::Low, &mut add)
-                        + deliver_each(table, ids, lists, Part::High, &mut add)
-                } else {
-                    deliver_each(table, ids, lists, Part::Whole, add)
-                }
+                deliver_each(table, ids, lists, add)
             }
-            Synapses::Packed(lists) => deliver_each(table, ids, lists, Part::Whole, |target: usize, weight: i16| {
+            Synapses::Packed(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
                 sums[target] = sums[target].plus(weight);
                 note(target);
             }),
-            Synapses::Apart(lists) => deliver_each(table, ids, lists, Part::Whole, |target: usize, weight: i16| {
+            Synapses::Apart(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
                 sums[target] = sums[target].plus(weight);
                 note(target);
             }),
@@ -185,33 +217,22 @@ impl<S: Sum> Ring<S> {
 /// Calls with every synapse of a part that these sources reach over a table, while the lists of the next are fetched; returns
 /// of how many synapses.
 #[inline(always)]
-fn deliver_each<L: Lists, I: Id>(
-    table: &Table,
-    ids: &[I],
-    lists: &L,
-    part: Part,
-    mut add: impl FnMut(L::Lane, L::Weight),
-) -> u64 {
+fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: impl FnMut(L::Lane, L::Weight)) -> u64 {
     let mut events = 0;
-    let ahead = if part == Part::Whole { table.ahead } else { 2 * table.ahead };
+    let ahead = table.ahead;
     for (index, id) in ids.iter().enumerate() {
         if let Some(far) = ids.get(index + ahead + FAR) {
             prefetch(&table.places, far.index());
         }
         if let Some(near) = ids.get(index + ahead) {
-            lists.fetch(table.places[near.index()], part);
+            lists.fetch(table.places[near.index()]);
         }
         let place = table.places[id.index()];
-        // Both halves of a list are one list.
-        events += if part == Part::High { 0 } else { place.len() as u64 };
-        lists.each(place, part, &mut add);
+        events += place.len() as u64;
+        lists.each(place, &mut add);
     }
     events
 }
-
-/// Bytes of sums that stay in a core's first-level cache while lists pass through it. Sums that do not fit are better added to
-/// half by half, although each list is then come back to.
-const FIRST_LEVEL: usize = 40 << 10;
 
 /// Sources from one whose list is fetched to one whose place in the table is.
 const FAR: usize = 12;
@@ -250,14 +271,21 @@ fn add<S: Sum, const N: usize>(
 ) {
     let mut kept = *sums;
     for place in places {
-        let weights = &weights[place..place + N];
-        for chunk in 0..N {
-            for lane in 0..LANES {
-                kept[chunk][lane] = kept[chunk][lane].plus(weights[chunk][lane]);
-            }
+        if let Some(weights) = weights[place..].first_chunk() {
+            plus(&mut kept, weights);
         }
     }
     *sums = kept;
+}
+
+/// Adds chunks of weights to as many chunks of sums.
+#[inline(always)]
+fn plus<S: Sum, const N: usize>(sums: &mut [[S; LANES]; N], weights: &[[i16; LANES]; N]) {
+    for chunk in 0..N {
+        for lane in 0..LANES {
+            sums[chunk][lane] = sums[chunk][lane].plus(weights[chunk][lane]);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -314,11 +342,15 @@ mod tests {
         assert!(rows.table.is_none() && !rows.panels.panels.is_empty());
         let whole = compare::<i16>(8_192, 70, 8_192);
         assert!(whole.panels.panels.is_empty() && whole.table.is_some());
-        // Lists in two halves, of sums of either width.
-        for lists in [compare::<i16>(32_768, 70, 32_768), compare::<i32>(16_384, 70, 16_384)] {
-            assert!(lists.table.is_some_and(|table| table.halves));
+        for wide in [compare::<i32>(16_384, 70, 16_384), compare::<i32>(70_016, 70, 70_000)] {
+            assert!(wide.table.is_some());
         }
-        let packed = compare::<i32>(70_016, 70, 70_000);
-        assert!(packed.table.is_some_and(|table| !table.halves));
+        // Rows of one chunk to four, and one that is no longer narrow.
+        for chunks in 1..=5 {
+            let lanes = chunks * LANES as u32;
+            let rows = compare::<i16>(lanes as usize, 30, lanes.into());
+            assert!(rows.table.is_none());
+            assert!(rows.panels.panels.iter().all(|panel| panel.rows == [Row { target: 0, chunks }]));
+        }
     }
 }

@@ -8,10 +8,14 @@
 //! How many synapses of a list are dense and how many sparse is the same for every spike that selects it, so a [`Tally`]
 //! knows it beforehand. Only near a sample's end, where deliveries fall after it, are synapses counted one by one.
 
+use rayon::prelude::*;
+
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use crate::ir::activity::StepActivity;
+use crate::ir::placement::Site;
 use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, Program, Synapse};
 use crate::ir::quantised::SpikeSource;
+use crate::machine::follow::{Selected, Ways};
 
 /// The longest delay field of a program's synapses.
 #[must_use]
@@ -55,6 +59,18 @@ impl Held {
             }
         }
     }
+
+    /// Of a stored list of so many synapses: (dense, sparse), where it is known.
+    #[inline]
+    fn of_list(&self, list: usize, synapses: u64) -> Option<(u64, u64)> {
+        let dense = match self {
+            Held::Dense => synapses,
+            Held::Sparse => 0,
+            Held::Both(dense) => u64::from(dense[list]),
+            Held::Short => return None,
+        };
+        Some((dense, synapses - dense))
+    }
 }
 
 /// What a spike of each source costs.
@@ -86,18 +102,24 @@ impl<'p> Tally<'p> {
         self.held.iter().map(|held| size_of::<Held>() + of(held)).sum()
     }
 
+    /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
+    #[inline]
+    fn events(
+        &self,
+        (core, list): (CoreId, usize),
+        stored: &[Synapse],
+        formats: &[CoreFormat],
+        reach: u32,
+    ) -> (u64, u64) {
+        let known = if reach > self.longest_delay { self.held[core].of_list(list, stored.len() as u64) } else { None };
+        known.unwrap_or_else(|| counted(stored, formats, reach))
+    }
+
     /// Synaptic events of a message whose delay field is below `reach`: (dense, sparse).
-    fn events(&self, message: &AxonTarget, reach: u32) -> (u64, u64) {
-        let (image, axon) = (&self.program.cores()[message.core], usize::from(message.axon));
-        let (list, _) = image.inputs.selected(axon);
-        let all = || image.inputs.lists.get(list).len() as u64;
-        match &self.held[message.core] {
-            _ if reach <= self.longest_delay => counted(image, list, reach),
-            Held::Dense => (all(), 0),
-            Held::Sparse => (0, all()),
-            Held::Both(dense) => (u64::from(dense[list]), all() - u64::from(dense[list])),
-            Held::Short => counted(image, list, reach),
-        }
+    fn events_of(&self, message: &AxonTarget, reach: u32) -> (u64, u64) {
+        let image = &self.program.cores()[message.core];
+        let (list, _) = image.inputs.selected(usize::from(message.axon));
+        self.events((message.core, list), image.inputs.lists.get(list), &image.formats, reach)
     }
 
     /// Messages of a spike of this source.
@@ -115,7 +137,7 @@ impl<'p> Tally<'p> {
     #[must_use]
     pub fn events_within(&self, source: SpikeSource, reach: u32) -> u64 {
         let of = |message: &AxonTarget| {
-            let (dense, sparse) = self.events(message, reach);
+            let (dense, sparse) = self.events_of(message, reach);
             dense + sparse
         };
         self.messages(source).iter().map(of).sum()
@@ -140,7 +162,7 @@ impl<'p> Tally<'p> {
         };
         for message in sent {
             let image = &program.cores()[message.core];
-            let (dense, sparse) = self.events(message, reach);
+            let (dense, sparse) = self.events_of(message, reach);
             let core = &mut sum.cores[message.core];
             core.messages_in += times;
             core.events_dense += dense * times;
@@ -151,6 +173,70 @@ impl<'p> Tally<'p> {
             };
             sum.add_routes(route, times);
         }
+    }
+
+    /// What so many spikes of each source cause, by the sources' numbers, of whose deliveries none falls after a sample's end.
+    #[must_use]
+    pub fn sum(&self, fired: &[u32]) -> StepActivity {
+        let (cores, ways) = (self.program.cores(), Ways::new(self.program));
+        let sites: IdVec<CoreId, Site> = cores.iter().map(|image| image.site).collect();
+        // Each thread has counts of its own, as many as there are cores: they have to be worth it.
+        let size = fired.len().div_ceil(rayon::current_num_threads()).max(cores.len()).max(1);
+        let of_part = |(part, fired): (usize, &[u32])| self.sum_from(part * size, fired, &ways, &sites);
+        let parts: Vec<StepActivity> = match fired.len() <= size {
+            true => vec![of_part((0, fired))],
+            false => fired.par_chunks(size).enumerate().map(of_part).collect(),
+        };
+        let mut parts = parts.into_iter();
+        let mut sum = parts.next().unwrap_or_else(|| StepActivity::new(cores.len()));
+        parts.for_each(|part| sum.merge(&part));
+        sum
+    }
+
+    /// As [`Tally::sum`], of the sources from one on.
+    fn sum_from(&self, first: usize, fired: &[u32], ways: &Ways, sites: &IdVec<CoreId, Site>) -> StepActivity {
+        let (program, mut sum) = (self.program, StepActivity::new(sites.len()));
+        let channels = program.channels();
+        let core_of = |source: u32| source.checked_sub(channels).map(|c| program.seats()[CompartmentId(c)].core);
+        let sources = (first as u32..).zip(fired).filter(|&(_, &times)| times > 0);
+        for (source, &times) in sources.clone() {
+            let (sent, times) = (ways.messages(source).len() as u64, u64::from(times));
+            match core_of(source) {
+                None => {
+                    sum.spikes_in += times;
+                    sum.messages_from_inputs += sent * times;
+                }
+                Some(core) => {
+                    sum.cores[core].spikes += times;
+                    sum.cores[core].messages_out += sent * times;
+                }
+            }
+        }
+        let mut last = None;
+        ways.follow(sources.map(|(source, _)| source), |selected| {
+            let (from, times) = match last {
+                Some((source, from, times)) if source == selected.source => (from, times),
+                _ => {
+                    let from = core_of(selected.source).map(|core| sites[core]);
+                    let times = u64::from(fired[selected.source as usize - first]);
+                    last = Some((selected.source, from, times));
+                    (from, times)
+                }
+            };
+            let Selected { core, list, stored, formats, .. } = selected;
+            let (dense, sparse) = self.events((core, list), stored, formats, u32::MAX);
+            let to = sites[core];
+            let core = &mut sum.cores[core];
+            core.messages_in += times;
+            core.events_dense += dense * times;
+            core.events_sparse += sparse * times;
+            let route = match from {
+                None => program.mesh().route_from_corner(to),
+                Some(from) => program.mesh().route(from, to),
+            };
+            sum.add_routes(route, times);
+        });
+        sum
     }
 
     /// Adds one step's spikes: inputs, whose deliveries reach until `left` steps from this one are gone, and compartments,
@@ -167,27 +253,28 @@ impl<'p> Tally<'p> {
             self.add_spikes(SpikeSource::Compartment(compartment), left.saturating_sub(1), 1, step);
         }
     }
+
+    /// Adds every core's compartments, visited in so many steps.
+    pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
+        for (counts, image) in sum.cores.iter_mut().zip(self.program.cores()) {
+            counts.visited += image.compartments.len() as u64 * steps;
+        }
+    }
 }
 
 /// Synapses of a stored list whose delay field is below `reach`, one by one: (dense, sparse).
-fn counted(image: &CoreImage, list: usize, reach: u32) -> (u64, u64) {
+#[inline]
+fn counted(stored: &[Synapse], formats: &[CoreFormat], reach: u32) -> (u64, u64) {
     let (mut dense, mut sparse) = (0, 0);
-    for synapse in image.inputs.lists.get(list) {
+    for synapse in stored {
         if u32::from(synapse.delay.get()) < reach {
-            match is_dense(&image.formats[usize::from(synapse.format)]) {
+            match is_dense(&formats[usize::from(synapse.format)]) {
                 true => dense += 1,
                 false => sparse += 1,
             }
         }
     }
     (dense, sparse)
-}
-
-/// Adds every core's compartments, visited in so many steps.
-pub fn add_visits(program: &Program, steps: u64, sum: &mut StepActivity) {
-    for (counts, image) in sum.cores.iter_mut().zip(program.cores()) {
-        counts.visited += image.compartments.len() as u64 * steps;
-    }
 }
 
 /// Adds compartments that were not at rest.

@@ -37,8 +37,12 @@ impl Vectors for V4 {
     }
 
     #[inline(always)]
-    fn update_four<S: Sum, const PLAIN: bool>(self, chunks: Chunks<'_, S, 4>, shared: &Shared) -> Option<Effect> {
-        update::<S, PLAIN, 4>(self, chunks, shared)
+    fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
+        self,
+        chunks: Chunks<'_, S, N>,
+        shared: &Shared,
+    ) -> Option<Effect> {
+        update::<S, PLAIN, N>(self, chunks, shared)
     }
 }
 
