@@ -8,7 +8,8 @@
 //! the busiest link when they do. For the time of a step a candidate must therefore be no slower than the unplaced
 //! sequential one when every source spikes at once, and when all sources of one population do: over all populations and, but
 //! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
-//! compartments on the same cores, may be slower by as much in one population's burst.
+//! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
+//! `EVERYWHERE`, also when every source spikes.
 
 use std::sync::Mutex;
 
@@ -28,6 +29,8 @@ pub(super) const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 const SHORTEST: [u32; 6] = [8, 1, 2, 4, 16, 32];
 /// How much less a mean step must take to be trusted to take no longer when spikes come together.
 const MARGIN: f64 = 0.9;
+/// How much less it must take where no burst may take longer and that of all sources takes as much less.
+const EVERYWHERE: f64 = 0.95;
 /// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
 const SHORT: f64 = 0.1;
 /// Populations whose bursts candidates are compared in.
@@ -187,7 +190,15 @@ pub(super) fn chosen<M>(
     for other in others {
         let times = times(&other.mapping)?;
         tracing::debug!(candidate = ?other.found.candidate, ?times, ?least, "steps of bursts in microseconds");
-        let slack = if shorter(&other.found, &plain.found) { 1.0 / MARGIN } else { 1.0 };
+        let step = |found: &Found| found.score.step_us;
+        let shorter = |part: f64| step(&other.found) < part * step(&plain.found);
+        let slack = if same_cores(&other.found, &plain.found) || shorter(MARGIN) {
+            1.0 / MARGIN
+        } else if shorter(EVERYWHERE) && times.first() < least.first().map(|all| EVERYWHERE * all).as_ref() {
+            1.0
+        } else {
+            continue;
+        };
         if no_slower(&times, &least, slack) {
             return Ok(other.mapping);
         }
@@ -195,10 +206,10 @@ pub(super) fn chosen<M>(
     Ok(plain.mapping)
 }
 
-/// Whether a candidate's mean step is shorter than that of the first, unplaced one by enough not to be so by chance.
-fn shorter(other: &Found, plain: &Found) -> bool {
+/// Whether two candidates hold the same compartments on the same cores.
+fn same_cores(one: &Found, other: &Found) -> bool {
     let cores = |found: &Found| (found.candidate.strategy, found.candidate.divisor);
-    cores(other) == cores(plain) || other.score.step_us < MARGIN * plain.score.step_us
+    cores(one) == cores(other)
 }
 
 /// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all sources spike; those of one
