@@ -18,7 +18,7 @@ use crate::machine::gather::Gatherer;
 use crate::machine::kernel::{LANES, Shared};
 use crate::machine::lists::{Draft, Table};
 use crate::machine::neuron::Fields;
-use crate::machine::panels::{Layout, Panels};
+use crate::machine::panels::{Layout, Panel, Panels};
 use crate::machine::plan::Plan;
 use crate::machine::tally::Tally;
 
@@ -153,6 +153,8 @@ pub struct Image<'p> {
     /// Whether no sum of a step can leave 16 bits.
     pub(super) narrow: bool,
     pub(super) channels: u32,
+    /// Whether each channel has its row in one narrow panel and nothing else, so that its spikes are counted on the way.
+    pub(super) heard_in_rows: bool,
     /// Granules of all shares.
     pub(super) granules: usize,
 }
@@ -180,6 +182,7 @@ impl<'p> Image<'p> {
             shares: Vec::new(),
             narrow: true,
             channels: program.channels(),
+            heard_in_rows: false,
             granules: 0,
         };
         let blocks = image.lay_out();
@@ -188,6 +191,7 @@ impl<'p> Image<'p> {
         image.share_out(blocks, shares);
         image.name();
         image.connect()?;
+        image.heard_in_rows = matches!(image.shares.as_slice(), [share] if share.hears_in_rows(image.channels));
         Ok(image)
     }
 
@@ -434,6 +438,14 @@ impl<'p> Image<'p> {
 }
 
 impl Share {
+    /// Whether what channels reach is one narrow panel after the other, from the first to the last, and nothing else.
+    fn hears_in_rows(&self, channels: u32) -> bool {
+        let [Reach { panels, table: None, .. }] = self.of_channels.as_slice() else { return false };
+        let follow =
+            |end: u32, panel: &Panel| Some(panel.end).filter(|_| panel.first == end && panel.narrow().is_some());
+        panels.panels.iter().try_fold(0, follow) == Some(channels)
+    }
+
     fn empty() -> Self {
         Share {
             lanes: 0,

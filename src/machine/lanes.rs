@@ -46,7 +46,9 @@ pub(super) struct Step<'a> {
     /// Its share.
     pub share: &'a Share,
     /// What to do.
-    pub order: Order<'a>,
+    pub order: &'a Order<'a>,
+    /// Spikes of each channel, to be counted if it is not empty.
+    pub heard: &'a mut [u32],
 }
 
 impl Step<'_> {
@@ -69,7 +71,7 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
     #[inline(always)]
     fn call(self) {
         let With(step, vectors) = self;
-        step.lanes.step(step.image, step.share, step.order, vectors);
+        step.lanes.step(step.image, step.share, *step.order, step.heard, vectors);
     }
 }
 
@@ -210,10 +212,10 @@ impl Lanes {
 
     /// Deliver and Update.
     #[inline(always)]
-    pub fn step(&mut self, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
+    pub fn step(&mut self, image: &Image, share: &Share, order: Order, heard: &mut [u32], vectors: impl Vectors) {
         match &mut self.ring {
-            Sums::Narrow(ring) => self.state.step(ring, image, share, order, vectors),
-            Sums::Wide(ring) => self.state.step(ring, image, share, order, vectors),
+            Sums::Narrow(ring) => self.state.step(ring, image, share, order, heard, vectors),
+            Sums::Wide(ring) => self.state.step(ring, image, share, order, heard, vectors),
         }
     }
 }
@@ -252,18 +254,27 @@ impl State {
     }
 
     #[inline(always)]
-    fn step<S: Sum>(&mut self, ring: &mut Ring<S>, image: &Image, share: &Share, order: Order, vectors: impl Vectors) {
+    fn step<S: Sum>(
+        &mut self,
+        ring: &mut Ring<S>,
+        image: &Image,
+        share: &Share,
+        order: Order,
+        heard: &mut [u32],
+        vectors: impl Vectors,
+    ) {
+        let (channels, carried) = ((order.channels, heard), (order.carried, &mut [][..]));
         let cursor = order.step as usize % ring.sums.len();
         self.events_now = 0;
         if order.everywhere {
             let granules = share.granules.len() - 1;
             // Arrivals of this step's spikes may lie in any slot that a delay leads to.
             ring.note_all(granules);
-            self.events_now += ring.deliver::<false, _>(&share.of_channels, order.channels, cursor, order.left);
-            self.events_now += ring.deliver::<false, _>(&share.of_compartments, order.carried, cursor, order.left);
+            self.events_now += ring.deliver::<false, _>(&share.of_channels, channels, cursor, order.left);
+            self.events_now += ring.deliver::<false, _>(&share.of_compartments, carried, cursor, order.left);
         } else {
-            self.events_now += ring.deliver::<true, _>(&share.of_channels, order.channels, cursor, order.left);
-            self.events_now += ring.deliver::<true, _>(&share.of_compartments, order.carried, cursor, order.left);
+            self.events_now += ring.deliver::<true, _>(&share.of_channels, channels, cursor, order.left);
+            self.events_now += ring.deliver::<true, _>(&share.of_compartments, carried, cursor, order.left);
         }
         self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, share, order, vectors);
         self.note_spikes(share);

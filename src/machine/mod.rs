@@ -198,15 +198,17 @@ impl Engine for Machine<'_> {
         let image = self.image;
         let left = self.steps.saturating_sub(self.step);
         std::mem::swap(&mut self.spikes, &mut self.carried);
-        let fired = self.fired.as_mut_slice();
-        for channel in channels {
-            fired[channel.index()] += 1;
+        if !image.heard_in_rows {
+            let fired = self.fired.as_mut_slice();
+            for channel in channels {
+                fired[channel.index()] += 1;
+            }
         }
         if left <= image.longest_delay {
             self.note_late(channels.iter().map(|&channel| SpikeSource::Channel(channel)), left);
         }
         let everywhere = self.last_events >= CROWDED * image.granules as u64;
-        let order = Order {
+        let order = &Order {
             step: self.step,
             left,
             channels,
@@ -216,17 +218,21 @@ impl Engine for Machine<'_> {
             list_active: self.settings.per_step,
         };
         let arch = self.arch;
+        let heard = if image.heard_in_rows { self.fired.as_mut_slice() } else { &mut [] };
         match (self.shares.as_mut_slice(), image.shares.as_slice()) {
-            ([lanes], [share]) => Step { lanes, image, share, order }.run(arch),
+            ([lanes], [share]) => Step { lanes, image, share, order, heard }.run(arch),
             (lanes, shares) => lanes
                 .par_iter_mut()
                 .zip(shares)
-                .for_each(|(lanes, share)| Step { lanes, image, share, order }.run(arch)),
+                .for_each(|(lanes, share)| Step { lanes, image, share, order, heard: &mut [] }.run(arch)),
         }
         self.spikes.clear();
         self.last_events = 0;
-        for lanes in &self.shares {
-            self.spikes.extend_from_slice(&lanes.spikes);
+        for lanes in &mut self.shares {
+            match image.shares.len() {
+                1 => std::mem::swap(&mut self.spikes, &mut lanes.spikes),
+                _ => self.spikes.extend_from_slice(&lanes.spikes),
+            }
             self.totals.active_updates += lanes.active_now;
             self.last_events += lanes.events_now;
         }

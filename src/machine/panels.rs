@@ -35,7 +35,19 @@ pub(super) struct Panel {
     pub synapses: Counts,
 }
 
+/// Chunks of a row whose sums can stay in registers.
+const NARROW: u32 = 4;
+
 impl Panel {
+    /// Its row, where it has but one that is narrow.
+    #[inline(always)]
+    pub fn narrow(&self) -> Option<&Row> {
+        match self.rows.as_slice() {
+            [row @ Row { chunks: 1..=NARROW, .. }] => Some(row),
+            _ => None,
+        }
+    }
+
     /// Synapses of these sources, which are all the panel's.
     #[inline(always)]
     pub fn synapses<I: Id>(&self, ids: &[I]) -> u64 {

@@ -62,15 +62,21 @@ impl<S: Sum> Ring<S> {
     }
 
     /// Delivers what spikes of one kind, ascending, reach, and notes where; returns the synapses over which it arrives within
-    /// `left` steps.
+    /// `left` steps. Spikes that reach narrow rows are counted in `heard` by source, unless that is empty.
     #[inline(always)]
-    pub fn deliver<const NOTE: bool, I: Id>(&mut self, reached: &[Reach], ids: &[I], cursor: usize, left: u32) -> u64 {
+    pub fn deliver<const NOTE: bool, I: Id>(
+        &mut self,
+        reached: &[Reach],
+        (ids, heard): (&[I], &mut [u32]),
+        cursor: usize,
+        left: u32,
+    ) -> u64 {
         let mut events = 0;
         for reach in reached {
             let slot = self.slot(cursor, reach.delay);
             let mut synapses = 0;
             if !reach.panels.panels.is_empty() {
-                synapses += self.deliver_panels::<NOTE, I>(&reach.panels, ids, slot);
+                synapses += self.deliver_panels::<NOTE, I>(&reach.panels, (ids, &mut *heard), slot);
             }
             if let Some(table) = &reach.table {
                 synapses += self.deliver_lists::<NOTE, I>(table, ids, slot);
@@ -81,7 +87,12 @@ impl<S: Sum> Ring<S> {
     }
 
     #[inline(always)]
-    fn deliver_panels<const NOTE: bool, I: Id>(&mut self, panels: &Panels, ids: &[I], slot: usize) -> u64 {
+    fn deliver_panels<const NOTE: bool, I: Id>(
+        &mut self,
+        panels: &Panels,
+        (ids, heard): (&[I], &mut [u32]),
+        slot: usize,
+    ) -> u64 {
         let weights = panels.weights();
         let (mut events, mut panels, mut rest) = (0, panels.panels.as_slice(), ids);
         while let Some(next) = rest.first() {
@@ -89,12 +100,13 @@ impl<S: Sum> Ring<S> {
             panels = &panels[passed..];
             let Some(panel) = panels.first() else { break };
             rest = &rest[before(rest, panel.first)..];
-            if let [row @ Row { chunks: 1..=4, .. }] = panel.rows.as_slice() {
+            if let Some(row) = panel.narrow() {
+                let spikes = (rest, heard.get_mut(panel.first as usize..panel.end as usize).unwrap_or_default());
                 let passed = match row.chunks {
-                    1 => self.pass::<I, 1>(panel, row, weights, rest, slot),
-                    2 => self.pass::<I, 2>(panel, row, weights, rest, slot),
-                    3 => self.pass::<I, 3>(panel, row, weights, rest, slot),
-                    _ => self.pass::<I, 4>(panel, row, weights, rest, slot),
+                    1 => self.pass::<I, 1>(panel, row, weights, spikes, slot),
+                    2 => self.pass::<I, 2>(panel, row, weights, spikes, slot),
+                    3 => self.pass::<I, 3>(panel, row, weights, spikes, slot),
+                    _ => self.pass::<I, 4>(panel, row, weights, spikes, slot),
                 };
                 let (spiking, after) = rest.split_at(passed);
                 rest = after;
@@ -147,14 +159,15 @@ impl<S: Sum> Ring<S> {
     }
 
     /// Adds the weights of a panel's sources that has one row of so many chunks, as long as sources are the panel's; returns
-    /// how many were. None is looked for beforehand: where they end is seen as each is looked up.
+    /// how many were. None is looked for beforehand: where they end is seen as each is looked up. Each is counted in `heard`,
+    /// unless that is empty.
     #[inline(always)]
     fn pass<I: Id, const N: usize>(
         &mut self,
         panel: &Panel,
         row: &Row,
         weights: &[[i16; LANES]],
-        ids: &[I],
+        (ids, heard): (&[I], &mut [u32]),
         slot: usize,
     ) -> usize {
         let sources = (panel.end - panel.first) as usize;
@@ -163,8 +176,12 @@ impl<S: Sum> Ring<S> {
         let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
         let (mut kept, mut passed) = (*sums, 0);
         for id in ids {
-            let Some(weights) = weights.get(id.index() - panel.first as usize) else { break };
+            let source = id.index() - panel.first as usize;
+            let Some(weights) = weights.get(source) else { break };
             plus(&mut kept, weights);
+            if let Some(count) = heard.get_mut(source) {
+                *count += 1;
+            }
             passed += 1;
         }
         *sums = kept;
@@ -322,9 +339,16 @@ mod tests {
             let [quiet, noting] = &mut rings;
             let reach = std::slice::from_ref(&reach);
             let events = ids.len() as u64 * synapses;
-            assert_eq!(quiet.deliver::<false, _>(reach, &ids, 1, 2), events);
+            let mut heard = vec![0; 300];
+            assert_eq!(quiet.deliver::<false, _>(reach, (&ids, &mut heard), 1, 2), events);
+            let is_counted = |source: usize| {
+                let holds = |panel: &Panel| panel.first as usize <= source && source < panel.end as usize;
+                source.is_multiple_of(every)
+                    && reach[0].panels.panels.iter().any(|panel| holds(panel) && panel.narrow().is_some())
+            };
+            assert!(heard.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
             // What arrives after the last step is no event.
-            assert_eq!(noting.deliver::<true, _>(reach, &ids, 1, 1), 0);
+            assert_eq!(noting.deliver::<true, _>(reach, (&ids, &mut []), 1, 1), 0);
             for ring in &rings {
                 assert!(ring.sums[0][..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
                 assert!(ring.sums[1].iter().all(|sum| sum.value() == 0));
