@@ -18,15 +18,17 @@ use rayon::prelude::*;
 use crate::compile::expect::{Score, score, score_at};
 use crate::compile::fanin::first_source;
 use crate::compile::rates::Rates;
+use crate::compile::reason::Reason;
 use crate::compile::{CompileError, Compiled, Objective, Options, Routed, Strategy, partitioned};
 use crate::desc::target::{Limits, Target};
+use crate::ir::partition::Resource;
 use crate::ir::quantised::Quantised;
 
 /// Parts of a core, as divisors, that candidates fill.
 pub(super) const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
-/// The same in the order in which they are likely to take the shortest step, for networks so large that the effort is not
-/// enough for all: in most of the suite's that is at an eighth (`nsim bench map`). The first two are always tried.
-const SHORTEST: [u32; 6] = [8, 1, 2, 4, 16, 32];
+/// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
+/// not enough for all (`nsim bench map`). The first two are always tried.
+const SHORTEST: [u32; 7] = [8, 1, 16, 32, 4, 64, 2];
 /// How much less a mean step must take to be trusted to take no longer when spikes come together.
 const MARGIN: f64 = 0.9;
 /// How much less it must take where no burst may take longer and that of all sources takes as much less.
@@ -70,15 +72,24 @@ pub(super) struct Made<M> {
     pub(super) mapping: M,
 }
 
-/// A core's limits divided, never below what one compartment of any network may need.
-pub(super) fn divided(target: &Target, divisor: u32) -> Target {
+/// A core's limits divided, but for the words that one compartment needs, as far as they are known.
+pub(super) fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let limits = target.limits();
     let divided = Limits {
         compartments: (limits.compartments / divisor).max(1),
-        synapse_words: (limits.synapse_words / divisor).max(limits.synapse_words_per_axon),
+        synapse_words: (limits.synapse_words / divisor).max(limits.synapse_words_per_axon).max(words),
         ..*limits
     };
     target.clone().with_limits(divided)
+}
+
+/// The words that one compartment alone needs, when they are all that a divided core lacks and a whole one has them.
+fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
+    let CompileError::DoesNotFit(reasons) = error else { return None };
+    let words = |reason: &Reason| Some(reason.need).filter(|_| reason.resource == Resource::SynapseWords);
+    let needs: Option<Vec<u64>> = reasons.iter().map(words).collect();
+    let most = needs?.into_iter().max()?.try_into().ok()?;
+    Some(most).filter(|&most| most <= target.limits().synapse_words)
 }
 
 /// Every candidate that fits and that the effort allows for, the sequential ones first.
@@ -99,11 +110,11 @@ fn all(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Re
     let affordable = u64::from(options.effort_s) * SYNAPSES_PER_SECOND / synapses.max(1);
     let mut all = vec![(Strategy::Sequential, 1)];
     let (divisors, least) = match options.objective {
-        Objective::Latency => (SHORTEST, 2),
-        Objective::Cores | Objective::Energy => (DIVISORS, 1),
+        Objective::Latency => (&SHORTEST[..], 2),
+        Objective::Cores | Objective::Energy => (&DIVISORS[..], 1),
     };
-    let wanted = divisors.map(|divisor| (options.strategy, divisor));
-    let wanted = wanted.into_iter().filter(|way| *way != (Strategy::Sequential, 1));
+    let wanted =
+        divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|way| *way != (Strategy::Sequential, 1));
     all.extend(wanted.take(affordable.max(least) as usize));
     // The effort is for all of them together.
     let options = &Options { effort_s: options.effort_s.div_ceil(all.len() as u32), ..*options };
@@ -141,7 +152,11 @@ fn mapped(
     places: &[bool],
 ) -> Result<Vec<Made<Routed>>, CompileError> {
     let asked = Options { strategy, ..*options };
-    let mut partitioned = partitioned(one.clone(), &divided(target, divisor), &asked, rates)?;
+    let gathered = |words| partitioned(one.clone(), &divided(target, divisor, words), &asked, rates);
+    let mut partitioned = gathered(0).or_else(|error| match words_for_one(&error, target) {
+        Some(words) => gathered(words),
+        None => Err(error),
+    })?;
     partitioned.within(target)?;
     let made = |&placed: &bool| {
         let routed = partitioned.routed(target, &Options { place: placed, ..asked })?;
