@@ -82,6 +82,11 @@ impl<'p> Ways<'p> {
         Ways { program, cores: program.cores().iter().map(Core::of).collect() }
     }
 
+    /// Bytes of memory that they hold.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.cores.as_slice())
+    }
+
     /// Messages of a source; sources are numbered channels first.
     pub fn messages(&self, source: u32) -> &'p [AxonTarget] {
         match source.checked_sub(self.program.channels()) {

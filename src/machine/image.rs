@@ -13,7 +13,7 @@ use crate::base::fixed::WEIGHT_SHIFT;
 use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::program::{CoreFormat, Program, Synapse};
-use crate::ir::quantised::{Neuron, Reset, SpikeSource};
+use crate::ir::quantised::{Neuron, Reset};
 use crate::machine::gather::Gatherer;
 use crate::machine::kernel::{LANES, Shared};
 use crate::machine::lists::{Draft, Table};
@@ -211,15 +211,6 @@ impl<'p> Image<'p> {
     #[must_use]
     pub fn sources(&self) -> usize {
         self.channels as usize + self.compartments()
-    }
-
-    /// A source's number.
-    #[must_use]
-    pub(super) fn number(&self, source: SpikeSource) -> usize {
-        match source {
-            SpikeSource::Channel(channel) => channel.index(),
-            SpikeSource::Compartment(compartment) => self.channels as usize + compartment.index(),
-        }
     }
 
     /// The parameters of a compartment.

@@ -36,7 +36,6 @@ use rayon::prelude::*;
 use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
-use crate::ir::quantised::SpikeSource;
 use crate::ir::spikes::Engine;
 use bits::{FORESEEN, write_ones};
 pub use image::{Image, ImageError};
@@ -82,9 +81,9 @@ pub struct Machine<'i> {
     last: StepActivity,
     /// Spikes of each channel since the activity was last taken; compartments' are noted with their lanes.
     fired: Vec<u32>,
-    /// Of all spikes those so near a sample's end that a delivery could fall after it: source and steps that its
-    /// deliveries reach.
-    late: Vec<(SpikeSource, u32)>,
+    /// Of all spikes those so near a sample's end that a delivery could fall after it: the source's number and the
+    /// steps that its deliveries reach.
+    late: Vec<(u32, u32)>,
     /// Steps since the activity was last taken.
     run_steps: u64,
 }
@@ -124,12 +123,13 @@ impl<'i> Machine<'i> {
         let (program, tally) = (self.image.program(), &self.image.tally);
         let mut fired = self.take_fired();
         for &(source, _) in &self.late {
-            fired[self.image.number(source)] -= 1;
+            fired[source as usize] -= 1;
         }
         let mut sum = tally.sum(&fired);
-        for (source, reach) in self.late.drain(..) {
-            tally.add_spikes(source, reach, 1, &mut sum);
+        for same in self.late.chunk_by(|a, b| a.1 == b.1) {
+            tally.add_spikes(same.iter().map(|late| late.0), |_| 1, same[0].1, &mut sum);
         }
+        self.late.clear();
         tally.add_visits(self.run_steps, &mut sum);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
             for (count, block) in lanes.take_active(share).into_iter().zip(&share.blocks) {
@@ -174,7 +174,7 @@ impl<'i> Machine<'i> {
 
     /// Notes spikes whose deliveries may take `reach` steps, fewer than the longest delay needs.
     #[cold]
-    fn note_late(&mut self, sources: impl Iterator<Item = SpikeSource>, reach: u32) {
+    fn note_late(&mut self, sources: impl Iterator<Item = u32>, reach: u32) {
         self.late.extend(sources.map(|source| (source, reach)));
     }
 
@@ -205,7 +205,7 @@ impl Engine for Machine<'_> {
             }
         }
         if left <= image.longest_delay {
-            self.note_late(channels.iter().map(|&channel| SpikeSource::Channel(channel)), left);
+            self.note_late(channels.iter().map(|channel| channel.0), left);
         }
         let everywhere = self.last_events >= CROWDED * image.granules as u64;
         let order = &Order {
@@ -245,7 +245,7 @@ impl Engine for Machine<'_> {
         self.totals.synaptic_events += self.last_events;
         if left <= image.longest_delay + 1 {
             let spikes = std::mem::take(&mut self.spikes);
-            self.note_late(spikes.iter().map(|&spike| SpikeSource::Compartment(spike)), left.saturating_sub(1));
+            self.note_late(spikes.iter().map(|spike| image.channels + spike.0), left.saturating_sub(1));
             self.spikes = spikes;
         }
         if self.settings.per_step {
@@ -306,9 +306,8 @@ impl Engine for Machine<'_> {
     fn totals(&self) -> Totals {
         // A spike's events are its own step's, and are added up where they are delivered, a step later.
         let left = self.steps.saturating_sub(self.step);
-        let tally = &self.image.tally;
-        let pending = |&spike: &CompartmentId| tally.events_within(SpikeSource::Compartment(spike), left);
-        let pending: u64 = self.spikes.iter().map(pending).sum();
+        let sources = self.spikes.iter().map(|spike| self.image.channels + spike.0);
+        let pending = self.image.tally.events_within(sources, left);
         Totals { synaptic_events: self.totals.synaptic_events + pending, ..self.totals }
     }
 

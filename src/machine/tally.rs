@@ -13,8 +13,7 @@ use rayon::prelude::*;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use crate::ir::activity::StepActivity;
 use crate::ir::placement::Site;
-use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, Program, Synapse};
-use crate::ir::quantised::SpikeSource;
+use crate::ir::program::{CoreFormat, CoreImage, Program, Synapse};
 use crate::machine::follow::{Selected, Ways};
 
 /// The longest delay field of a program's synapses.
@@ -79,6 +78,8 @@ pub struct Tally<'p> {
     program: &'p Program,
     longest_delay: u32,
     held: IdVec<CoreId, Held>,
+    sites: IdVec<CoreId, Site>,
+    ways: Ways<'p>,
 }
 
 impl<'p> Tally<'p> {
@@ -86,7 +87,8 @@ impl<'p> Tally<'p> {
     #[must_use]
     pub fn new(program: &'p Program) -> Self {
         let held = program.cores().iter().map(Held::of).collect();
-        Tally { program, longest_delay: longest_delay(program), held }
+        let sites = program.cores().iter().map(|image| image.site).collect();
+        Tally { program, longest_delay: longest_delay(program), held, sites, ways: Ways::new(program) }
     }
 
     /// The longest delay field.
@@ -99,7 +101,8 @@ impl<'p> Tally<'p> {
     #[must_use]
     pub fn bytes(&self) -> usize {
         let of = |held: &Held| if let Held::Both(dense) = held { size_of_val(dense.as_slice()) } else { 0 };
-        self.held.iter().map(|held| size_of::<Held>() + of(held)).sum()
+        let held: usize = self.held.iter().map(|held| size_of::<Held>() + of(held)).sum();
+        held + size_of::<Site>() * self.sites.len() + self.ways.bytes()
     }
 
     /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
@@ -115,93 +118,35 @@ impl<'p> Tally<'p> {
         known.unwrap_or_else(|| counted(stored, formats, reach))
     }
 
-    /// Synaptic events of a message whose delay field is below `reach`: (dense, sparse).
-    fn events_of(&self, message: &AxonTarget, reach: u32) -> (u64, u64) {
-        let image = &self.program.cores()[message.core];
-        let (list, _) = image.inputs.selected(usize::from(message.axon));
-        self.events((message.core, list), image.inputs.lists.get(list), &image.formats, reach)
+    /// The core of a source, unless it is a channel.
+    fn core_of(&self, source: u32) -> Option<CoreId> {
+        let compartment = source.checked_sub(self.program.channels())?;
+        Some(self.program.seats()[CompartmentId(compartment)].core)
     }
 
-    /// Messages of a spike of this source.
-    fn messages(&self, source: SpikeSource) -> &'p [AxonTarget] {
-        match source {
-            SpikeSource::Channel(channel) => self.program.channel(channel),
-            SpikeSource::Compartment(compartment) => {
-                let seat = self.program.seats()[compartment];
-                self.program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
-            }
-        }
-    }
-
-    /// Synaptic events of a spike of this source, of those synapses whose delay field is below `reach`.
+    /// Synaptic events of a spike of each of these sources, of those synapses whose delay field is below `reach`. Sources are
+    /// numbered channels first.
     #[must_use]
-    pub fn events_within(&self, source: SpikeSource, reach: u32) -> u64 {
-        let of = |message: &AxonTarget| {
-            let (dense, sparse) = self.events_of(message, reach);
-            dense + sparse
-        };
-        self.messages(source).iter().map(of).sum()
-    }
-
-    /// Adds what `times` spikes of one source cause, counting synapses whose delay field is below `reach`.
-    pub fn add_spikes(&self, source: SpikeSource, reach: u32, times: u64, sum: &mut StepActivity) {
-        let program = self.program;
-        let sent = self.messages(source);
-        let from = match source {
-            SpikeSource::Channel(_) => {
-                sum.spikes_in += times;
-                sum.messages_from_inputs += sent.len() as u64 * times;
-                None
-            }
-            SpikeSource::Compartment(compartment) => {
-                let core = program.seats()[compartment].core;
-                sum.cores[core].spikes += times;
-                sum.cores[core].messages_out += sent.len() as u64 * times;
-                Some(program.cores()[core].site)
-            }
-        };
-        for message in sent {
-            let image = &program.cores()[message.core];
-            let (dense, sparse) = self.events_of(message, reach);
-            let core = &mut sum.cores[message.core];
-            core.messages_in += times;
-            core.events_dense += dense * times;
-            core.events_sparse += sparse * times;
-            let route = match from {
-                None => program.mesh().route_from_corner(image.site),
-                Some(site) => program.mesh().route(site, image.site),
-            };
-            sum.add_routes(route, times);
-        }
-    }
-
-    /// What so many spikes of each source cause, by the sources' numbers, of whose deliveries none falls after a sample's end.
-    #[must_use]
-    pub fn sum(&self, fired: &[u32]) -> StepActivity {
-        let (cores, ways) = (self.program.cores(), Ways::new(self.program));
-        let sites: IdVec<CoreId, Site> = cores.iter().map(|image| image.site).collect();
-        // Each thread has counts of its own, as many as there are cores: they have to be worth it.
-        let size = fired.len().div_ceil(rayon::current_num_threads()).max(cores.len()).max(1);
-        let of_part = |(part, fired): (usize, &[u32])| self.sum_from(part * size, fired, &ways, &sites);
-        let parts: Vec<StepActivity> = match fired.len() <= size {
-            true => vec![of_part((0, fired))],
-            false => fired.par_chunks(size).enumerate().map(of_part).collect(),
-        };
-        let mut parts = parts.into_iter();
-        let mut sum = parts.next().unwrap_or_else(|| StepActivity::new(cores.len()));
-        parts.for_each(|part| sum.merge(&part));
+    pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
+        let mut sum = 0;
+        self.ways.follow(sources, |Selected { core, list, stored, formats, .. }| {
+            let (dense, sparse) = self.events((core, list), stored, formats, reach);
+            sum += dense + sparse;
+        });
         sum
     }
 
-    /// As [`Tally::sum`], of the sources from one on.
-    fn sum_from(&self, first: usize, fired: &[u32], ways: &Ways, sites: &IdVec<CoreId, Site>) -> StepActivity {
-        let (program, mut sum) = (self.program, StepActivity::new(sites.len()));
-        let channels = program.channels();
-        let core_of = |source: u32| source.checked_sub(channels).map(|c| program.seats()[CompartmentId(c)].core);
-        let sources = (first as u32..).zip(fired).filter(|&(_, &times)| times > 0);
-        for (source, &times) in sources.clone() {
-            let (sent, times) = (ways.messages(source).len() as u64, u64::from(times));
-            match core_of(source) {
+    /// Adds what spikes of these sources cause, so many of each, counting synapses whose delay field is below `reach`.
+    pub fn add_spikes(
+        &self,
+        sources: impl Iterator<Item = u32> + Clone,
+        times: impl Fn(u32) -> u64,
+        reach: u32,
+        sum: &mut StepActivity,
+    ) {
+        for source in sources.clone() {
+            let (sent, times) = (self.ways.messages(source).len() as u64, times(source));
+            match self.core_of(source) {
                 None => {
                     sum.spikes_in += times;
                     sum.messages_from_inputs += sent * times;
@@ -212,30 +157,45 @@ impl<'p> Tally<'p> {
                 }
             }
         }
-        let mut last = None;
-        ways.follow(sources.map(|(source, _)| source), |selected| {
+        let (mesh, mut last) = (self.program.mesh(), None);
+        self.ways.follow(sources, |Selected { source, core, list, stored, formats, .. }| {
             let (from, times) = match last {
-                Some((source, from, times)) if source == selected.source => (from, times),
+                Some((of, from, times)) if of == source => (from, times),
                 _ => {
-                    let from = core_of(selected.source).map(|core| sites[core]);
-                    let times = u64::from(fired[selected.source as usize - first]);
-                    last = Some((selected.source, from, times));
+                    let (from, times) = (self.core_of(source).map(|core| self.sites[core]), times(source));
+                    last = Some((source, from, times));
                     (from, times)
                 }
             };
-            let Selected { core, list, stored, formats, .. } = selected;
-            let (dense, sparse) = self.events((core, list), stored, formats, u32::MAX);
-            let to = sites[core];
+            let (dense, sparse) = self.events((core, list), stored, formats, reach);
+            let to = self.sites[core];
             let core = &mut sum.cores[core];
             core.messages_in += times;
             core.events_dense += dense * times;
             core.events_sparse += sparse * times;
-            let route = match from {
-                None => program.mesh().route_from_corner(to),
-                Some(from) => program.mesh().route(from, to),
-            };
-            sum.add_routes(route, times);
+            sum.add_routes(from.map_or_else(|| mesh.route_from_corner(to), |from| mesh.route(from, to)), times);
         });
+    }
+
+    /// What so many spikes of each source cause, by the sources' numbers, of whose deliveries none falls after a sample's end.
+    #[must_use]
+    pub fn sum(&self, fired: &[u32]) -> StepActivity {
+        let cores = self.sites.len();
+        // Each thread has counts of its own, as many as there are cores: they have to be worth it.
+        let size = fired.len().div_ceil(rayon::current_num_threads()).max(cores).max(1);
+        let of_part = |(part, some): (usize, &[u32])| {
+            let mut sum = StepActivity::new(cores);
+            let sources = ((part * size) as u32..).zip(some).filter(|&(_, &times)| times > 0).map(|(source, _)| source);
+            self.add_spikes(sources, |source| fired[source as usize].into(), u32::MAX, &mut sum);
+            sum
+        };
+        let parts: Vec<StepActivity> = match fired.len() <= size {
+            true => vec![of_part((0, fired))],
+            false => fired.par_chunks(size).enumerate().map(of_part).collect(),
+        };
+        let mut parts = parts.into_iter();
+        let mut sum = parts.next().unwrap_or_else(|| StepActivity::new(cores));
+        parts.for_each(|part| sum.merge(&part));
         sum
     }
 
@@ -246,12 +206,9 @@ impl<'p> Tally<'p> {
         step.channels.extend_from_slice(channels);
         step.fired.extend_from_slice(spikes);
         step.spikes_out += spikes.iter().filter(|c| (first.0..first.0 + size).contains(&c.0)).count() as u64;
-        for &channel in channels {
-            self.add_spikes(SpikeSource::Channel(channel), left, 1, step);
-        }
-        for &compartment in spikes {
-            self.add_spikes(SpikeSource::Compartment(compartment), left.saturating_sub(1), 1, step);
-        }
+        let before = self.program.channels();
+        self.add_spikes(channels.iter().map(|channel| channel.0), |_| 1, left, step);
+        self.add_spikes(spikes.iter().map(|spike| before + spike.0), |_| 1, left.saturating_sub(1), step);
     }
 
     /// Adds every core's compartments, visited in so many steps.
