@@ -15,6 +15,7 @@ use std::collections::{BTreeSet, HashMap};
 use crate::base::fixed::{Delay, WeightBits};
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::base::rng;
+use crate::compile::axon_of::AxonOf;
 use crate::compile::fanin::FanIn;
 use crate::compile::formats::Formats;
 use crate::compile::packing::{self, Compression, Group, MOST_SLOTS, Widths};
@@ -107,59 +108,14 @@ impl Entry {
     }
 }
 
-/// The input axon that each source has on a core, in a table that stays in a processor's cache: a network's sources are
-/// millions, those of a core thousands.
-#[derive(Debug)]
-struct AxonOf {
-    /// (core by count, source, axon), open addressing; at most half of the places are of the present core.
-    places: Vec<(u32, u32, u32)>,
-    core: u32,
-    held: usize,
-}
-
-impl AxonOf {
-    /// The table's first size.
-    const PLACES: usize = 1 << 12;
-
-    fn new() -> Self {
-        AxonOf { places: vec![(0, 0, 0); Self::PLACES], core: 1, held: 0 }
-    }
-
-    /// Begins another core.
-    fn clear(&mut self) {
-        (self.core, self.held) = (self.core + 1, 0);
-    }
-
-    /// Where a source is, or is to be. Neighbours stay neighbours; sources that lie a table apart do not meet.
-    fn place(&self, source: u32) -> usize {
-        let mask = self.places.len() - 1;
-        let apart = (source >> Self::PLACES.trailing_zeros()).wrapping_mul(0x9e37_79b1);
-        let mut at = (source.wrapping_add(apart >> 8)) as usize & mask;
-        while self.places[at].0 == self.core && self.places[at].1 != source {
-            at = (at + 1) & mask;
-        }
-        at
-    }
-
-    /// The axon of a source, which becomes `next` if it has none.
-    fn get_or_insert(&mut self, source: u32, next: u32) -> u32 {
-        let at = self.place(source);
-        if self.places[at].0 == self.core {
-            return self.places[at].2;
-        }
-        self.places[at] = (self.core, source, next);
-        self.held += 1;
-        if 2 * self.held > self.places.len() {
-            let twice = vec![(0, 0, 0); 2 * self.places.len()];
-            for place in std::mem::replace(&mut self.places, twice) {
-                if place.0 == self.core {
-                    let at = self.place(place.1);
-                    self.places[at] = place;
-                }
-            }
-        }
-        next
-    }
+/// What a group of this make-up takes at these widths.
+#[derive(Debug, Clone, Copy)]
+struct Packed {
+    made: (Widths, Group),
+    /// Without and with runs.
+    words: [u32; 2],
+    /// With runs.
+    compression: Compression,
 }
 
 /// A core that is being filled.
@@ -195,7 +151,7 @@ pub struct Filling<'a> {
     /// Whether the core holds its compartments only because lists are shared.
     shares: bool,
     /// What a group took when last asked, by format: neighbours mostly are made up alike.
-    last: Vec<Option<(Widths, Group, [u32; 2], Compression)>>,
+    last: Vec<Option<Packed>>,
 }
 
 impl<'a> Filling<'a> {
@@ -381,16 +337,13 @@ impl<'a> Filling<'a> {
         entry.synapses += 1;
         entry.last_slot = slot;
         let group = entry.group(weight_bits);
+        let made = (self.widths, group);
         let last = &mut self.last[usize::from(format)];
-        let (words, compression) = match *last {
-            Some((widths, same, words, compression)) if widths == self.widths && same == group => (words, compression),
-            _ => {
-                let plain = packing::words(group, self.widths, self.limits);
-                let (compression, fewest) = packing::best(group, self.widths, self.limits);
-                *last = Some((self.widths, group, [plain, fewest], compression));
-                ([plain, fewest], compression)
-            }
-        };
+        let Packed { words, compression, .. } = last.filter(|last| last.made == made).unwrap_or_else(|| {
+            let plain = packing::words(group, self.widths, self.limits);
+            let (compression, fewest) = packing::best(group, self.widths, self.limits);
+            *last.insert(Packed { made, words: [plain, fewest], compression })
+        });
         entry.compression = compression;
         let [class, class_with_runs] = entry.classes();
         self.groups[usize::from(format)][class] += 1;
