@@ -30,7 +30,7 @@ const PIECE_SYNAPSES: u64 = 1 << 18;
 /// Sources that are decoded together at most.
 const MOST_SOURCES: u16 = 1 << 13;
 /// Cores whose lists are read together.
-const NEIGHBOURS: usize = 256;
+const NEIGHBOURS: usize = 64;
 
 /// A difference between a program and its network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -3,6 +3,9 @@
 //! In comes a network, whose synapses are enumerated source by source; out goes, compartment by compartment, the sources of
 //! its synapses. Listed and random synapses are sorted by target once, at four bytes a synapse; dense layers and windows
 //! are computed. Copies of a network share their index.
+//!
+//! Where all that a population sends goes out through windows of the same groups, what holds of one channel of a group
+//! holds of all: at a position they reach the same compartments. Such channels are a *bundle*, which is told once.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -126,8 +129,14 @@ enum Key {
 /// How one projection is read backwards.
 #[derive(Debug)]
 enum Backwards {
-    Dense { sources: u32 },
-    Conv(Window),
+    Dense {
+        sources: u32,
+    },
+    /// Channels of a bundle: those of a group, or one.
+    Conv {
+        window: Window,
+        bundle: u32,
+    },
     Pool(Window),
     Listed(Arc<Transposed>),
 }
@@ -157,7 +166,9 @@ impl FanIn {
             };
             let backwards = match &projection.connectivity {
                 Connectivity::Dense { .. } => Backwards::Dense { sources },
-                Connectivity::Conv2d { window, .. } => Backwards::Conv(*window),
+                Connectivity::Conv2d { window, .. } => {
+                    Backwards::Conv { window: *window, bundle: bundle(network, projection.source) }
+                }
                 Connectivity::SumPool2d { window, .. } => Backwards::Pool(*window),
                 Connectivity::Sparse { first, targets: list, .. } => {
                     let list = (first.as_ptr() as usize, list.as_ptr() as usize);
@@ -172,41 +183,57 @@ impl FanIn {
         FanIn { incoming, projections }
     }
 
-    /// Calls `f(source, projection, part)` for every synapse into a compartment of a population, by projection, then source.
-    /// Synapses of a projection that are the same part of a kernel have the same weight.
+    /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a population, by projection, then
+    /// source; synapses of the channels of a bundle, so many, are one call with the first of their sources. Synapses of a
+    /// projection that are the same part of a kernel, between sources of the same atom, have the same weight.
     #[inline]
-    pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId, u64)) {
+    pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId, u64, u32)) {
         // Where there is no kernel each synapse is a part of its own.
         let own = |source: u32| u64::from(source) << 32 | u64::from(index);
         for &id in &self.incoming[population] {
             let (first, backwards) = &self.projections[id];
             match backwards {
-                Backwards::Dense { sources } => (0..*sources).for_each(|source| f(first + source, id, own(source))),
+                Backwards::Dense { sources } => (0..*sources).for_each(|source| f(first + source, id, own(source), 1)),
                 Backwards::Listed(index_of) => {
                     let range = index_of.first[index as usize] as usize..index_of.first[index as usize + 1] as usize;
                     for &source in &index_of.sources[range] {
-                        f(first + source, id, own(source));
+                        f(first + source, id, own(source), 1);
                     }
                 }
-                Backwards::Conv(window) => {
+                &Backwards::Conv { ref window, bundle } => {
                     let per_group_in = window.source.0 / window.groups;
                     let per_group_out = window.target.0 / window.groups;
                     let out = u64::from(index / (window.target.1 * window.target.2));
                     let group = out as u32 / per_group_out;
                     let of_channel = u64::from(window.kernel.0) * u64::from(window.kernel.1);
-                    for within in 0..per_group_in {
+                    for within in (0..per_group_in).step_by(bundle as usize) {
                         let part = (out * u64::from(per_group_in) + u64::from(within)) * of_channel;
                         let channel = group * per_group_in + within;
-                        for_each_covered(window, index, channel, |source, at| f(first + source, id, part + at));
+                        for_each_covered(window, index, channel, |source, at| f(first + source, id, part + at, bundle));
                     }
                 }
                 Backwards::Pool(window) => {
                     let channel = index / (window.target.1 * window.target.2);
-                    for_each_covered(window, index, channel, |source, _| f(first + source, id, 0));
+                    for_each_covered(window, index, channel, |source, _| f(first + source, id, 0, 1));
                 }
             }
         }
     }
+}
+
+/// Channels of a bundle of a population: those of a group where all that it sends goes out through convolutions of the same
+/// groups, one otherwise.
+#[must_use]
+pub fn bundle(network: &Quantised, population: PopulationId) -> u32 {
+    let mut bundle = None;
+    for &id in network.outgoing(population) {
+        let Connectivity::Conv2d { window, .. } = &network.projections()[id].connectivity else { return 1 };
+        let of_group = window.source.0 / window.groups;
+        if bundle.replace(of_group).is_some_and(|other| other != of_group) {
+            return 1;
+        }
+    }
+    bundle.unwrap_or(1)
 }
 
 /// The sources of one channel that the window of a target covers, and their places in the window.
@@ -247,6 +274,7 @@ mod tests {
 
     #[test]
     fn backwards_and_forwards_are_the_same_synapses() {
+        let mut bundled = false;
         for seed in 0..60 {
             let network = random_network(seed);
             let mut forwards = Vec::new();
@@ -260,7 +288,14 @@ mod tests {
             let (fan_in, mut backwards) = (FanIn::new(&network), Vec::new());
             for (id, population) in network.populations().enumerate() {
                 for t in 0..population.shape.len() {
-                    fan_in.for_each_into(id, t, |source, projection, _| backwards.push((id, t, projection, source)));
+                    fan_in.for_each_into(id, t, |source, projection, _, bundle| {
+                        let positions = match &network.projections()[projection].connectivity {
+                            Connectivity::Conv2d { window, .. } => window.source.1 * window.source.2,
+                            _ => 0,
+                        };
+                        bundled |= bundle > 1;
+                        backwards.extend((0..bundle).map(|k| (id, t, projection, source + k * positions)));
+                    });
                 }
             }
             forwards.sort_unstable();
@@ -268,5 +303,6 @@ mod tests {
             assert_eq!(forwards, backwards, "seed {seed}");
             assert!(!forwards.is_empty());
         }
+        assert!(bundled);
     }
 }

@@ -15,6 +15,7 @@ use std::collections::{BTreeSet, HashMap};
 use crate::base::fixed::{Delay, WeightBits};
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::base::rng;
+use crate::compile::axon_of::AxonOf;
 use crate::compile::fanin::FanIn;
 use crate::compile::formats::Formats;
 use crate::compile::packing::{self, Compression, Group, MOST_SLOTS, Widths};
@@ -39,14 +40,16 @@ pub struct Newcomer {
     pub slots_out: u32,
 }
 
-/// An input axon so far.
+/// The input axons of a bundle of sources ([`crate::compile::fanin`]) so far, which are alike.
 #[derive(Debug, Clone, Copy)]
 struct Axon {
+    /// How many.
+    bundle: u32,
     /// The last of its groups, which leads to the others.
     last: Option<u32>,
     /// Without and with runs.
     words: [u32; 2],
-    /// Where its source stands, if it has a place.
+    /// Where the first of its sources stands, if it has a place.
     placed: Option<PlacedAxon>,
 }
 
@@ -105,59 +108,14 @@ impl Entry {
     }
 }
 
-/// The input axon that each source has on a core, in a table that stays in a processor's cache: a network's sources are
-/// millions, those of a core thousands.
-#[derive(Debug)]
-struct AxonOf {
-    /// (core by count, source, axon), open addressing; at most half of the places are of the present core.
-    places: Vec<(u32, u32, u32)>,
-    core: u32,
-    held: usize,
-}
-
-impl AxonOf {
-    /// The table's first size.
-    const PLACES: usize = 1 << 12;
-
-    fn new() -> Self {
-        AxonOf { places: vec![(0, 0, 0); Self::PLACES], core: 1, held: 0 }
-    }
-
-    /// Begins another core.
-    fn clear(&mut self) {
-        (self.core, self.held) = (self.core + 1, 0);
-    }
-
-    /// Where a source is, or is to be. Neighbours stay neighbours; sources that lie a table apart do not meet.
-    fn place(&self, source: u32) -> usize {
-        let mask = self.places.len() - 1;
-        let apart = (source >> Self::PLACES.trailing_zeros()).wrapping_mul(0x9e37_79b1);
-        let mut at = (source.wrapping_add(apart >> 8)) as usize & mask;
-        while self.places[at].0 == self.core && self.places[at].1 != source {
-            at = (at + 1) & mask;
-        }
-        at
-    }
-
-    /// The axon of a source, which becomes `next` if it has none.
-    fn get_or_insert(&mut self, source: u32, next: u32) -> u32 {
-        let at = self.place(source);
-        if self.places[at].0 == self.core {
-            return self.places[at].2;
-        }
-        self.places[at] = (self.core, source, next);
-        self.held += 1;
-        if 2 * self.held > self.places.len() {
-            let twice = vec![(0, 0, 0); 2 * self.places.len()];
-            for place in std::mem::replace(&mut self.places, twice) {
-                if place.0 == self.core {
-                    let at = self.place(place.1);
-                    self.places[at] = place;
-                }
-            }
-        }
-        next
-    }
+/// What a group of this make-up takes at these widths.
+#[derive(Debug, Clone, Copy)]
+struct Packed {
+    made: (Widths, Group),
+    /// Without and with runs.
+    words: [u32; 2],
+    /// With runs.
+    compression: Compression,
 }
 
 /// A core that is being filled.
@@ -171,6 +129,8 @@ pub struct Filling<'a> {
     axon_of: AxonOf,
     members: Vec<CompartmentId>,
     axons: Vec<Axon>,
+    /// Input axons, all of a bundle.
+    axons_in: u32,
     entries: Vec<Entry>,
     /// Groups by format and class without runs: twice delayed plus dense.
     groups: Vec<[u32; 4]>,
@@ -190,6 +150,8 @@ pub struct Filling<'a> {
     begins: HashMap<u32, u16>,
     /// Whether the core holds its compartments only because lists are shared.
     shares: bool,
+    /// What a group took when last asked, by format: neighbours mostly are made up alike.
+    last: Vec<Option<Packed>>,
 }
 
 impl<'a> Filling<'a> {
@@ -205,9 +167,11 @@ impl<'a> Filling<'a> {
             axon_of: AxonOf::new(),
             members: Vec::new(),
             axons: Vec::new(),
+            axons_in: 0,
             entries: Vec::new(),
             groups: vec![[0; 4]; formats.len()],
             groups_with_runs: vec![[0; 12]; formats.len()],
+            last: vec![None; formats.len()],
             formats,
             profiles: BTreeSet::new(),
             thresholds: BTreeSet::new(),
@@ -227,6 +191,7 @@ impl<'a> Filling<'a> {
     pub fn next_core(&mut self) -> Vec<CompartmentId> {
         self.axon_of.clear();
         self.axons.clear();
+        self.axons_in = 0;
         self.entries.clear();
         self.groups.fill([0; 4]);
         self.groups_with_runs.fill([0; 12]);
@@ -289,10 +254,10 @@ impl<'a> Filling<'a> {
         let slot = self.members.len() as u16;
         self.members.push(newcomer.id);
         let fan_in = self.fan_in;
-        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part| {
+        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part, bundle| {
             let projection = projection.0 as usize;
             self.longest = self.longest.max(self.delays[projection]);
-            self.synapse(source, projection, part, slot);
+            self.synapse((source, bundle), projection, part, slot);
         });
         let widths = Widths::of(self.members.len() as u32, self.longest, self.limits.packing);
         if widths != self.widths {
@@ -318,7 +283,8 @@ impl<'a> Filling<'a> {
         if fits { Ok(()) } else { Err(used) }
     }
 
-    fn synapse(&mut self, source: u32, projection: usize, part: u64, slot: u16) {
+    /// Adds a synapse of each source of a bundle.
+    fn synapse(&mut self, (source, bundle): (u32, u32), projection: usize, part: u64, slot: u16) {
         let format = self.formats.by_projection()[projection];
         let weight_bits = self.weight_bits[projection];
         let axon_index = self.axon_of.get_or_insert(source, self.axons.len() as u32);
@@ -327,7 +293,8 @@ impl<'a> Filling<'a> {
                 let first_slot = *self.begins.entry(place).or_insert(slot);
                 PlacedAxon { place, atom, base: share::base_of(first_slot), told: 0 }
             });
-            self.axons.push(Axon { last: None, words: [0; 2], placed });
+            self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
+            self.axons_in += bundle;
         }
         let axon = &mut self.axons[axon_index as usize];
         if let Some(placed) = &mut axon.placed {
@@ -370,20 +337,26 @@ impl<'a> Filling<'a> {
         entry.synapses += 1;
         entry.last_slot = slot;
         let group = entry.group(weight_bits);
-        let plain = packing::words(group, self.widths, self.limits);
-        let (compression, fewest) = packing::best(group, self.widths, self.limits);
+        let made = (self.widths, group);
+        let last = &mut self.last[usize::from(format)];
+        let Packed { words, compression, .. } = last.filter(|last| last.made == made).unwrap_or_else(|| {
+            let plain = packing::words(group, self.widths, self.limits);
+            let (compression, fewest) = packing::best(group, self.widths, self.limits);
+            *last.insert(Packed { made, words: [plain, fewest], compression })
+        });
         entry.compression = compression;
         let [class, class_with_runs] = entry.classes();
         self.groups[usize::from(format)][class] += 1;
         self.groups_with_runs[usize::from(format)][class_with_runs] += 1;
-        let before = std::mem::replace(&mut entry.words, [plain, fewest]);
+        let before = std::mem::replace(&mut entry.words, words);
         for (way, before) in before.into_iter().enumerate() {
             // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
             axon.words[way] = axon.words[way] + entry.words[way] - before;
             self.widest[way] = self.widest[way].max(axon.words[way]);
-            self.words[way] = self.words[way] + u64::from(entry.words[way]) - u64::from(before);
+            let [now, before] = [entry.words[way], before].map(|words| u64::from(words) * u64::from(bundle));
+            self.words[way] = self.words[way] + now - before;
         }
-        self.synapses += 1;
+        self.synapses += u64::from(bundle);
     }
 
     /// Counts all words again, with other widths.
@@ -398,8 +371,9 @@ impl<'a> Filling<'a> {
             self.groups_with_runs[usize::from(entry.format)][entry.classes()[1]] += 1;
             entry.words = [packing::words(group, self.widths, self.limits), fewest];
             for way in 0..2 {
-                self.axons[entry.axon as usize].words[way] += entry.words[way];
-                self.words[way] += u64::from(entry.words[way]);
+                let axon = &mut self.axons[entry.axon as usize];
+                axon.words[way] += entry.words[way];
+                self.words[way] += u64::from(entry.words[way]) * u64::from(axon.bundle);
             }
         }
         for way in 0..2 {
@@ -432,9 +406,9 @@ impl<'a> Filling<'a> {
                     let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
                     classes.push(Class {
                         places: 0,
-                        lists: of_place.len() as u32,
-                        atoms: of_place.last().map_or(0, |(placed, _)| placed.atom + 1),
-                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way]).sum(),
+                        lists: of_place.iter().map(|&(_, at)| self.axons[at].bundle).sum(),
+                        atoms: of_place.last().map_or(0, |&(placed, at)| placed.atom + self.axons[at].bundle as u16),
+                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way] * self.axons[at].bundle).sum(),
                         list_words: (words().min().unwrap_or(0), words().max().unwrap_or(0)),
                     });
                 }
@@ -447,7 +421,7 @@ impl<'a> Filling<'a> {
     /// What the compartments so far use when lists are shared, output axons left out.
     #[must_use]
     pub fn usage_shared(&self) -> CoreUsage {
-        let (formats, axons) = (self.formats_in_use(), self.axons.len() as u32);
+        let (formats, axons) = (self.formats_in_use(), self.axons_in);
         let of_way = |(way, classes): (usize, &Vec<Class>)| {
             let sharing = share::sharing(classes, self.limits);
             let widest = classes.iter().zip(&sharing).filter(|(_, places)| **places > 0);
@@ -486,7 +460,7 @@ impl<'a> Filling<'a> {
         let way = usize::from(runs);
         CoreUsage {
             compartments,
-            axons_in: self.axons.len() as u32,
+            axons_in: self.axons_in,
             axons_out: 0,
             axons_out_per_compartment: 0,
             synapses: self.synapses,

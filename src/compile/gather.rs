@@ -170,6 +170,34 @@ impl Piece<'_> {
     }
 }
 
+/// The number within its range of a core in a bucket's key.
+fn core_of(key: u64) -> usize {
+    (key >> (SYNAPSE_BITS + PIECE_BITS)) as usize
+}
+
+/// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is dealt out to cores in the order
+/// in which it is; only the synapses of one source on one core are still to be compared.
+fn sorted(bucket: Vec<u64>, cores: usize) -> Vec<u64> {
+    let mut places = vec![0u32; cores];
+    bucket.iter().for_each(|&key| places[core_of(key)] += 1);
+    let mut sum = 0;
+    for place in &mut places {
+        sum += std::mem::replace(place, sum);
+    }
+    let mut sorted = vec![0; bucket.len()];
+    for key in bucket {
+        let place = &mut places[core_of(key)];
+        sorted[*place as usize] = key;
+        *place += 1;
+    }
+    for list in sorted.chunk_by_mut(|a, b| a >> SYNAPSE_BITS == b >> SYNAPSE_BITS) {
+        if !list.is_sorted() {
+            list.sort_unstable();
+        }
+    }
+    sorted
+}
+
 /// What `f` makes of each core and its synapses.
 pub fn by_core<T: Send>(
     network: &Quantised,
@@ -198,8 +226,7 @@ pub fn by_core<T: Send>(
                         buckets[within / of_range].push(key << SYNAPSE_BITS | rest);
                     }
                 });
-                buckets.iter_mut().for_each(|bucket| bucket.sort_unstable());
-                buckets
+                buckets.into_iter().map(|bucket| sorted(bucket, of_range)).collect()
             })
             .collect();
         let made: Vec<Vec<T>> = (0..ranges)
@@ -209,13 +236,12 @@ pub fn by_core<T: Send>(
                 let mut by_core: Vec<Vec<Key>> = vec![Vec::new(); held];
                 for (piece, buckets) in pieces.iter().zip(&sorted) {
                     let bucket = &buckets[range];
-                    let core_of = |key: &u64| (key >> (SYNAPSE_BITS + PIECE_BITS)) as usize;
-                    for run in bucket.chunk_by(|a, b| core_of(a) == core_of(b)) {
+                    for run in bucket.chunk_by(|&a, &b| core_of(a) == core_of(b)) {
                         let keys = run.iter().map(|&key| {
                             let local = field(key, SYNAPSE_BITS, PIECE_BITS) as u32;
                             Key(u64::from(piece.source + local) << SYNAPSE_BITS | field(key, 0, SYNAPSE_BITS))
                         });
-                        by_core[core_of(&run[0])].extend(keys);
+                        by_core[core_of(run[0])].extend(keys);
                     }
                 }
                 let first = wave.start + range * of_range;

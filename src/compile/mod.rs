@@ -5,6 +5,7 @@
 //! and checked against its network by code that shares nothing with the stages that made it.
 
 pub mod axis;
+mod axon_of;
 pub mod check;
 pub mod convert;
 pub mod copies;

@@ -16,7 +16,7 @@ use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
-use crate::compile::packing::{Compression, Widths};
+use crate::compile::packing::{Compression, Group, Widths};
 use crate::compile::share::Places;
 use crate::compile::usage::{Tallies, group_of, longest_delays, ways_of};
 use crate::desc::target::Limits;
@@ -130,25 +130,36 @@ struct Writer<'a> {
     limits: &'a Limits,
     runs: bool,
     known: Vec<CoreFormat>,
+    /// The last group's make-up and the number of its format.
+    last: Option<((u16, Group), u8)>,
     lists: Lists<Synapse>,
 }
 
 impl Writer<'_> {
+    /// The number of the format of a group of this make-up.
+    fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
+        if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
+            return Some(number);
+        }
+        let [_, (compression, _)] = ways_of(made, self.widths, self.limits);
+        let stored = CoreFormat {
+            synapse: self.formats.get(format),
+            delay_bits: if made.delayed { self.widths.delay } else { 0 },
+            index_bits: (!made.dense).then_some(self.widths.index),
+            skip_bits: match compression {
+                Compression::RunLength(bits) if self.runs => Some(bits),
+                _ => None,
+            },
+        };
+        let number = number_of(&mut self.known, stored)?;
+        self.last = Some(((format, made), number));
+        Some(number)
+    }
+
     /// Writes a list, its slots counted from a base.
     fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
         for group in gather::groups(list) {
-            let (format, made) = group_of(group, self.formats);
-            let [_, (compression, _)] = ways_of(made, self.widths, self.limits);
-            let format = CoreFormat {
-                synapse: self.formats.get(format),
-                delay_bits: if made.delayed { self.widths.delay } else { 0 },
-                index_bits: (!made.dense).then_some(self.widths.index),
-                skip_bits: match compression {
-                    Compression::RunLength(bits) if self.runs => Some(bits),
-                    _ => None,
-                },
-            };
-            let number = number_of(&mut self.known, format)?;
+            let number = self.number(group_of(group, self.formats))?;
             for key in group {
                 let delay = Delay::new(key.delay().into()).ok()?;
                 let synapse = Synapse { slot: key.slot() - base, weight: key.weight(), format: number, delay };
@@ -163,7 +174,7 @@ impl Writer<'_> {
 /// What a core keeps of its synapses; `None` when it has more input axons or formats than can be numbered.
 fn write_lists(keys: &[Key], formats: &Formats, widths: Widths, tallies: &Tallies, limits: &Limits) -> Option<Written> {
     let (runs, lists) = (tallies.runs(limits), Lists::with_capacity(0, keys.len()));
-    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), lists };
+    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
     let shared: Vec<_> = tallies.shared(limits).filter(|&(_, places)| places > 0).collect();
     let sources: Vec<u32> = gather::lists(keys).map(|list| list[0].source()).collect();
     u16::try_from(sources.len().saturating_sub(1)).ok()?;
@@ -198,7 +209,7 @@ fn write_lists(keys: &[Key], formats: &Formats, widths: Widths, tallies: &Tallie
         }
     }
     writer.lists.shrink_to_fit();
-    Some((writer.known, Stored { lists: writer.lists, populations, axons }, sources))
+    Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
 }
 
 /// Messages by source.
@@ -210,18 +221,29 @@ struct Messages {
 
 /// Sorts what cores know, the sources of their input axons, by source.
 fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages {
-    let of_range = |from: u32, to: u32| {
+    let pieces = |from: u32, count: u32| (0..count.div_ceil(PIECE)).map(move |piece| from + piece * PIECE);
+    let all = channels + compartments;
+    let starts: Vec<u32> = pieces(0, channels).chain(pieces(channels, compartments)).chain([all]).collect();
+    // Where the sources of each piece begin among those of each core, which ascend.
+    let cut = |of_core: &Vec<u32>| {
+        let mut at = 0;
+        let begins = starts.iter().map(|&start| {
+            at += of_core[at..].iter().take_while(|&&source| source < start).count();
+            at as u32
+        });
+        begins.collect()
+    };
+    let cuts: Vec<Vec<u32>> = sources.par_iter().map(cut).collect();
+    let of_piece = |piece: usize| {
+        let (from, to) = (starts[piece], starts[piece + 1]);
+        let parts = || cuts.iter().map(|cuts| cuts[piece] as usize..cuts[piece + 1] as usize);
         let mut counts = vec![0u32; (to - from) as usize];
-        let part = |of_core: &Vec<u32>| {
-            (of_core.partition_point(|&source| source < from), of_core.partition_point(|&source| source < to))
-        };
-        let parts: Vec<(usize, usize)> = sources.iter().map(part).collect();
-        for (of_core, &(low, high)) in sources.iter().zip(&parts) {
-            of_core[low..high].iter().for_each(|source| counts[(source - from) as usize] += 1);
+        for (of_core, part) in sources.iter().zip(parts()) {
+            of_core[part].iter().for_each(|source| counts[(source - from) as usize] += 1);
         }
         let mut lists = Lists::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
-        for (core, (of_core, &(low, high))) in sources.iter().zip(&parts).enumerate() {
-            for (axon, &source) in (low..high).zip(&of_core[low..high]) {
+        for (core, (of_core, part)) in sources.iter().zip(parts()).enumerate() {
+            for (axon, &source) in part.clone().zip(&of_core[part]) {
                 // Counts now say how many are still to come; cores ascend, so lists do.
                 let source = (source - from) as usize;
                 let place = lists.get(source).len() - counts[source] as usize;
@@ -231,16 +253,12 @@ fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages 
         }
         lists
     };
-    let pieces = |from: u32, count: u32| {
-        let of = move |piece: u32| (from + piece * PIECE, from + ((piece + 1) * PIECE).min(count));
-        (0..count.div_ceil(PIECE)).into_par_iter().map(of)
-    };
-    let of_channels: Vec<Lists<AxonTarget>> = pieces(0, channels).map(|(from, to)| of_range(from, to)).collect();
-    let mut all = Lists::default();
-    of_channels.iter().flat_map(Lists::iter).for_each(|list| all.push(list.iter().copied()));
-    all.shrink_to_fit();
-    let of_compartments = pieces(channels, compartments).map(|(from, to)| of_range(from, to)).collect();
-    Messages { channels: all, compartments: of_compartments }
+    let mut of_pieces: Vec<Lists<AxonTarget>> = (0..starts.len() - 1).into_par_iter().map(of_piece).collect();
+    let of_compartments = of_pieces.split_off(channels.div_ceil(PIECE) as usize);
+    let mut of_channels = Lists::default();
+    of_pieces.iter().flat_map(Lists::iter).for_each(|list| of_channels.push(list.iter().copied()));
+    of_channels.shrink_to_fit();
+    Messages { channels: of_channels, compartments: of_compartments }
 }
 
 /// The number of a format on its core, which is new when the core has not had it yet.

@@ -6,8 +6,10 @@
 //!
 //! The expected step of mean rates is not the simulated one: spikes come together, and more cores mean more messages over
 //! the busiest link when they do. For the time of a step a candidate must therefore be no slower than the unplaced
-//! sequential one when every source spikes at once, and when all sources of one population do unless that is `SHORT`; and,
-//! unless it holds the same compartments on the same cores, faster by `MARGIN` at the rates that it is made for.
+//! sequential one when every source spikes at once, and when all sources of one population do: over all populations and, but
+//! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
+//! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
+//! `EVERYWHERE`, also when every source spikes.
 
 use std::sync::Mutex;
 
@@ -16,14 +18,21 @@ use rayon::prelude::*;
 use crate::compile::expect::{Score, score, score_at};
 use crate::compile::fanin::first_source;
 use crate::compile::rates::Rates;
+use crate::compile::reason::Reason;
 use crate::compile::{CompileError, Compiled, Objective, Options, Routed, Strategy, partitioned};
 use crate::desc::target::{Limits, Target};
+use crate::ir::partition::Resource;
 use crate::ir::quantised::Quantised;
 
 /// Parts of a core, as divisors, that candidates fill.
 pub(super) const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
+/// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
+/// not enough for all (`nsim bench map`). The first two are always tried.
+const SHORTEST: [u32; 7] = [8, 1, 16, 32, 4, 64, 2];
 /// How much less a mean step must take to be trusted to take no longer when spikes come together.
 const MARGIN: f64 = 0.9;
+/// How much less it must take where no burst may take longer and that of all sources takes as much less.
+const EVERYWHERE: f64 = 0.95;
 /// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
 const SHORT: f64 = 0.1;
 /// Populations whose bursts candidates are compared in.
@@ -63,15 +72,24 @@ pub(super) struct Made<M> {
     pub(super) mapping: M,
 }
 
-/// A core's limits divided, never below what one compartment of any network may need.
-pub(super) fn divided(target: &Target, divisor: u32) -> Target {
+/// A core's limits divided, but for the words that one compartment needs, as far as they are known.
+pub(super) fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let limits = target.limits();
     let divided = Limits {
         compartments: (limits.compartments / divisor).max(1),
-        synapse_words: (limits.synapse_words / divisor).max(limits.synapse_words_per_axon),
+        synapse_words: (limits.synapse_words / divisor).max(limits.synapse_words_per_axon).max(words),
         ..*limits
     };
     target.clone().with_limits(divided)
+}
+
+/// The words that one compartment alone needs, when they are all that a divided core lacks and a whole one has them.
+fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
+    let CompileError::DoesNotFit(reasons) = error else { return None };
+    let words = |reason: &Reason| Some(reason.need).filter(|_| reason.resource == Resource::SynapseWords);
+    let needs: Option<Vec<u64>> = reasons.iter().map(words).collect();
+    let most = needs?.into_iter().max()?.try_into().ok()?;
+    Some(most).filter(|&most| most <= target.limits().synapse_words)
 }
 
 /// Every candidate that fits and that the effort allows for, the sequential ones first.
@@ -89,10 +107,15 @@ pub fn candidates(
 
 fn all(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Result<Vec<Made<Routed>>, CompileError> {
     let synapses = one.synapses() * u64::from(options.copies);
-    let affordable = (u64::from(options.effort_s) * SYNAPSES_PER_SECOND / synapses.max(1)).max(1) as usize;
+    let affordable = u64::from(options.effort_s) * SYNAPSES_PER_SECOND / synapses.max(1);
     let mut all = vec![(Strategy::Sequential, 1)];
-    let wanted = DIVISORS.map(|divisor| (options.strategy, divisor));
-    all.extend(wanted.into_iter().filter(|way| *way != all[0]).take(affordable).collect::<Vec<_>>());
+    let (divisors, least) = match options.objective {
+        Objective::Latency => (&SHORTEST[..], 2),
+        Objective::Cores | Objective::Energy => (&DIVISORS[..], 1),
+    };
+    let wanted =
+        divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|way| *way != (Strategy::Sequential, 1));
+    all.extend(wanted.take(affordable.max(least) as usize));
     // The effort is for all of them together.
     let options = &Options { effort_s: options.effort_s.div_ceil(all.len() as u32), ..*options };
     let first_error = Mutex::new(None);
@@ -103,6 +126,7 @@ fn all(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Re
             // The sequential cores are looked at unplaced too.
             let places = if number == 0 && options.place { &[false, true][..] } else { &[options.place] };
             mapped(one, target, options, rates, (strategy, divisor), places).unwrap_or_else(|error| {
+                tracing::debug!(strategy = strategy.name(), divisor, %error, "candidate");
                 let mut first = first_error.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                 if first.is_none() || number == 0 {
                     *first = Some(error);
@@ -128,12 +152,17 @@ fn mapped(
     places: &[bool],
 ) -> Result<Vec<Made<Routed>>, CompileError> {
     let asked = Options { strategy, ..*options };
-    let mut partitioned = partitioned(one.clone(), &divided(target, divisor), &asked, rates)?;
+    let gathered = |words| partitioned(one.clone(), &divided(target, divisor, words), &asked, rates);
+    let mut partitioned = gathered(0).or_else(|error| match words_for_one(&error, target) {
+        Some(words) => gathered(words),
+        None => Err(error),
+    })?;
     partitioned.within(target)?;
     let made = |&placed: &bool| {
         let routed = partitioned.routed(target, &Options { place: placed, ..asked })?;
         let score = score(&routed.0, target).map_err(CompileError::Input)?;
         let found = Found { candidate: Candidate { strategy, divisor, placed }, score };
+        tracing::debug!(?found, "candidate");
         Ok(Made { found, mapping: routed })
     };
     places.iter().map(made).collect()
@@ -166,37 +195,48 @@ pub(super) fn chosen<M>(
     let Some(plain) = made.next() else {
         return Err(CompileError::Fault("there is no candidate".to_string()));
     };
-    let mut others: Vec<Made<M>> = made.filter(|other| better(&other.found, &plain.found, objective)).collect();
+    let better = |other: &Made<M>| other.found.score.better(&plain.found.score, objective).is_lt();
+    let mut others: Vec<Made<M>> = made.filter(better).collect();
     others.sort_by(|a, b| a.found.score.better(&b.found.score, objective));
     if objective != Objective::Latency {
         return Ok(others.into_iter().next().unwrap_or(plain).mapping);
     }
     let least = if others.is_empty() { Vec::new() } else { times(&plain.mapping)? };
     for other in others {
-        if no_slower(&times(&other.mapping)?, &least) {
+        let times = times(&other.mapping)?;
+        tracing::debug!(candidate = ?other.found.candidate, ?times, ?least, "steps of bursts in microseconds");
+        let step = |found: &Found| found.score.step_us;
+        let shorter = |part: f64| step(&other.found) < part * step(&plain.found);
+        let slack = if same_cores(&other.found, &plain.found) || shorter(MARGIN) {
+            1.0 / MARGIN
+        } else if shorter(EVERYWHERE) && times.first() < least.first().map(|all| EVERYWHERE * all).as_ref() {
+            1.0
+        } else {
+            continue;
+        };
+        if no_slower(&times, &least, slack) {
             return Ok(other.mapping);
         }
     }
     Ok(plain.mapping)
 }
 
-/// Whether a candidate is better than the first, unplaced one by enough to be looked at.
-fn better(other: &Found, plain: &Found, objective: Objective) -> bool {
+/// Whether two candidates hold the same compartments on the same cores.
+fn same_cores(one: &Found, other: &Found) -> bool {
     let cores = |found: &Found| (found.candidate.strategy, found.candidate.divisor);
-    let margin = if cores(other) == cores(plain) { 1.0 } else { MARGIN };
-    other.score.better(&plain.score, objective).is_lt()
-        && (objective != Objective::Latency || other.score.step_us < margin * plain.score.step_us)
+    cores(one) == cores(other)
 }
 
-/// Whether no burst takes longer than in the unplaced sequential mapping, but for those of one population that are short
-/// in both beside the first, in which all sources spike.
-fn no_slower(times: &[f64], plain: &[f64]) -> bool {
-    let short = plain.first().map_or(0.0, |all| SHORT * all);
-    times
-        .iter()
-        .zip(plain)
-        .enumerate()
-        .all(|(burst, (time, plain))| *time <= if burst == 0 { *plain } else { plain.max(short) })
+/// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all sources spike; those of one
+/// population, all of them together; and each of these, but for `slack` and for those that are short beside the first.
+fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
+    let (Some((all, each)), Some((all_plain, each_plain))) = (times.split_first(), plain.split_first()) else {
+        return true;
+    };
+    let short = SHORT * all_plain;
+    all <= all_plain
+        && each.iter().sum::<f64>() <= each_plain.iter().sum::<f64>()
+        && each.iter().zip(each_plain).all(|(time, plain)| *time <= (plain * slack).max(short))
 }
 
 /// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::compile::fanin::first_source;
+use crate::compile::fanin::{bundle, first_source};
 use crate::compile::rates::Rates;
 use crate::desc::target::Limits;
 use crate::ir::quantised::{Connectivity, Quantised};
@@ -76,6 +76,44 @@ pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cor
     by_source(network, core_of, cores, true, of).into_iter().sum()
 }
 
+/// Consecutive sources of a population that one task looks at; for sources in bundles ([`crate::compile::fanin`]), the same
+/// positions of every channel of a bundle.
+#[derive(Debug, Clone)]
+struct Piece {
+    population: PopulationId,
+    /// Index of the first.
+    first: u32,
+    /// How many, in a channel.
+    length: u32,
+    /// From a channel to the next of its bundle, and how many there are.
+    channels: (u32, u32),
+}
+
+/// All sources in pieces: channels (if asked for), then compartments.
+fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
+    let mut pieces = Vec::new();
+    for (id, population) in network.populations().enumerate() {
+        if population.first_channel().is_some() && !with_channels {
+            continue;
+        }
+        let size = population.shape.len();
+        let (positions, bundle) = match (bundle(network, id), population.shape.volume()) {
+            (bundle, Some((_, height, width))) if bundle > 1 => (height * width, bundle),
+            _ => (size, 1),
+        };
+        for group in (0..size).step_by(positions as usize * bundle as usize) {
+            let of = |from| Piece {
+                population: id,
+                first: group + from,
+                length: (PIECE / bundle as usize).max(1).min((positions - from) as usize) as u32,
+                channels: (positions, bundle),
+            };
+            pieces.extend((0..positions).step_by((PIECE / bundle as usize).max(1)).map(of));
+        }
+    }
+    pieces
+}
+
 /// What `f(source, own core, cores reached)` says of every source, in order: channels (if asked for), then compartments.
 /// Cores are in the order in which they are first reached.
 pub fn by_source<T: Send>(
@@ -86,54 +124,52 @@ pub fn by_source<T: Send>(
     f: impl Fn(u32, Option<CoreId>, &[CoreId]) -> T + Sync,
 ) -> Vec<T> {
     let of_population = cores_of_populations(network, core_of);
-    let mut pieces = Vec::new();
-    for inputs in [true, false] {
-        for (id, population) in network.populations().enumerate() {
-            if population.first_channel().is_some() != inputs || (inputs && !with_channels) {
-                continue;
-            }
-            let size = population.shape.len();
-            pieces.extend((0..size).step_by(PIECE).map(|from| (id, population, from..(from + PIECE as u32).min(size))));
-        }
-    }
-    let counted: Vec<Vec<T>> = pieces
+    let counted: Vec<Vec<(u32, Vec<T>)>> = pieces(network, with_channels)
         .into_par_iter()
         .map_init(
             || (vec![0u32; cores], 0u32, Vec::new()),
-            |(seen, mark, reached), (id, population, range)| {
-                let first = first_source(network, population);
-                range
-                    .map(|index| {
-                        // Marks tell sources apart; a task of few sources never comes near the end of their range.
-                        *mark += 1;
-                        reached.clear();
-                        let mut reach = |core: CoreId| {
-                            if std::mem::replace(&mut seen[core.index()], *mark) != *mark {
-                                reached.push(core);
-                            }
-                        };
-                        for &projection in network.outgoing(id) {
-                            let projection = &network.projections()[projection];
-                            let Some(target) = network.populations()[projection.target].first_compartment() else {
-                                continue;
-                            };
-                            match &projection.connectivity {
-                                Connectivity::Dense { .. } => {
-                                    of_population[projection.target].iter().for_each(|&core| reach(core));
-                                }
-                                connectivity => connectivity.for_each_target(index, |t| {
-                                    reach(core_of[CompartmentId(target.0 + t)]);
-                                }),
-                            }
+            |(seen, mark, reached), Piece { population: id, first, length, channels: (positions, bundle) }| {
+                let population = &network.populations()[id];
+                let number = first_source(network, population);
+                let mut told: Vec<(u32, Vec<T>)> = (0..bundle)
+                    .map(|k| (number + first + k * positions, Vec::with_capacity(length as usize)))
+                    .collect();
+                for index in first..first + length {
+                    // Marks tell sources apart; a task of few sources never comes near the end of their range.
+                    *mark += 1;
+                    reached.clear();
+                    let mut reach = |core: CoreId| {
+                        if std::mem::replace(&mut seen[core.index()], *mark) != *mark {
+                            reached.push(core);
                         }
+                    };
+                    for &projection in network.outgoing(id) {
+                        let projection = &network.projections()[projection];
+                        let Some(target) = network.populations()[projection.target].first_compartment() else {
+                            continue;
+                        };
+                        match &projection.connectivity {
+                            Connectivity::Dense { .. } => {
+                                of_population[projection.target].iter().for_each(|&core| reach(core));
+                            }
+                            connectivity => connectivity.for_each_target(index, |t| {
+                                reach(core_of[CompartmentId(target.0 + t)]);
+                            }),
+                        }
+                    }
+                    for (k, (_, told)) in (0..).zip(&mut told) {
+                        let index = index + k * positions;
                         let own = population.first_compartment().map(|first| core_of[CompartmentId(first.0 + index)]);
-                        f(first + index, own, reached)
-                    })
-                    .collect()
+                        told.push(f(number + index, own, reached));
+                    }
+                }
+                told
             },
         )
         .collect();
-    counted.into_iter().flatten().collect()
+    let mut counted: Vec<(u32, Vec<T>)> = counted.into_iter().flatten().collect();
+    counted.sort_unstable_by_key(|(first, _)| *first);
+    counted.into_iter().flat_map(|(_, told)| told).collect()
 }
 
 /// Output axon slots of all compartments of a core together.

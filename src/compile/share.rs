@@ -9,8 +9,8 @@
 //!
 //! What the hardware allows (pop16 axons; nengo-loihi `hardware/builder.py`, `block.py` and `builder/validate.py`):
 //!
-//! - an atom has at most 9 bits (Intel's NxSDK had only five of them when nengo-loihi was written); of the 15 bits that axon and atom share, those of the atom beyond five are taken from the
-//!   ten of the axon ([`most_axons`]);
+//! - an atom has at most 9 bits (Intel's NxSDK had only five of them when nengo-loihi was written); of the 15 bits that axon
+//!   and atom share, those of the atom beyond five are taken from the ten of the axon ([`most_axons`]);
 //! - a base is a multiple of 4 below 256. Places that begin farther on keep whole 256s in the slots of their lists, so that
 //!   they share with others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`);
 //! - a compartment belongs to one population, so its atom is the same on every core: it is the channel;

@@ -21,7 +21,7 @@ use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
 use crate::compile::formats::Formats;
 use crate::compile::gather::{self, Key};
 use crate::compile::packing::{self, Compression, Group, Widths};
-use crate::compile::sent;
+use crate::compile::sent::{self, Sent};
 use crate::compile::share::{self, Alike, Class, Places};
 use crate::desc::target::Limits;
 use crate::ir::partition::{CoreUsage, Seat};
@@ -61,6 +61,22 @@ pub fn usage(
     chips: &IdVec<CoreId, u32>,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
+    let core_of = seats.iter().map(|seat| seat.core).collect();
+    usage_sending(network, members, seats, &sent::sent(network, &core_of, chips, limits), limits)
+}
+
+/// The use of each core, where it is known what compartments send.
+///
+/// # Panics
+/// As [`usage`].
+#[must_use]
+pub fn usage_sending(
+    network: &Quantised,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    seats: &IdVec<CompartmentId, Seat>,
+    sent: &Sent,
+    limits: &Limits,
+) -> IdVec<CoreId, CoreUsage> {
     let longest = longest_delays(network, seats, members.len());
     let (formats, places) = (Formats::of(network), Places::of(network));
     let counted = gather::by_core(network, &formats, seats, members.len(), |core, keys| {
@@ -71,10 +87,8 @@ pub fn usage(
     });
     let mut usage: IdVec<CoreId, CoreUsage> = counted.into();
     count_profiles(network, seats, &mut usage);
-    let core_of = seats.iter().map(|seat| seat.core).collect();
-    let sent = sent::sent(network, &core_of, chips, limits);
     for (used, held) in usage.iter_mut().zip(members) {
-        used.axons_out = u32::try_from(sent::slots_of(held, &sent)).unwrap_or(u32::MAX);
+        used.axons_out = u32::try_from(sent::slots_of(held, sent)).unwrap_or(u32::MAX);
         used.axons_out_per_compartment = held.iter().map(|id| sent.axons[id.index()]).max().unwrap_or(0);
     }
     usage
@@ -94,13 +108,6 @@ pub struct Tally {
 }
 
 impl Tally {
-    fn group(&mut self, kind: (u16, bool, Compression), last: &mut Option<(u16, bool, Compression)>) {
-        // Neighbours mostly agree.
-        if last.replace(kind) != Some(kind) {
-            self.formats.insert(kind);
-        }
-    }
-
     fn lists(&mut self, lists: u64, words: u32) {
         self.axons = self.axons.saturating_add(u32::try_from(lists).unwrap_or(u32::MAX));
         self.words += lists * u64::from(words);
@@ -133,19 +140,25 @@ impl Tallies {
     #[must_use]
     pub fn of(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits, places: &Places) -> Self {
         let mut tallies = Tallies::default();
-        let mut last = [None; 2];
+        // Neighbours mostly are made up alike.
+        let mut last: Option<((u16, Group), [Words; 2])> = None;
         // Words of each list, of a discrete axon and in a table.
         let mut of_lists: Vec<[Words; 2]> = Vec::new();
         for list in gather::lists(keys) {
             let mut of_list = [Words::default(); 2];
             for group in gather::groups(list) {
-                let (format, group) = group_of(group, formats);
-                for (way, (compression, discrete)) in ways_of(group, widths, limits).into_iter().enumerate() {
-                    tallies.ways[way].group((format, group.delayed, compression), &mut last[way]);
-                    of_list[way].discrete += discrete;
-                    if !places.is_empty() {
-                        of_list[way].in_table += packing::words_in_table(group, compression, widths, limits);
+                let made = group_of(group, formats);
+                let words = match last {
+                    Some((same, words)) if same == made => words,
+                    _ => {
+                        let words = tallies.group(made, widths, limits);
+                        last = Some((made, words));
+                        words
                     }
+                };
+                for (of_list, words) in of_list.iter_mut().zip(words) {
+                    of_list.discrete += words.discrete;
+                    of_list.in_table += words.in_table;
                 }
             }
             for (tally, words) in tallies.ways.iter_mut().zip(of_list) {
@@ -178,13 +191,23 @@ impl Tallies {
         tallies
     }
 
+    /// Notes the format of a group; returns what the group takes without and with runs.
+    fn group(&mut self, (format, group): (u16, Group), widths: Widths, limits: &Limits) -> [Words; 2] {
+        let ways = ways_of(group, widths, limits);
+        for (way, (compression, _)) in self.ways.iter_mut().zip(ways) {
+            way.formats.insert((format, group.delayed, compression));
+        }
+        ways.map(|(compression, discrete)| Words {
+            discrete,
+            in_table: packing::words_in_table(group, compression, widths, limits),
+        })
+    }
+
     /// Counts so many lists of one such group each; returns what one of them takes without and with runs.
     pub fn lists(&mut self, format: u16, group: Group, lists: u64, widths: Widths, limits: &Limits) -> [Words; 2] {
-        let mut of_list = [Words::default(); 2];
-        for (way, (compression, discrete)) in ways_of(group, widths, limits).into_iter().enumerate() {
-            self.ways[way].formats.insert((format, group.delayed, compression));
-            self.ways[way].lists(lists, discrete);
-            of_list[way] = Words { discrete, in_table: packing::words_in_table(group, compression, widths, limits) };
+        let of_list = self.group((format, group), widths, limits);
+        for (way, words) in self.ways.iter_mut().zip(of_list) {
+            way.lists(lists, words.discrete);
         }
         of_list
     }

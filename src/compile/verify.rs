@@ -249,19 +249,21 @@ fn verify_core(
     let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::of(image.compartments.len() as u32, longest, limits.packing);
     verify_formats(core, image, widths)?;
-    let (mut of_lists, mut used) = (Vec::with_capacity(image.inputs.lists.len()), BTreeSet::new());
+    let mut of_lists = Vec::with_capacity(image.inputs.lists.len());
+    let (mut used, mut kinds) = (vec![false; image.formats.len()], Vec::new());
     for (list, synapses) in image.inputs.lists.iter().enumerate() {
         if synapses.is_empty() && !in_table[list] {
             return Err(Violation::EmptyAxon { core, list });
         }
         let mut list_words = 0;
-        let mut kinds = BTreeSet::new();
+        kinds.clear();
         for group in synapses.chunk_by(|a, b| a.format == b.format) {
             let format = image.formats[usize::from(group[0].format)];
-            used.insert(group[0].format);
-            if !kinds.insert(format.synapse) {
+            used[usize::from(group[0].format)] = true;
+            if kinds.contains(&format.synapse) {
                 return Err(Violation::Scattered { core, list });
             }
+            kinds.push(format.synapse);
             verify_group(core, list, group, format)?;
             let group = Group {
                 weight_bits: format.synapse.bits,
@@ -280,7 +282,7 @@ fn verify_core(
         }
         of_lists.push(list_words);
     }
-    if let Some(format) = (0..image.formats.len()).find(|&f| !used.contains(&(f as u8))) {
+    if let Some(format) = used.iter().position(|&used| !used) {
         return Err(Violation::Format { core, format, what: "is not used" });
     }
     let words = words_of(&image.inputs, &of_lists, &in_table);

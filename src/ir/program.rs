@@ -7,6 +7,10 @@
 //! is reached by two sources, and every stored list is selected.
 //! That it equals its `Quantised` network is for `compile::check` to prove.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rayon::prelude::*;
+
 use crate::base::fixed::Delay;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::desc::network::{Semantics, ThresholdTest};
@@ -220,21 +224,41 @@ pub struct Stored {
     pub lists: Lists<Synapse>,
     /// Population axons; few, or none.
     pub populations: Vec<PopulationAxon>,
-    /// Input axons, one for each source that reaches the core; empty without population axons: axon i has list i then.
+    /// Input axons up to the last that is a member of a population axon; those after it are discrete and have the last
+    /// lists, in order. So a core without population axons has none here, and axon i has list i.
     pub axons: Vec<InputAxon>,
+    /// Input axons after these.
+    pub plain: u32,
 }
 
 impl Stored {
     /// Lists of discrete axons.
     #[must_use]
     pub fn discrete(lists: Lists<Synapse>) -> Self {
-        Stored { lists, ..Stored::default() }
+        Stored { plain: lists.len() as u32, lists, ..Stored::default() }
+    }
+
+    /// Lists of a core with population axons, one input axon for each source that reaches it.
+    #[must_use]
+    pub fn with_populations(
+        lists: Lists<Synapse>,
+        populations: Vec<PopulationAxon>,
+        mut axons: Vec<InputAxon>,
+    ) -> Self {
+        let discrete = |(back, axon): &(usize, &InputAxon)| match **axon {
+            InputAxon::Discrete { list } => list as usize + back + 1 == lists.len(),
+            InputAxon::Member { .. } => false,
+        };
+        let plain = axons.iter().rev().enumerate().take_while(discrete).count();
+        axons.truncate(axons.len() - plain);
+        axons.shrink_to_fit();
+        Stored { lists, populations, axons, plain: plain as u32 }
     }
 
     /// Sources that reach the core.
     #[must_use]
     pub fn len(&self) -> usize {
-        if self.populations.is_empty() { self.lists.len() } else { self.axons.len() }
+        self.axons.len() + self.plain as usize
     }
 
     /// Whether no source reaches the core.
@@ -247,7 +271,10 @@ impl Stored {
     #[inline]
     #[must_use]
     pub fn axon(&self, axon: usize) -> InputAxon {
-        if self.populations.is_empty() { InputAxon::Discrete { list: axon as u32 } } else { self.axons[axon] }
+        self.axons.get(axon).copied().unwrap_or_else(|| {
+            let behind = self.len() - axon;
+            InputAxon::Discrete { list: (self.lists.len() - behind) as u32 }
+        })
     }
 
     /// Which of the stored lists an input axon selects, and what it adds to every slot of it.
@@ -302,8 +329,12 @@ impl Stored {
     /// table of its population, and slots are below a number.
     fn is_closed(&self, slots: usize) -> bool {
         let most = |lists: std::ops::Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
-        if self.populations.is_empty() {
-            return self.axons.is_empty() && self.lists.items().iter().all(|synapse| usize::from(synapse.slot) < slots);
+        if self.plain as usize > self.lists.len() {
+            return false;
+        }
+        if self.axons.is_empty() && self.populations.is_empty() {
+            let below = |synapse: &Synapse| usize::from(synapse.slot) < slots;
+            return self.plain as usize == self.lists.len() && self.lists.items().iter().all(below);
         }
         let mut selected = vec![false; self.lists.len()];
         for population in &self.populations {
@@ -314,7 +345,7 @@ impl Stored {
             }
             selected[table].fill(true);
         }
-        let axons = self.axons.iter().all(|axon| match *axon {
+        let axons = (0..self.len()).all(|axon| match self.axon(axon) {
             InputAxon::Discrete { list } => match selected.get_mut(list as usize) {
                 Some(list_of @ false) => {
                     *list_of = true;
@@ -379,6 +410,55 @@ pub struct Parts {
     pub reset: Option<Reset>,
 }
 
+/// Which input axons a message has been seen to reach.
+struct Marks(IdVec<CoreId, Box<[AtomicBool]>>);
+
+impl Marks {
+    fn new(parts: &Parts) -> Self {
+        let of = |image: &CoreImage| (0..image.inputs.len()).map(|_| AtomicBool::new(false)).collect();
+        Marks(parts.cores.iter().map(of).collect())
+    }
+
+    /// Whether a message leads to an input axon that none did before.
+    fn reach(&self, target: &AxonTarget) -> bool {
+        let axon = self.0.get(target.core).and_then(|axons| axons.get(usize::from(target.axon)));
+        axon.is_some_and(|axon| !axon.swap(true, Ordering::Relaxed))
+    }
+
+    fn all(&self, core: CoreId) -> bool {
+        self.0[core].iter().all(|axon| axon.load(Ordering::Relaxed))
+    }
+}
+
+impl Parts {
+    /// What of a core points nowhere.
+    fn not_closed(&self, core: CoreId, marks: &Marks) -> Option<&'static str> {
+        let image = &self.cores[core];
+        let slots = image.compartments.len();
+        let seat = |(slot, id): (usize, &CompartmentId)| self.seats.get(*id) == Some(&Seat { core, slot: slot as u16 });
+        let has_format = |synapse: &Synapse| usize::from(synapse.format) < image.formats.len();
+        if image.axons_out.len() != slots || image.ids.len() != slots {
+            return Some("a table has not one entry for each compartment");
+        }
+        if self.mesh.number(image.site).is_none() {
+            return Some("it is placed outside the mesh");
+        }
+        if !image.ids.iter().enumerate().all(seat) {
+            return Some("a compartment does not sit where its core says");
+        }
+        if !image.inputs.lists.items().iter().all(has_format) {
+            return Some("a synapse has no format");
+        }
+        if !image.inputs.is_closed(slots) {
+            return Some("a synapse leads to no compartment, or an input axon and a list do not find each other");
+        }
+        if !image.axons_out.items().iter().all(|target| marks.reach(target)) {
+            return Some("an output axon leads nowhere or shares its input axon");
+        }
+        None
+    }
+}
+
 /// A table that points nowhere.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
@@ -397,50 +477,20 @@ impl Program {
     /// [`NotClosed`] when a message, a synapse, a seat or a site leads nowhere, or two sources share an axon.
     pub fn new(parts: Parts) -> Result<Self, NotClosed> {
         let wrong = |core: CoreId, what: &str| Err(NotClosed(format!("{core}: {what}")));
-        let mut reached: IdVec<CoreId, Vec<bool>> =
-            parts.cores.iter().map(|image| vec![false; image.inputs.len()]).collect();
-        let mut reach = |target: &AxonTarget| match reached
-            .as_mut_slice()
-            .get_mut(target.core.index())
-            .and_then(|axons| axons.get_mut(usize::from(target.axon)))
-        {
-            Some(axon @ false) => {
-                *axon = true;
-                true
-            }
-            _ => false,
-        };
-        for (core, image) in parts.cores.enumerate() {
-            let slots = image.compartments.len();
-            if image.axons_out.len() != slots || image.ids.len() != slots {
-                return wrong(core, "a table has not one entry for each compartment");
-            }
-            if parts.mesh.number(image.site).is_none() {
-                return wrong(core, "it is placed outside the mesh");
-            }
-            for (slot, &id) in image.ids.iter().enumerate() {
-                if parts.seats.get(id) != Some(&Seat { core, slot: slot as u16 }) {
-                    return wrong(core, "a compartment does not sit where its core says");
-                }
-            }
-            let has_format = |synapse: &Synapse| usize::from(synapse.format) < image.formats.len();
-            if !image.inputs.lists.items().iter().all(has_format) {
-                return wrong(core, "a synapse has no format");
-            }
-            if !image.inputs.is_closed(slots) {
-                return wrong(
-                    core,
-                    "a synapse leads to no compartment, or an input axon and a list do not find each other",
-                );
-            }
-            if !image.axons_out.items().iter().all(&mut reach) {
-                return wrong(core, "an output axon leads nowhere or shares its input axon");
+        let marks = Marks::new(&parts);
+        let core =
+            |marks: &Marks, core| parts.not_closed(CoreId::new(core), marks).map(|what| (CoreId::new(core), what));
+        if (0..parts.cores.len()).into_par_iter().any(|index| core(&marks, index).is_some()) {
+            // Of two that share an input axon the second is told, which threads may not decide.
+            let marks = Marks::new(&parts);
+            if let Some((core, what)) = (0..parts.cores.len()).find_map(|index| core(&marks, index)) {
+                return wrong(core, what);
             }
         }
-        if !parts.channels.items().iter().all(&mut reach) {
+        if !parts.channels.items().par_iter().all(|target| marks.reach(target)) {
             return Err(NotClosed("an input channel leads nowhere or shares its input axon".to_string()));
         }
-        if let Some(core) = parts.cores.ids().find(|&core| !reached[core].iter().all(|&r| r)) {
+        if let Some(core) = parts.cores.ids().find(|&core| !marks.all(core)) {
             return wrong(core, "an input axon is reached by no source");
         }
         let seated: usize = parts.cores.iter().map(|image| image.compartments.len()).sum();

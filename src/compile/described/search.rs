@@ -45,7 +45,7 @@ pub fn best(network: &Layered, target: &Target, options: &Options) -> Result<(Ou
 fn all(network: &Layered, target: &Target, options: &Options) -> Result<Vec<Made<Sketch>>, CompileError> {
     let compartments = u64::from(network.all.compartments()).max(1);
     let affordable = (u64::from(options.effort_s) * COMPARTMENTS_PER_SECOND / compartments).max(1) as usize;
-    let may_fit = |&divisor: &u32| divisor == 1 || network.may_fit(divided(target, divisor).limits(), target);
+    let may_fit = |&divisor: &u32| divisor == 1 || network.may_fit(divided(target, divisor, 0).limits(), target);
     let divisors: Vec<u32> = DIVISORS.into_iter().take(affordable).filter(may_fit).collect();
     // The effort is for all of them together.
     let options = &Options { effort_s: options.effort_s.div_ceil(divisors.len() as u32), ..*options };
@@ -57,7 +57,7 @@ fn all(network: &Layered, target: &Target, options: &Options) -> Result<Vec<Made
     let mut made = Vec::new();
     // One after the other: each takes as much memory as a mapping, and works on all threads.
     for divisor in divisors {
-        let boxes = match Boxes::fewest(network, &divided(target, divisor), options) {
+        let boxes = match Boxes::fewest(network, &divided(target, divisor, 0), options) {
             Ok(boxes) => boxes,
             Err(error) if made.is_empty() => return Err(error),
             Err(_) => continue,

@@ -25,13 +25,13 @@ use crate::base::rng;
 use crate::compile::fill::Filling;
 use crate::compile::partition::hyper::{Groups, Hypergraph, State};
 use crate::compile::partition::levels::Levels;
-use crate::compile::partition::order::{Chips, Filler, Indices, Segment, file_order};
+use crate::compile::partition::order::{Chips, Filler, Found, Indices, Segment, file_order};
 use crate::compile::partition::refine::Effort;
 use crate::compile::rates::Rates;
 use crate::compile::reason::Reason;
 use crate::compile::sent::{cores_of, messages, sent, slots_of};
 use crate::compile::share::Places;
-use crate::compile::usage::usage;
+use crate::compile::usage::{usage, usage_sending};
 use crate::desc::target::{Limits, Target};
 use crate::ir::partition::{Partition, PartitionError, seats};
 use crate::ir::quantised::{Connectivity, Quantised};
@@ -111,35 +111,38 @@ pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Sear
     let limits = target.limits();
     let copies = (all.compartments() / one.compartments().max(1)).max(1);
     let filler = Filler::new(one, target);
-    let mut members = searched(&filler, search, Chips::Row)?;
+    let Found { mut members, mut sent } = searched(&filler, search, Chips::Row)?;
     if copies > 1 {
         if !sends_little_enough(all, &repeated(&members, one, copies), target) {
-            members = searched(&filler, search, Chips::Apart)?;
+            members = searched(&filler, search, Chips::Apart)?.members;
         }
-        members = repeated(&members, one, copies);
+        (members, sent) = (repeated(&members, one, copies), None);
         if members.len() as u64 > least_cores(one, copies, limits)
             && let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
-            && together.len() < members.len()
+            && together.members.len() < members.len()
         {
-            members = together;
+            Found { members, sent } = together;
         }
     }
     if members.len() as u64 > u64::from(target.cores()) {
         return Err(Failure::DoesNotFit(vec![Reason::of_cores(target, copies, members.len() as u64)]));
     }
-    counted(all, members, target).map_err(|error| Failure::Fault(error.to_string()))
+    counted(all, Found { members, sent }, target).map_err(|error| Failure::Fault(error.to_string()))
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
-fn counted(network: &Quantised, members: Members, target: &Target) -> Result<Partition, PartitionError> {
+fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partition, PartitionError> {
+    let Found { members, sent } = found;
     let seats = seats(network.compartments(), &members)?;
-    let chips = row_of_chips(members.len(), target);
-    let usage = usage(network, &members, &seats, &chips, target.limits());
+    let usage = match sent {
+        Some(sent) => usage_sending(network, &members, &seats, &sent, target.limits()),
+        None => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
+    };
     Partition::new(network.compartments(), members, usage, target.limits())
 }
 
 /// The members that a strategy finds for one copy.
-fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Members, Failure> {
+fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found, Failure> {
     let (network, target) = (filler.network, filler.target);
     let sequential = || filler.fewest_cores(&file_order(network), chips);
     if search.strategy == Strategy::Sequential {
@@ -155,7 +158,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
     let any_spatial = spatial.iter().any(|&spatial| spatial);
     let in_tiles = || if any_spatial { tiled(filler, &spatial, chips) } else { Default::default() };
     let (sequential, tiled) = rayon::join(sequential, in_tiles);
-    if matches!(&sequential, Ok(members) if members.len() == 1) {
+    if matches!(&sequential, Ok(found) if found.members.len() == 1) {
         return sequential;
     }
     let free: u64 = network
@@ -165,14 +168,14 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
         .sum();
     let affordable = free.saturating_mul(WORK_PER_PIN) <= search.work;
     let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
-    let mut found: Vec<Members> = Vec::new();
+    let mut found: Vec<Found> = Vec::new();
     let mut failure = None;
-    let mut keep = |members: Result<Members, Failure>| match members {
-        Ok(members) => found.push(members),
+    let mut keep = |one: Result<Found, Failure>| match one {
+        Ok(one) => found.push(one),
         Err(error) => failure = Some(failure.take().unwrap_or(error)),
     };
     let typical =
-        sequential.as_ref().map_or(1, |members| network.compartments() as usize / members.len().max(1)).max(1);
+        sequential.as_ref().map_or(1, |one| network.compartments() as usize / one.members.len().max(1)).max(1);
     keep(sequential);
     let whole_populations = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
     if !tiled.is_empty() {
@@ -194,7 +197,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
             let mut work = search.work.saturating_sub(free.saturating_mul(WORK_PER_PIN));
             if let Some(best) = fewest(filler, &found, search.rates) {
                 for percent in WORD_MARGINS {
-                    let refined = refined(graph, &levels, best, target, percent, &mut work);
+                    let refined = uncounted(refined(graph, &levels, best, target, percent, &mut work));
                     if counted(network, refined.clone(), target).is_ok() {
                         found.push(refined);
                         break;
@@ -204,7 +207,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
             for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
                 let Some(best) = fewest(filler, &found, search.rates) else { break };
                 let shaken = shaken(best, &fixed, attempt);
-                let refined = refined(graph, &levels, &shaken, target, WORD_MARGINS[0], &mut work);
+                let refined = uncounted(refined(graph, &levels, &shaken, target, WORD_MARGINS[0], &mut work));
                 if counted(network, refined.clone(), target).is_ok() {
                     found.push(refined);
                 }
@@ -215,9 +218,15 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
     let best = fewest(filler, &found, search.rates);
     match (best, failure) {
         (Some(best), _) => {
-            let sorted = sorted(best, &fixed);
-            let same = *best == sorted;
-            Ok(if !same && counted(network, sorted.clone(), target).is_ok() { sorted } else { best.clone() })
+            let sorted = uncounted(sorted(best, &fixed));
+            let same = *best == sorted.members;
+            if !same && counted(network, sorted.clone(), target).is_ok() {
+                return Ok(sorted);
+            }
+            let best = found.iter().position(|one| one.members == *best).unwrap_or_default();
+            let Found { members, sent } = found.swap_remove(best);
+            // Chips that are assumed to be apart are not those that will be.
+            Ok(Found { members, sent: sent.filter(|_| chips == Chips::Row) })
         }
         (None, Some(failure)) => Err(failure),
         (None, None) => Err(Failure::Fault("no strategy had an answer".to_string())),
@@ -225,15 +234,21 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Mem
 }
 
 /// The members with the fewest cores, then the fewest messages; the first of equals.
-fn fewest<'m>(filler: &Filler<'_>, found: &'m [Members], rates: &Rates) -> Option<&'m Members> {
+fn fewest<'m>(filler: &Filler<'_>, found: &'m [Found], rates: &Rates) -> Option<&'m Members> {
     if let [only] = found {
-        return Some(only);
+        return Some(&only.members);
     }
-    let cores = found.iter().map(IdVec::len).min()?;
-    let of_these = found.iter().filter(|members| members.len() == cores);
+    let all = || found.iter().map(|one| &one.members);
+    let cores = all().map(IdVec::len).min()?;
+    let of_these = all().filter(|members| members.len() == cores);
     of_these.min_by_key(|members| {
         messages(filler.network, &cores_of(filler.network.compartments(), members), members.len(), rates)
     })
+}
+
+/// Members that it is not known of what they send.
+fn uncounted(members: Members) -> Found {
+    Found { members, sent: None }
 }
 
 /// Members after some compartments of different cores have changed places, as a start that leads elsewhere.

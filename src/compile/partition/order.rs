@@ -20,7 +20,7 @@ use crate::compile::fanin::FanIn;
 use crate::compile::fill::{Filling, Newcomer};
 use crate::compile::partition::{Failure, Members, row_of_chips};
 use crate::compile::reason::Reason;
-use crate::compile::sent::{cores_of, sent, slots_of};
+use crate::compile::sent::{Sent, cores_of, sent, slots_of};
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
 use crate::ir::quantised::{Quantised, Units};
@@ -137,6 +137,15 @@ impl Misfits {
     }
 }
 
+/// Compartments of each core, and what they send on the chips that were assumed, where it has been counted.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// The compartments.
+    pub members: Members,
+    /// What they send.
+    pub sent: Option<Sent>,
+}
+
 /// Fills cores with one network's compartments.
 #[derive(Debug)]
 pub struct Filler<'a> {
@@ -159,14 +168,14 @@ impl<'a> Filler<'a> {
     ///
     /// # Errors
     /// [`Failure::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
-    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Members, Failure> {
+    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, Failure> {
         if order.len() < 2 {
             return self.settled(order, chips, true);
         }
         let (whole, full) = rayon::join(|| self.settled(order, chips, true), || self.settled(order, chips, false));
         let whole = whole?;
         match full {
-            Ok(full) if full.len() < whole.len() => Ok(full),
+            Ok(full) if full.members.len() < whole.members.len() => Ok(full),
             _ => Ok(whole),
         }
     }
@@ -183,7 +192,7 @@ impl<'a> Filler<'a> {
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].
-    pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Members, Failure> {
+    pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Found, Failure> {
         let limits = self.target.limits();
         let mut estimate = vec![0u32; self.network.compartments() as usize];
         for round in 0.. {
@@ -215,7 +224,7 @@ impl<'a> Filler<'a> {
                 return Err(misfits.reasons(self.network));
             }
             if !again {
-                return Ok(members);
+                return Ok(Found { members, sent: Some(sent) });
             }
             self.raise(&mut estimate, &sent.slots, round);
         }
