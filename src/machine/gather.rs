@@ -188,11 +188,11 @@ mod tests {
                 seats[id.index()] = Seat { core: CoreId(core as u32), slot };
                 axons_out.push(sent[CHANNELS as usize + id.index()].iter().copied());
             }
-            let mut inputs = Stored::discrete(lists);
-            if core == last {
-                let table = |base| PopulationAxon { table: 0, atoms: (CHANNELS / 3) as u16, base };
-                (inputs.populations, inputs.axons) = (vec![table(0), table(7)], std::mem::take(&mut selected));
-            }
+            let table = |base| PopulationAxon { table: 0, atoms: (CHANNELS / 3) as u16, base };
+            let inputs = match core == last {
+                true => Stored::with_populations(lists, vec![table(0), table(7)], std::mem::take(&mut selected)),
+                false => Stored::discrete(lists),
+            };
             cores.push(CoreImage {
                 site: Site { chip: 0, x: core as u32, y: 0, core: 0 },
                 compartments: vec![Compartment { neuron: neuron(), start_step: 0 }; SLOTS as usize],

@@ -3,9 +3,10 @@
 //! Comes in: a [`Program`]. Goes out: compartments laid out in lanes, and for each share of them one list of synapses a
 //! source of spikes. Counts are not taken from here but from the program (`tally`), so flattening cannot change them.
 //!
-//! Compartments stand in the order of cores and slots. A *block* is consecutive compartments of one core, starting at a
-//! multiple of sixteen lanes; 64 lanes are a *granule*, the unit of skipping and of sharing out. Lanes that hold no
-//! compartment are padding: rows of weights are padded with zeros to whole chunks, so adding into padding changes nothing.
+//! Compartments stand in the order of cores and slots. A *block* is consecutive compartments of one core. It starts at a
+//! multiple of sixteen lanes unless it is updated as vectors together with the block before it, of another core; 64 lanes are a
+//! *granule*, the unit of skipping and of sharing out. Lanes that hold no compartment are padding: rows of weights are padded
+//! with zeros to whole chunks, so what they add into padding or into a neighbour changes nothing.
 
 use rayon::prelude::*;
 
@@ -78,9 +79,9 @@ pub(super) enum BlockFields {
 /// Consecutive compartments of one core within a granule.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Block {
-    /// The first lane, a multiple of sixteen.
+    /// The first lane.
     pub start: u32,
-    /// Compartments; the lanes up to the next multiple of sixteen are padding.
+    /// Compartments.
     pub length: u32,
     /// The core.
     pub core: CoreId,
@@ -97,7 +98,7 @@ pub(super) struct Stretch {
     pub first: u32,
     /// The first block after it.
     pub end: u32,
-    /// Its first lane.
+    /// Its first lane, a multiple of sixteen.
     pub start: u32,
     /// Its lanes, padding up to the next multiple of sixteen included.
     pub lanes: u32,
@@ -248,6 +249,8 @@ impl<'p> Image<'p> {
         let parts = self.program.parts();
         let mut known = std::collections::HashMap::new();
         let (mut blocks, mut lane) = (Vec::new(), 0u32);
+        // What the last block's compartments all are, if they are updated as vectors.
+        let mut last: Option<(u32, usize)> = None;
         let firsts: Vec<CompartmentId> = parts.populations.iter().flatten().map(|(first, _)| *first).collect();
         for (core, core_image) in parts.cores.enumerate() {
             let field_of: Vec<u32> = core_image
@@ -272,15 +275,26 @@ impl<'p> Image<'p> {
                 .collect();
             let mut slot = 0;
             while slot < field_of.len() {
+                // A core is seldom full to a multiple of sixteen: padding between cores would be a third of a large network.
+                if last != Some(kind_of[slot]) {
+                    lane = lane.next_multiple_of(LANES as u32);
+                }
                 let room = GRANULE - lane as usize % GRANULE;
                 let left = (field_of.len() - slot).min(room);
                 let kinds = &kind_of[slot..slot + left];
                 let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
                 let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
-                let length = match long(0) {
+                let alike = long(0);
+                if !alike && lane % LANES as u32 != 0 {
+                    last = None;
+                    continue;
+                }
+                let length = match alike {
                     true => run(0),
                     false => (1..left).find(|&from| kinds[from] != kinds[from - 1] && long(from)).unwrap_or(left),
                 };
+                let vectors = |f: u32| self.vector(BlockFields::Same(f)).is_some();
+                last = Some(kinds[0]).filter(|&(f, _)| alike && vectors(f));
                 let fields = match field_of[slot..slot + length].iter().all(|&f| f == field_of[slot]) {
                     true => BlockFields::Same(field_of[slot]),
                     false => {
@@ -294,11 +308,22 @@ impl<'p> Image<'p> {
                 for (offset, &compartment) in core_image.ids[slot..slot + length as usize].iter().enumerate() {
                     self.lanes[compartment.index()] = lane + offset as u32;
                 }
-                lane = (lane + length).next_multiple_of(LANES as u32);
+                lane += length;
                 slot += length as usize;
             }
         }
         blocks
+    }
+
+    /// The fields of a block that can be updated as vectors.
+    fn vector(&self, fields: BlockFields) -> Option<u32> {
+        match fields {
+            // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
+            BlockFields::Same(f) if self.semantics == Semantics::Hardware => {
+                Some(f).filter(|&f| self.fields[f as usize].fires_from > 0)
+            }
+            _ => None,
+        }
     }
 
     /// Makes sure that no sum can leave 32 bits: a source spikes once a step, so each synapse adds at most once.
@@ -333,15 +358,9 @@ impl<'p> Image<'p> {
             }
             let Some((_, share)) = current.as_mut() else { continue };
             block.start -= self.bases[self.bases.len() - 1];
-            let vector = match block.fields {
-                // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
-                BlockFields::Same(f) if self.semantics == Semantics::Hardware => {
-                    Some(f).filter(|&f| self.fields[f as usize].fires_from > 0)
-                }
-                _ => None,
-            };
+            let vector = self.vector(block.fields);
             let mask = u64::MAX >> (GRANULE as u32 - block.length);
-            let lanes = block.length.next_multiple_of(LANES as u32);
+            let end = (block.start + block.length).next_multiple_of(LANES as u32);
             let begins = share.granules.len() <= block.start as usize / GRANULE;
             while share.granules.len() <= block.start as usize / GRANULE {
                 share.granules.push(share.stretches.len() as u32);
@@ -351,10 +370,11 @@ impl<'p> Image<'p> {
                 Some(stretch) if !begins && vector.is_some() && stretch.vector == vector => {
                     stretch.end += 1;
                     stretch.mask |= mask << (block.start - stretch.start);
-                    stretch.lanes = block.start + lanes - stretch.start;
+                    stretch.lanes = end - stretch.start;
                 }
                 _ => {
                     let Block { start, starts, .. } = block;
+                    let lanes = end - start;
                     share.stretches.push(Stretch { first: index, end: index + 1, start, lanes, starts, vector, mask });
                 }
             }

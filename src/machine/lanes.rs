@@ -370,12 +370,12 @@ impl State {
         let mut did = Did::default();
         let blocks = &share.blocks[stretch.first as usize..stretch.end as usize];
         for block in blocks {
-            let at = (block.start - blocks[0].start) as usize;
-            for from in (0..block.length as usize).step_by(LANES) {
-                if overflowed >> ((at + from) / LANES) & 1 == 1 {
-                    let lanes = from..(from + LANES).min(block.length as usize);
-                    did.merge(self.scalar(sums, image, share, *block, lanes, order).after(at));
-                }
+            let at = (block.start - stretch.start) as usize;
+            let chunks = at / LANES..(at + block.length as usize).div_ceil(LANES);
+            for chunk in chunks.filter(|chunk| overflowed >> chunk & 1 == 1) {
+                let (from, to) = (chunk * LANES, (chunk + 1) * LANES);
+                let lanes = from.saturating_sub(at)..(to - at).min(block.length as usize);
+                did.merge(self.scalar(sums, image, share, *block, lanes, order).after(at));
             }
         }
         did
