@@ -97,6 +97,10 @@ fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
             continue;
         }
         let size = population.shape.len();
+        if size == 0 {
+            // Pruned whole.
+            continue;
+        }
         let (positions, bundle) = match (bundle(network, id), population.shape.volume()) {
             (bundle, Some((_, height, width))) if bundle > 1 => (height * width, bundle),
             _ => (size, 1),
