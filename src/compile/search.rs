@@ -203,17 +203,19 @@ pub(super) fn chosen<M>(
     }
     let least = if others.is_empty() { Vec::new() } else { times(&plain.mapping)? };
     for other in others {
+        let shorter = |part: f64| other.found.score.step_us < part * plain.found.score.step_us;
+        let trusted = same_cores(&other.found, &plain.found) || shorter(MARGIN);
+        // Bursts take long to reckon.
+        if !trusted && !shorter(EVERYWHERE) {
+            continue;
+        }
         let times = times(&other.mapping)?;
         tracing::debug!(candidate = ?other.found.candidate, ?times, ?least, "steps of bursts in microseconds");
-        let step = |found: &Found| found.score.step_us;
-        let shorter = |part: f64| step(&other.found) < part * step(&plain.found);
-        let slack = if same_cores(&other.found, &plain.found) || shorter(MARGIN) {
-            1.0 / MARGIN
-        } else if shorter(EVERYWHERE) && times.first() < least.first().map(|all| EVERYWHERE * all).as_ref() {
-            1.0
-        } else {
+        let everywhere = || times.first().zip(least.first()).is_none_or(|(all, plain)| *all < EVERYWHERE * plain);
+        if !trusted && !everywhere() {
             continue;
-        };
+        }
+        let slack = if trusted { 1.0 / MARGIN } else { 1.0 };
         if no_slower(&times, &least, slack) {
             return Ok(other.mapping);
         }
@@ -264,4 +266,24 @@ pub fn front(found: &[Found]) -> Vec<&Found> {
     }
     front.sort_by(|a, b| a.score.better(&b.score, Objective::Cores));
     front
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bursts_are_no_slower_all_together_and_each_but_for_slack_or_where_they_are_short() {
+        let plain = [1_000.0, 400.0, 300.0, 20.0];
+        assert!(no_slower(&plain, &plain, 1.0));
+        assert!(!no_slower(&[1_001.0, 400.0, 300.0, 20.0], &plain, 2.0), "when all spike there is no slack");
+        assert!(!no_slower(&[900.0, 410.0, 200.0, 20.0], &plain, 1.0));
+        assert!(no_slower(&[900.0, 410.0, 200.0, 20.0], &plain, 1.0 / MARGIN));
+        assert!(!no_slower(&[900.0, 450.0, 200.0, 20.0], &plain, 1.0 / MARGIN));
+        assert!(!no_slower(&[900.0, 410.0, 300.0, 20.0], &plain, 1.0 / MARGIN), "all populations together take longer");
+        assert!(
+            no_slower(&[900.0, 300.0, 300.0, 99.0], &plain, 1.0),
+            "a tenth of the step in which all spike is short"
+        );
+    }
 }
