@@ -115,6 +115,7 @@ pub fn run_sample<E: Engine + ?Sized>(
             }
         }
         engine.step(sample.at(step));
+        let before = outcome.spikes.len();
         for &compartment in engine.spikes() {
             if let Some(output) = compartment.0.checked_sub(first.0).filter(|&output| output < size) {
                 outcome.counts[output as usize] += 1;
@@ -124,6 +125,7 @@ pub fn run_sample<E: Engine + ?Sized>(
                 }
             }
         }
+        outcome.spikes[before..].sort_unstable();
         for (probe, kept) in keep.probes.iter().zip(&mut outcome.probes) {
             record(engine, probe, step as usize, sample.steps() as usize, kept);
         }

@@ -44,7 +44,7 @@ fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Trace {
             continue;
         }
         engine.step(sample.at(step));
-        steps.push((engine.spikes().to_vec(), registers(engine, compartments)));
+        steps.push((engine.ascending_spikes(), registers(engine, compartments)));
         step += 1;
     }
     Trace { steps, totals: engine.totals(), overflow: engine.overflow() }

@@ -109,10 +109,11 @@ fn assert_same(
     engines.iter_mut().for_each(|(_, small)| small.begin(sample.steps()));
     for step in 0..sample.steps() {
         whole.step(sample.at(step));
-        let expected: Vec<CompartmentId> = whole.spikes().iter().copied().filter(|id| left[id.0 as usize]).collect();
+        let expected: Vec<CompartmentId> =
+            whole.ascending_spikes().into_iter().filter(|id| left[id.0 as usize]).collect();
         for (name, small) in engines.iter_mut() {
             small.step(sample.at(step));
-            let spikes: Vec<CompartmentId> = small.spikes().iter().map(|id| numbers[id.0 as usize]).collect();
+            let spikes: Vec<CompartmentId> = small.ascending_spikes().iter().map(|id| numbers[id.0 as usize]).collect();
             assert_eq!(expected, spikes, "{what}, {name}: spikes of step {step}");
             for (index, &id) in numbers.iter().enumerate() {
                 let here = CompartmentId(index as u32);

@@ -47,7 +47,7 @@ fn watch<T: PartialEq + std::fmt::Debug>(
 
 /// (step, compartment) of every spike.
 fn spikes(network: &Quantised, steps: u32, input: &[(u32, u32)]) -> (Vec<(usize, u32)>, Totals) {
-    let (trace, totals) = watch(network, steps, input, |engine| engine.spikes().to_vec());
+    let (trace, totals) = watch(network, steps, input, |engine| engine.ascending_spikes());
     let flat = trace.iter().enumerate().flat_map(|(step, ids)| ids.iter().map(move |id| (step, id.0))).collect();
     (flat, totals)
 }

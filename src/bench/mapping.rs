@@ -73,7 +73,7 @@ fn golden(network: &Quantised, sample: &Sample) -> Vec<Vec<u32>> {
     engine.begin(STEPS);
     let step = |t| {
         engine.step(sample.at(t));
-        engine.spikes().iter().map(|id| id.0).collect()
+        engine.ascending_spikes().iter().map(|id| id.0).collect()
     };
     (0..STEPS).map(step).collect()
 }
@@ -208,7 +208,7 @@ fn simulated(
     for step in 0..STEPS {
         machine.step(sample.at(step));
         let copies = (0..case.copies).flat_map(|k| meant[step as usize].iter().map(move |id| id + k * of_copy));
-        if !machine.spikes().iter().map(|id| id.0).eq(copies) {
+        if !machine.ascending_spikes().iter().map(|id| id.0).eq(copies) {
             return Err(Failure::Spikes(case.name, compiled.options.strategy.name(), step));
         }
         meter.add(machine.last_step(), 1);

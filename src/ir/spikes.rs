@@ -145,8 +145,15 @@ pub trait Engine {
         let _ = steps;
         false
     }
-    /// Compartments that spiked in the last step, ascending.
+    /// Compartments that spiked in the last step, each once, in any order: putting them into one costs time that most who
+    /// ask need not spend.
     fn spikes(&self) -> &[CompartmentId];
+    /// The same, ascending.
+    fn ascending_spikes(&self) -> Vec<CompartmentId> {
+        let mut spikes = self.spikes().to_vec();
+        spikes.sort_unstable();
+        spikes
+    }
     /// The current register after the last step.
     fn u(&self, compartment: CompartmentId) -> i32;
     /// The membrane after the last step: 0 at a spike and while refractory.

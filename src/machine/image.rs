@@ -144,8 +144,8 @@ pub struct Image<'p> {
     pub(super) fields: Vec<Fields>,
     pub(super) shared: Vec<Shared>,
     pub(super) field_of: Vec<u32>,
-    /// Whether compartments stand in lanes in the network's own order.
-    pub(super) in_order: bool,
+    /// Whether a step puts who spiked into ascending order: rows are found so, unless the order of lanes is that of numbers.
+    pub(super) ordering: bool,
     /// Share and lane of each compartment of the network.
     pub(super) lanes: Vec<u32>,
     /// First lane of each share, over all.
@@ -177,7 +177,7 @@ impl<'p> Image<'p> {
             fields: Vec::new(),
             shared: Vec::new(),
             field_of: Vec::new(),
-            in_order: true,
+            ordering: false,
             lanes: vec![0; program.compartments() as usize],
             bases: Vec::new(),
             shares: Vec::new(),
@@ -187,11 +187,11 @@ impl<'p> Image<'p> {
             granules: 0,
         };
         let blocks = image.lay_out();
-        image.in_order = image.lanes.is_sorted();
         image.check_fan_in()?;
         image.share_out(blocks, shares);
         image.name();
         image.connect()?;
+        image.ordering = !image.lanes.is_sorted() && image.shares.iter().any(Share::finds_compartments_in_rows);
         image.heard_in_rows = matches!(image.shares.as_slice(), [share] if share.hears_in_rows(image.channels));
         Ok(image)
     }
@@ -455,6 +455,11 @@ impl Share {
         let follow =
             |end: u32, panel: &Panel| Some(panel.end).filter(|_| panel.first == end && panel.narrow().is_some());
         panels.panels.iter().try_fold(0, follow) == Some(channels)
+    }
+
+    /// Whether rows lead from compartments.
+    fn finds_compartments_in_rows(&self) -> bool {
+        self.of_compartments.iter().any(|reach| !reach.panels.panels.is_empty())
     }
 
     fn empty() -> Self {

@@ -196,6 +196,7 @@ impl Lanes {
         state.hold.fill(0);
         state.busy.fill(0);
         state.spikes.clear();
+        state.spiking = 0;
         state.overflow = Overflow::default();
         state.visited = 0;
     }
@@ -243,6 +244,11 @@ impl State {
                 Registers { u: self.u[lane], v, hold }
             }
         }
+    }
+
+    /// Whether a lane spiked in the last step.
+    pub fn has_spiked(&self, lane: usize) -> bool {
+        self.spiked[..self.spiking].binary_search(&(lane as u32)).is_ok()
     }
 
     fn set(&mut self, lane: usize, new: Registers) {

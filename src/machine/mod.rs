@@ -6,7 +6,7 @@
 //! - *Deliver(t)* adds what the input spikes of step t and the compartment spikes of step t - 1 reach to the sums of the
 //!   steps in which it arrives: step t + delay field for both.
 //! - *Update(t)* takes the sums of step t through the compartments and collects who spiked.
-//! - *Exchange(t)* puts all shares' spikes into one list in ascending order.
+//! - *Exchange(t)* puts all shares' spikes into one list, in ascending order where rows are found so.
 //!
 //! Deliver(t) precedes Update(t) on the same share; Update(t) on every share precedes Exchange(t): that is the barrier;
 //! Exchange(t) precedes Deliver(t + 1). Sums are wide and addition commutes, so the number of shares and threads cannot
@@ -236,7 +236,7 @@ impl Engine for Machine<'_> {
             self.totals.active_updates += lanes.active_now;
             self.last_events += lanes.events_now;
         }
-        if !image.in_order {
+        if image.ordering {
             sort(&mut self.spikes, &mut self.marks, image.compartments());
         }
         self.totals.spikes_in += channels.len() as u64;
@@ -298,7 +298,7 @@ impl Engine for Machine<'_> {
                 let period = neuron.refractory.get().max(1);
                 (i32::from(period) << 7) + i32::from(period - registers.hold)
             }
-            Semantics::Slayer if self.spikes.binary_search(&compartment).is_ok() => i32::from(neuron.dv.get()),
+            Semantics::Slayer if lanes.has_spiked(lane) => i32::from(neuron.dv.get()),
             _ => registers.v,
         }
     }
