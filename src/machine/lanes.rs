@@ -12,7 +12,6 @@ use crate::ir::activity::Overflow;
 use crate::machine::bits::{FORESEEN, ones, write_ones};
 use crate::machine::image::{Block, BlockFields, Image, Share, Stretch};
 use crate::machine::kernel::{self, LANES, Portable, Sum, Vectors};
-use crate::machine::lists::Synapses;
 use crate::machine::neuron::{Registers, update};
 use crate::machine::ring::Ring;
 use crate::machine::store::Aligned;
@@ -161,7 +160,7 @@ impl Lanes {
         };
         let mut tables =
             share.of_channels.iter().chain(&share.of_compartments).filter_map(|reach| reach.table.as_ref());
-        let small = tables.any(|table| matches!(table.synapses, Synapses::Small(_)));
+        let small = tables.any(|table| table.synapses.small());
         let ring = match image.narrow {
             true => Sums::Narrow(Ring::new(share.lanes, small, words, slots)),
             false => Sums::Wide(Ring::new(share.lanes, small, words, slots)),

@@ -3,17 +3,16 @@
 //! Comes in: lanes and weights, source after source ([`Draft`]). Goes out: a [`Table`] of them in the narrowest form that
 //! holds all. Where spikes are rare their lists come from far away in memory, and what a synapse costs is the lines of the
 //! cache that it lies in; so a list is laid where it touches as few as its length allows. What it leaves out on purpose:
-//! lanes beside each other, which are rows of `panels`.
+//! lanes beside each other, which are rows of `panels`, and how the narrowest form is laid out and read (`groups`).
 
 use std::ops::Range;
 
-use crate::machine::prefetch::{LINE, prefetch_range};
-use crate::machine::store::Store;
+use crate::base::id::Id;
+use crate::machine::groups::{self, Groups, Packing, Small};
+use crate::machine::prefetch::LINE;
 
 /// Bytes from one place where a list can begin to the next.
-const STEP: usize = 4;
-/// Bytes of a synapse whose weight fits 8 bits and whose lane 16.
-const SMALL: usize = 3;
+pub(super) const STEP: usize = 4;
 /// Bytes of one whose weight fits beside its lane.
 pub(super) const PACKED: usize = 4;
 
@@ -24,14 +23,7 @@ pub(super) struct Table {
     pub places: Vec<Place>,
     /// The synapses.
     pub synapses: Synapses,
-    /// Sources ahead whose list is fetched: as many as have enough synapses to be busy with meanwhile.
-    pub ahead: usize,
 }
-
-/// Synapses delivered while a list is fetched.
-const MEANWHILE: usize = 192;
-/// Least and most sources ahead: each that waits holds a buffer for every line.
-const AHEAD: (usize, usize) = (3, 10);
 
 /// Where a source's list is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -49,11 +41,10 @@ impl Place {
         self.count as usize
     }
 
-    /// Where they are when each takes so many bytes.
+    /// Its beginning, in units of [`STEP`] bytes.
     #[inline(always)]
-    fn bytes(self, each: usize) -> Range<usize> {
-        let start = self.start as usize * STEP;
-        start..start + each * self.len()
+    pub fn start(self) -> usize {
+        self.start as usize
     }
 
     /// Where they are in arrays of one element each.
@@ -66,10 +57,14 @@ impl Place {
 /// Lanes and weights.
 #[derive(Debug)]
 pub(super) enum Synapses {
-    /// Weights of 8 bits, lanes of 16.
-    Small(Small),
+    /// Weights of 8 bits and lanes of 16; the longer lists are, the larger are groups.
+    Fours(Groups<Small, 4>),
+    /// The same.
+    Eights(Groups<Small, 8>),
+    /// The same.
+    Sixteens(Groups<Small, 16>),
     /// Weights that fit beside their lanes.
-    Packed(Packed),
+    Packed(Groups<Packing, 4>),
     /// Any.
     Apart(Apart),
 }
@@ -81,70 +76,10 @@ pub(super) const ADDRESSED: usize = 1 << 16;
 /// would be many times those that there are.
 const SMALL_FROM: usize = 1 << 12;
 
-/// Synapses of a list written together, so that what a loop over them needs is known to the compiler.
-const TOGETHER: usize = 8;
-
-/// Lists of synapses.
-pub(super) trait Lists {
-    /// What names a lane.
-    type Lane;
-    /// What holds a weight.
-    type Weight;
-    /// Asks for a list.
-    fn fetch(&self, place: Place);
-    /// Calls with lane and weight of each synapse of a list.
-    fn each(&self, place: Place, add: impl FnMut(Self::Lane, Self::Weight));
-}
-
-/// All lanes of a list, 16 bits each, then all its weights, 8 bits each.
-#[derive(Debug)]
-pub(super) struct Small(Store);
-
-impl Lists for Small {
-    type Lane = u16;
-    type Weight = i8;
-
-    #[inline(always)]
-    fn fetch(&self, place: Place) {
-        prefetch_range(self.0.bytes(), place.bytes(SMALL));
-    }
-
-    #[inline(always)]
-    fn each(&self, place: Place, mut add: impl FnMut(u16, i8)) {
-        let (lanes, weights) = self.0.bytes()[place.bytes(SMALL)].split_at(2 * place.len());
-        let (lanes, last_lanes) = lanes.as_chunks::<2>().0.as_chunks::<TOGETHER>();
-        let (weights, last_weights) = weights.as_chunks::<TOGETHER>();
-        for (lanes, weights) in lanes.iter().zip(weights) {
-            for (&lane, &weight) in lanes.iter().zip(weights) {
-                add(u16::from_le_bytes(lane), weight as i8);
-            }
-        }
-        for (&lane, &weight) in last_lanes.iter().zip(last_weights) {
-            add(u16::from_le_bytes(lane), weight as i8);
-        }
-    }
-}
-
-/// Each synapse in a word of 32 bits.
-#[derive(Debug)]
-pub(super) struct Packed(Packing, Store);
-
-impl Lists for Packed {
-    type Lane = usize;
-    type Weight = i16;
-
-    #[inline(always)]
-    fn fetch(&self, place: Place) {
-        prefetch_range(self.1.bytes(), place.bytes(PACKED));
-    }
-
-    #[inline(always)]
-    fn each(&self, place: Place, mut add: impl FnMut(usize, i16)) {
-        let packing = self.0;
-        for &word in self.1.bytes()[place.bytes(PACKED)].as_chunks::<PACKED>().0 {
-            let (lane, weight) = packing.unpack(u32::from_le_bytes(word));
-            add(lane, weight);
-        }
+impl Synapses {
+    /// Whether they name lanes by 16 bits whatever the number of lanes.
+    pub fn small(&self) -> bool {
+        matches!(self, Synapses::Fours(_) | Synapses::Eights(_) | Synapses::Sixteens(_))
     }
 }
 
@@ -155,44 +90,17 @@ pub(super) struct Apart {
     weights: Vec<i16>,
 }
 
-impl Lists for Apart {
-    type Lane = usize;
-    type Weight = i16;
-
+impl Apart {
+    /// Calls with lane and weight of every synapse that these sources reach; returns how many there are.
     #[inline(always)]
-    fn fetch(&self, _: Place) {}
-
-    #[inline(always)]
-    fn each(&self, place: Place, mut add: impl FnMut(usize, i16)) {
-        let (targets, weights) = (&self.targets[place.elements()], &self.weights[place.elements()]);
-        for (&lane, &weight) in targets.iter().zip(weights) {
-            add(lane as usize, weight);
+    pub fn deliver<I: Id>(&self, places: &[Place], ids: &[I], mut add: impl FnMut(usize, i16)) -> u64 {
+        let mut events = 0;
+        for place in ids.iter().map(|id| places[id.index()]) {
+            events += place.len() as u64;
+            let (targets, weights) = (&self.targets[place.elements()], &self.weights[place.elements()]);
+            targets.iter().zip(weights).for_each(|(&target, &weight)| add(target as usize, weight));
         }
-    }
-}
-
-/// How a synapse is packed: the lane in as many low bits as the share's lanes need, the weight in the others. A share of
-/// 65,536 lanes leaves the weight all of its 16 bits, one of a million twelve: any of exponents 0 to 3.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Packing {
-    target_bits: u32,
-}
-
-impl Packing {
-    fn new(lanes: usize) -> Self {
-        Packing { target_bits: (usize::BITS - lanes.leading_zeros()).clamp(1, 31) }
-    }
-
-    /// The word of a synapse, if it fits.
-    fn pack(self, target: u32, weight: i16) -> Option<u32> {
-        let packed = (i32::from(weight) << self.target_bits) as u32 | target;
-        Some(packed).filter(|&packed| self.unpack(packed) == (target as usize, weight))
-    }
-
-    /// Takes a word apart.
-    #[inline(always)]
-    fn unpack(self, word: u32) -> (usize, i16) {
-        ((word & ((1 << self.target_bits) - 1)) as usize, (word as i32 >> self.target_bits) as i16)
+        events
     }
 }
 
@@ -200,7 +108,10 @@ impl Table {
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
         let synapses = match &self.synapses {
-            Synapses::Small(Small(store)) | Synapses::Packed(Packed(_, store)) => store.bytes().len(),
+            Synapses::Fours(groups) => groups.bytes(),
+            Synapses::Eights(groups) => groups.bytes(),
+            Synapses::Sixteens(groups) => groups.bytes(),
+            Synapses::Packed(groups) => groups.bytes(),
             Synapses::Apart(apart) => 6 * apart.targets.len(),
         };
         size_of_val(self.places.as_slice()) + synapses
@@ -341,28 +252,21 @@ impl Draft {
         };
         // Every lane fits 16 bits and every weight 8, and lanes are enough to be worth it.
         let small = lanes >= SMALL_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
-        let each = if small { SMALL } else { PACKED };
-        let ahead = (MEANWHILE * ends.len()).div_ceil(total).clamp(AHEAD.0, AHEAD.1);
+        let lengths = lists().map(|list| list.len());
         let (places, synapses) = match words {
             Words::Packed(words) => {
-                let (places, size) = lay_out(lists().map(|list| list.len()), each).ok_or(total)?;
-                let mut store = Store::new(size);
-                let bytes = store.bytes_mut();
-                for (list, place) in lists().zip(&places) {
-                    let (list, bytes) = (&words[list], &mut bytes[place.bytes(each)]);
-                    if small {
-                        let (lanes, weights) = bytes.split_at_mut(2 * list.len());
-                        for ((&word, lane), place) in list.iter().zip(lanes.as_chunks_mut::<2>().0).zip(weights) {
-                            let (target, weight) = packing.unpack(word);
-                            (*lane, *place) = ((target as u16).to_le_bytes(), weight as u8);
-                        }
-                    } else {
-                        for (word, place) in list.iter().zip(bytes.as_chunks_mut::<PACKED>().0) {
-                            *place = word.to_le_bytes();
-                        }
-                    }
+                let synapses = words.iter().map(|&word| packing.unpack(word));
+                let size = [4, 8, 16].into_iter().min_by(|&a, &b| {
+                    let cost = |size| groups::cost(size, lengths.clone());
+                    cost(a).total_cmp(&cost(b))
+                });
+                match size.filter(|_| small) {
+                    Some(4) => named(Groups::new(Small, lengths, synapses), Synapses::Fours),
+                    Some(8) => named(Groups::new(Small, lengths, synapses), Synapses::Eights),
+                    Some(_) => named(Groups::new(Small, lengths, synapses), Synapses::Sixteens),
+                    None => named(Groups::new(packing, lengths, synapses), Synapses::Packed),
                 }
-                (places, if small { Synapses::Small(Small(store)) } else { Synapses::Packed(Packed(packing, store)) })
+                .ok_or(total)?
             }
             Words::Apart { mut targets, mut weights } => {
                 let place =
@@ -372,17 +276,25 @@ impl Draft {
                 (lists().map(place).collect::<Option<_>>().ok_or(total)?, Synapses::Apart(Apart { targets, weights }))
             }
         };
-        Ok(Some(Table { places, synapses, ahead }))
+        Ok(Some(Table { places, synapses }))
     }
 }
 
-/// Places for lists of so many synapses, one after the other but that none touches more lines of the cache than its length
-/// needs, and the bytes that all take. At most half of these are gaps: a gap is smaller than the list after it. `None` when
+/// Places, and groups under the name of their form.
+fn named<G>(made: Option<(Vec<Place>, G)>, form: fn(G) -> Synapses) -> Option<(Vec<Place>, Synapses)> {
+    made.map(|(places, groups)| (places, form(groups)))
+}
+
+/// Places for lists of so many synapses, which take so many bytes, one after the other but that none touches more lines of the
+/// cache than its length needs, and the bytes that all take. At most half of these are gaps: a gap is smaller than the list after it. `None` when
 /// a place has no number.
-fn lay_out(lengths: impl Iterator<Item = usize>, each: usize) -> Option<(Vec<Place>, usize)> {
+pub(super) fn lay_out(
+    lengths: impl Iterator<Item = usize>,
+    bytes: impl Fn(usize) -> usize,
+) -> Option<(Vec<Place>, usize)> {
     let mut end = 0usize;
     let place = |count: usize| {
-        let size = count * each;
+        let size = bytes(count);
         let mut start = end.next_multiple_of(STEP);
         if (start % LINE + size).div_ceil(LINE) > size.div_ceil(LINE) {
             start = start.next_multiple_of(LINE);
@@ -395,6 +307,27 @@ fn lay_out(lengths: impl Iterator<Item = usize>, each: usize) -> Option<(Vec<Pla
 }
 
 #[cfg(test)]
+impl Table {
+    /// Lane and weight of each synapse of a source.
+    pub fn list(&self, source: usize) -> Vec<Reached> {
+        use crate::base::id::ChannelId;
+        let (ids, place, mut queue) = ([ChannelId::new(source)], self.places[source], Vec::new());
+        let mut list = Vec::new();
+        let push = |lane: usize, weight| list.push((lane as u32, weight));
+        match &self.synapses {
+            Synapses::Fours(groups) => groups.deliver(&self.places, &ids, &mut queue, push),
+            Synapses::Eights(groups) => groups.deliver(&self.places, &ids, &mut queue, push),
+            Synapses::Sixteens(groups) => groups.deliver(&self.places, &ids, &mut queue, push),
+            Synapses::Packed(groups) => groups.deliver(&self.places, &ids, &mut queue, push),
+            Synapses::Apart(lists) => lists.deliver(&self.places, &ids, push),
+        };
+        // What fills the last group up comes after all others.
+        list.truncate(place.len());
+        list
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::base::rng;
@@ -404,19 +337,7 @@ mod tests {
         let mut draft = Draft::new(lanes);
         lists.iter().for_each(|list| draft.append(&[list.len() as u32], list));
         let table = draft.finish().unwrap().unwrap();
-        let list = |&place: &Place| {
-            let mut list = Vec::new();
-            let mut push = |target: usize, weight| list.push((target as u32, weight));
-            match &table.synapses {
-                Synapses::Small(lists) => {
-                    lists.each(place, |lane, weight| push(lane.into(), weight.into()));
-                }
-                Synapses::Packed(lists) => lists.each(place, push),
-                Synapses::Apart(lists) => lists.each(place, push),
-            }
-            list
-        };
-        (table.places.iter().map(list).collect(), table)
+        ((0..lists.len()).map(|source| table.list(source)).collect(), table)
     }
 
     fn draw(sources: u64, lanes: u64, weight: i64) -> Vec<Vec<(u32, i16)>> {
@@ -433,7 +354,7 @@ mod tests {
         let small = draw(200, 65_536, 128);
         let (out, table) = read(&small, 65_536);
         assert_eq!(out, small);
-        assert!(matches!(table.synapses, Synapses::Small(_)));
+        assert!(table.synapses.small());
         for (lanes, weight) in [(65_537, 128), (8_000, 129), (4_000, 128), (1_000_000, 2_000)] {
             let mut packed = draw(200, lanes, weight);
             packed[7].extend([(lanes as u32 - 1, (weight - 1) as i16), (0, -weight as i16)]);
@@ -450,17 +371,17 @@ mod tests {
 
     #[test]
     fn no_list_touches_a_line_more_than_it_has_to() {
-        for each in [SMALL, PACKED] {
+        for group in [1, 3] {
+            let bytes = |length: usize| PACKED * length.next_multiple_of(group);
             let lengths: Vec<usize> = (0..3_000).map(|k| rng::below(90, 5, k, 0) as usize).collect();
-            let (places, size) = lay_out(lengths.iter().copied(), each).unwrap();
+            let (places, size) = lay_out(lengths.iter().copied(), bytes).unwrap();
             let mut end = 0;
             for (place, &length) in places.iter().zip(&lengths) {
-                let bytes = place.bytes(each);
-                assert_eq!(bytes.len(), length * each);
-                assert!(bytes.start >= end, "lists do not overlap");
-                end = bytes.end;
-                let lines = (bytes.end.div_ceil(LINE) - bytes.start / LINE) * usize::from(length > 0);
-                assert_eq!(lines, bytes.len().div_ceil(LINE));
+                let (begin, size) = (place.start() * STEP, bytes(length));
+                assert!(begin >= end, "lists do not overlap");
+                end = begin + size;
+                let lines = (end.div_ceil(LINE) - begin / LINE) * usize::from(length > 0);
+                assert_eq!((place.len(), lines), (length, size.div_ceil(LINE)));
             }
             assert_eq!(size, end);
         }

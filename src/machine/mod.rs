@@ -17,6 +17,7 @@
 mod bits;
 mod follow;
 mod gather;
+mod groups;
 pub mod image;
 pub mod kernel;
 mod lanes;

@@ -188,7 +188,7 @@ mod tests {
     use super::*;
     use crate::base::rng;
     use crate::machine::image::Reach;
-    use crate::machine::lists::{Draft, Lists, Reached, Synapses};
+    use crate::machine::lists::{Draft, Reached};
     use std::collections::BTreeMap;
 
     /// Lays sources out, and checks that rows and lists together hold each source's weights by lane and its number of synapses.
@@ -212,13 +212,7 @@ mod tests {
                 let place = table.places[source as usize];
                 count += place.len();
                 all_listed += place.len();
-                match &table.synapses {
-                    Synapses::Small(lists) => {
-                        lists.each(place, |lane, weight| hold(lane.into(), weight.into()));
-                    }
-                    Synapses::Packed(lists) => lists.each(place, &mut hold),
-                    Synapses::Apart(lists) => lists.each(place, &mut hold),
-                }
+                table.list(source as usize).into_iter().for_each(|(lane, weight)| hold(lane as usize, weight));
             }
             if let Some(panel) = panels.panels.iter().find(|panel| (panel.first..panel.end).contains(&source)) {
                 let at = (source - panel.first) as usize;

@@ -25,21 +25,6 @@ pub(super) fn prefetch<T>(slice: &[T], index: usize) {
     let _ = (slice, index);
 }
 
-/// Asks for the lines of a range of elements.
-#[inline(always)]
-pub(super) fn prefetch_range<T>(slice: &[T], range: std::ops::Range<usize>) {
-    let each = (LINE / size_of::<T>()).max(1);
-    let mut index = range.start;
-    while index < range.end {
-        prefetch(slice, index);
-        index += each;
-    }
-    // The last line begins before the end when the range does not begin at a line.
-    if range.start < range.end {
-        prefetch(slice, range.end - 1);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -50,9 +35,6 @@ mod tests {
         for index in [0, 99, 100, usize::MAX / 8, usize::MAX] {
             prefetch(&data, index);
         }
-        prefetch_range(&data, 3..90);
-        let (first, last) = (90, 3);
-        prefetch_range(&data, first..last);
         assert_eq!(data, [1; 100]);
     }
 }

@@ -7,9 +7,8 @@ use crate::base::id::Id;
 use crate::machine::bits::ones;
 use crate::machine::image::{GRANULE, Reach};
 use crate::machine::kernel::{LANES, Sum};
-use crate::machine::lists::{ADDRESSED, Lists, Synapses, Table};
+use crate::machine::lists::{ADDRESSED, Synapses, Table};
 use crate::machine::panels::{Panel, Panels, Row};
-use crate::machine::prefetch::prefetch;
 use crate::machine::store::Aligned;
 
 /// What arrives in the coming steps, a slot each.
@@ -21,6 +20,8 @@ pub(super) struct Ring<S> {
     pub sums: Vec<Aligned<S>>,
     /// Granules with arrivals, a bit each.
     pub arrivals: Vec<Vec<u64>>,
+    /// Memory to work in.
+    queue: Vec<u32>,
 }
 
 impl<S: Sum> Ring<S> {
@@ -28,7 +29,8 @@ impl<S: Sum> Ring<S> {
     pub fn new(lanes: usize, small: bool, words: usize, slots: usize) -> Self {
         // What lies beyond the lanes is never written, so it is memory by name only.
         let sums = if small { lanes.max(ADDRESSED) } else { lanes };
-        Ring { lanes, sums: (0..slots).map(|_| Aligned::new(sums)).collect(), arrivals: vec![vec![0; words]; slots] }
+        let sums = (0..slots).map(|_| Aligned::new(sums)).collect();
+        Ring { lanes, sums, arrivals: vec![vec![0; words]; slots], queue: Vec::new() }
     }
 
     /// Bytes of memory that it holds.
@@ -200,59 +202,47 @@ impl<S: Sum> Ring<S> {
 
     #[inline(always)]
     fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
-        let (sums, arrivals) = (&mut *self.sums[slot], self.arrivals[slot].as_mut_slice());
-        let mut note = |target: usize| {
-            if NOTE {
-                let granule = target / GRANULE;
-                arrivals[granule / 64] |= 1 << (granule % 64);
-            }
-        };
+        let Ring { sums, arrivals, queue, .. } = self;
+        let (sums, arrivals) = (&mut *sums[slot], arrivals[slot].as_mut_slice());
         match &table.synapses {
-            Synapses::Small(lists) => {
-                // As many sums as a lane of 16 bits can name, so that none has to be looked at.
-                let sums: &mut [S; ADDRESSED] =
-                    sums.first_chunk_mut().expect("small lists have all sums they can name");
-                let add = |target: u16, weight: i8| {
-                    let target = usize::from(target);
-                    sums[target] = sums[target].plus(i16::from(weight));
-                    note(target);
-                };
-                deliver_each(table, ids, lists, add)
+            Synapses::Fours(groups) => groups.deliver(&table.places, ids, queue, add_small::<NOTE, S>(sums, arrivals)),
+            Synapses::Eights(groups) => groups.deliver(&table.places, ids, queue, add_small::<NOTE, S>(sums, arrivals)),
+            Synapses::Sixteens(groups) => {
+                groups.deliver(&table.places, ids, queue, add_small::<NOTE, S>(sums, arrivals))
             }
-            Synapses::Packed(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
-                sums[target] = sums[target].plus(weight);
-                note(target);
-            }),
-            Synapses::Apart(lists) => deliver_each(table, ids, lists, |target: usize, weight: i16| {
-                sums[target] = sums[target].plus(weight);
-                note(target);
-            }),
+            Synapses::Packed(groups) => groups.deliver(&table.places, ids, queue, add_to::<NOTE, S>(sums, arrivals)),
+            Synapses::Apart(lists) => lists.deliver(&table.places, ids, add_to::<NOTE, S>(sums, arrivals)),
         }
     }
 }
 
-/// Calls with every synapse of a part that these sources reach over a table, while the lists of the next are fetched; returns
-/// of how many synapses.
+/// Adds to sums, and notes where.
 #[inline(always)]
-fn deliver_each<L: Lists, I: Id>(table: &Table, ids: &[I], lists: &L, mut add: impl FnMut(L::Lane, L::Weight)) -> u64 {
-    let mut events = 0;
-    let ahead = table.ahead;
-    for (index, id) in ids.iter().enumerate() {
-        if let Some(far) = ids.get(index + ahead + FAR) {
-            prefetch(&table.places, far.index());
-        }
-        if let Some(near) = ids.get(index + ahead) {
-            lists.fetch(table.places[near.index()]);
-        }
-        let place = table.places[id.index()];
-        events += place.len() as u64;
-        lists.each(place, &mut add);
+fn add_to<const NOTE: bool, S: Sum>(sums: &mut [S], arrivals: &mut [u64]) -> impl FnMut(usize, i16) {
+    |target, weight| {
+        sums[target] = sums[target].plus(weight);
+        note::<NOTE>(arrivals, target);
     }
-    events
 }
 
-/// Sources from one whose list is fetched to one whose place in the table is.
-const FAR: usize = 12;
+/// The same for lanes of 16 bits: there are as many sums as these can name, so that none has to be looked at.
+#[inline(always)]
+fn add_small<const NOTE: bool, S: Sum>(sums: &mut [S], arrivals: &mut [u64]) -> impl FnMut(usize, i16) {
+    let sums: &mut [S; ADDRESSED] = sums.first_chunk_mut().expect("small lists have all sums they can name");
+    move |target, weight| {
+        sums[target] = sums[target].plus(weight);
+        note::<NOTE>(arrivals, target);
+    }
+}
+
+/// Notes that something arrives at a lane's granule, if that is wanted.
+#[inline(always)]
+fn note<const NOTE: bool>(arrivals: &mut [u64], target: usize) {
+    if NOTE {
+        let granule = target / GRANULE;
+        arrivals[granule / 64] |= 1 << (granule % 64);
+    }
+}
 
 /// Spikes so few that they are counted faster than searched.
 const COUNTED: usize = 64;
@@ -327,7 +317,7 @@ mod tests {
         let sources: Vec<Vec<Reached>> =
             (0..300).map(|source| (0..synapses).map(|index| of(source, index)).collect()).collect();
         let reach = flattened(&sources, lanes);
-        let small = matches!(reach.table, Some(Table { synapses: Synapses::Small(_), .. }));
+        let small = reach.table.as_ref().is_some_and(|table| table.synapses.small());
         for every in [1, 3, 50] {
             let ids: Vec<ChannelId> = (0..300).step_by(every).map(ChannelId::new).collect();
             let (mut sums, mut noted) = (vec![0; lanes], vec![0u64; lanes.div_ceil(64 * GRANULE)]);
