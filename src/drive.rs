@@ -102,7 +102,8 @@ pub fn run_sample<E: Engine + ?Sized>(
     // Certainty may come in the midst of silence.
     let in_silence = |decision: &Option<Decision<'_>>, begin, end| decision.as_ref()?.decided_in_silence(begin, end);
     while step < sample.steps() && outcome.decided_at.is_none() {
-        if sample.at(step).is_empty() {
+        // A decision in silence takes its time, which is lost where the engine is not at rest.
+        if sample.at(step).is_empty() && (decision.is_none() || engine.rest(0)) {
             let next = sample.next_spike(step);
             let decided = in_silence(&decision, step, next);
             let passed = decided.map_or(next, |decided| decided + 1) - step;
@@ -130,7 +131,7 @@ pub fn run_sample<E: Engine + ?Sized>(
             record(engine, probe, step as usize, sample.steps() as usize, kept);
         }
         after_step(engine, 1);
-        outcome.decided_at = decision.as_ref().filter(|decision| decision.decided_after(step)).map(|_| step);
+        outcome.decided_at = decision.as_mut().and_then(|decision| decision.decided_after(step).then_some(step));
         step += 1;
     }
     outcome.steps = step;

@@ -146,6 +146,8 @@ pub struct Decision<'e> {
     free: Vec<Option<u64>>,
     /// The output with most spikes, the lowest on a tie.
     leader: Option<usize>,
+    /// The first step after which the sample can be decided, whatever spikes until then.
+    open_until: u64,
 }
 
 impl<'e> Decision<'e> {
@@ -153,7 +155,14 @@ impl<'e> Decision<'e> {
     #[must_use]
     pub fn new(exit: &'e EarlyExit, steps: u32) -> Self {
         let outputs = exit.pace.gaps.len();
-        Decision { exit, steps: steps.into(), counts: vec![0; outputs], free: vec![Some(0); outputs], leader: None }
+        Decision {
+            exit,
+            steps: steps.into(),
+            counts: vec![0; outputs],
+            free: vec![Some(0); outputs],
+            leader: None,
+            open_until: 0,
+        }
     }
 
     /// An output spiked in this step.
@@ -173,46 +182,68 @@ impl<'e> Decision<'e> {
         self.leader.map(|leader| leader as u32)
     }
 
-    /// Whether the sample is decided after the update of `step`, all of whose spikes have been told.
+    /// Whether the sample is decided after the update of `step`, all of whose spikes have been told. Steps are asked for in
+    /// ascending order.
     #[must_use]
-    pub fn decided_after(&self, step: u32) -> bool {
+    pub fn decided_after(&mut self, step: u32) -> bool {
+        if u64::from(step) < self.open_until {
+            return false;
+        }
+        let lacking = self.lacking(step);
+        self.open_until = u64::from(step) + lacking;
+        lacking == 0
+    }
+
+    /// How many steps after the update of `step` at least until the sample can be decided, whatever spikes: 0 when it is.
+    fn lacking(&self, step: u32) -> u64 {
         match self.exit.rule {
-            Rule::Margin(margin) => self.leader.is_some_and(|leader| {
-                let others = self.counts.iter().enumerate().filter(|&(other, _)| other != leader);
-                let second = others.map(|(_, &count)| count).max().unwrap_or(0);
-                self.counts[leader] - second >= margin.get()
-            }),
-            Rule::Certain => self.certain_after(step),
+            Rule::Margin(margin) => {
+                // Every step brings the leader, or who leads then, one nearer at most.
+                let leads = self.leader.map_or(0, |leader| {
+                    let others = self.counts.iter().enumerate().filter(|&(other, _)| other != leader);
+                    self.counts[leader] - others.map(|(_, &count)| count).max().unwrap_or(0)
+                });
+                margin.get().saturating_sub(leads).into()
+            }
+            Rule::Certain => self.lacking_certainty(step),
         }
     }
 
-    /// The leader stays ahead although it never spikes again and another spikes as often as it can. That is all that can
-    /// happen to it: the others do not help each other, and its own spikes only help the leader.
-    fn certain_after(&self, step: u32) -> bool {
+    /// Certain is the leader that stays ahead although it never spikes again and another spikes as often as it can. That is
+    /// all that can happen to it: the others do not help each other, and its own spikes only help the leader.
+    ///
+    /// All but one output must in the end have at most as many spikes to reach as the leader has. A step adds one to these at
+    /// most, and takes one at most from what an output can reach: who could have spiked in it and did not spikes once less.
+    fn lacking_certainty(&self, step: u32) -> u64 {
         let from = u64::from(step) + 1;
-        (0..self.counts.len()).all(|other| {
-            let most = || {
-                let more = self.exit.pace.most_spikes(other, self.free[other], from, self.steps);
-                u64::from(self.counts[other]) + more
+        let reach = |output: usize| {
+            let more = self.exit.pace.most_spikes(output, self.free[output], from, self.steps);
+            u64::from(self.counts[output]) + more
+        };
+        let ahead = self.leader.map_or(0, |leader| u64::from(self.counts[leader]));
+        let (mut open, mut highest, mut second) = (false, 0, 0);
+        for output in 0..self.counts.len() {
+            let reach = reach(output);
+            (highest, second) = (highest.max(reach), second.max(reach.min(highest)));
+            // A tie goes to the lower index.
+            open |= match self.leader {
+                Some(leader) if leader < output => reach > ahead,
+                Some(leader) if leader > output => reach >= ahead,
+                Some(_) => false,
+                None => reach > 0,
             };
-            match self.leader {
-                Some(leader) if leader == other => true,
-                // A tie goes to the lower index.
-                Some(leader) if leader < other => most() <= u64::from(self.counts[leader]),
-                Some(leader) => most() < u64::from(self.counts[leader]),
-                None => most() == 0,
-            }
-        })
+        }
+        if open { second.saturating_sub(ahead).div_ceil(2).max(1) } else { 0 }
     }
 
     /// The first step of `begin..end` after which the sample is decided when no output spikes in any of them.
     #[must_use]
     pub fn decided_in_silence(&self, begin: u32, end: u32) -> Option<u32> {
         // What may still come only shrinks, so that once decided is decided in every step that follows.
-        let (mut open, mut decided) = (begin, end);
+        let (mut open, mut decided) = (begin.max(self.open_until.min(end.into()) as u32), end);
         while open < decided {
             let middle = open + (decided - open) / 2;
-            if self.decided_after(middle) {
+            if self.lacking(middle) == 0 {
                 decided = middle;
             } else {
                 open = middle + 1;
