@@ -51,15 +51,13 @@ EXAMPLES:
 pub struct EnergyArgs {
     /// The network and the hardware.
     #[command(flatten)]
-    /// Model, target and engine.
     pub job: JobArgs,
-    /// The spikes.
-    #[command(flatten)]
     /// What the network is shown.
+    #[command(flatten)]
     pub input: InputArgs,
-    /// Copies of the model on the target; figures are of one
-    #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..))]
-    pub copies: u32,
+    /// Copies of the model on the target; figures are of one [default: those of --mapping, 32 without it]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub copies: Option<u32>,
     /// Numbers of cores used and powered: of this mapping, of the VT-SNN paper, or of a saved mapping
     #[arg(long, value_name = "packed|paper|FILE", default_value = "packed")]
     pub deployment: DeploymentArg,
@@ -119,28 +117,29 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         io::write::check_free(file, context.force)?;
     }
     let (mode, convention) = (Mode::from(args.mode), Convention::from(args.convention));
-    let job = match jobs::prepare(&args.job, Wanted::Mapped, args.copies)? {
+    let copies = copies(args)?;
+    let job = match jobs::prepare(&args.job, Wanted::Mapped, copies)? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
-            return refusal.say(reports::energy::nothing(args.copies, mode, convention), context);
+            return refusal.say(reports::energy::nothing(copies, mode, convention), context);
         }
     };
-    let workload = Workload::new(&job, args.copies, &args.input)?;
+    let workload = Workload::new(&job, copies, &args.input)?;
     let (compiled, target) = (workload.compiled, workload.target);
     let (target, preset) = with_preset(target.clone(), args.constants.as_deref())?;
     let (tables, preset) = tables(&target, preset.as_deref())?;
     let placement = &compiled.placement;
-    let deployment = deployment(&args.deployment, args.copies, placement, &target)?;
+    let deployment = deployment(&args.deployment, copies, placement, &target)?;
     let other = match &args.deployment {
-        DeploymentArg::Packed => Some(Deployment::paper()).filter(|paper| paper.copies == args.copies),
-        _ => Some(Deployment::of("packed", placement, target.chip(), args.copies)),
+        DeploymentArg::Packed => Some(Deployment::paper()).filter(|paper| paper.copies == copies),
+        _ => Some(Deployment::of("packed", placement, target.chip(), copies)),
     };
     let metered = workload.metered(tables, &deployment, args.transport.into());
     let skip = args.skip == Switch::On;
     let (run, meter) = workload.simulate(&metered, None, skip, context)?;
     let timestep = Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64);
     let steps_per_sample = workload.steps_per_sample();
-    let alone = match asked.cpu && args.copies > 1 {
+    let alone = match asked.cpu && copies > 1 {
         true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, 1)?),
         false => None,
     };
@@ -163,7 +162,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         preset,
         activity: &run.activity,
         meter: &meter,
-        copies_counted: args.copies,
+        copies_counted: copies,
         deployment: &deployment,
         mode,
         convention,
@@ -203,6 +202,18 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
 }
 
 /// The files of an export.
+/// Copies without `--copies` and `--mapping`: the paper's.
+const COPIES: u32 = 32;
+
+/// How many copies: as asked for, or as mapped.
+fn copies(args: &EnergyArgs) -> Result<u32, Error> {
+    match (args.copies, &args.job.mapping) {
+        (Some(copies), _) => Ok(copies),
+        (None, Some(file)) => Ok(io::mapping::load_mapping(file)?.copies),
+        (None, None) => Ok(COPIES),
+    }
+}
+
 fn sanafe_files(folder: &std::path::Path) -> [PathBuf; 2] {
     ["arch.yaml", "snn.yaml"].map(|name| folder.join(name))
 }
@@ -300,7 +311,7 @@ mod tests {
     fn defaults_are_those_of_the_contract() {
         let args = args(&[]).unwrap();
         assert_eq!(
-            (args.job.model.as_str(), args.job.target.as_str(), args.copies, args.input.repeat),
+            (args.job.model.as_str(), args.job.target.as_str(), copies(&args).unwrap(), args.input.repeat),
             ("vtsnn-slip", "nahuku-32", 32, 1)
         );
         assert_eq!(
@@ -357,6 +368,9 @@ mod tests {
         let core = |chip: u32, x: u32| format!("(chip: {chip}, x: {x}, y: 0, core: 1, holds: []),");
         let found = write(&(core(0, 0) + &core(0, 7) + &core(3, 0)), 2).unwrap();
         assert_eq!((found.cores_used, found.cores_powered, found.tiles_used, found.chips_used), (3, 12, 3, 2));
+        let with_mapping =
+            |more: &[&str]| copies(&args(&[&["--mapping", path.to_str().unwrap()], more].concat()).unwrap());
+        assert_eq!((with_mapping(&[]).unwrap(), with_mapping(&["--copies", "1"]).unwrap()), (2, 1));
         assert_eq!(write(&core(0, 0), 3).unwrap_err().exit_status(), 2);
         assert_eq!(write(&core(0, 8), 2).unwrap_err().exit_status(), 3);
         assert_eq!(write(&(core(0, 1) + &core(0, 1)), 2).unwrap_err().exit_status(), 3);
