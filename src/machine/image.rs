@@ -156,6 +156,10 @@ pub struct Image<'p> {
     pub(super) channels: u32,
     /// Whether each channel has its row in one narrow panel and nothing else, so that its spikes are counted on the way.
     pub(super) heard_in_rows: bool,
+    /// By how many synapses each channel has more than a step counts for its spike; empty where it counts them all. Channels of
+    /// a panel that have different numbers are counted by their mean where it is known how often each spiked: looking each
+    /// number up in every step would take a sixth of it.
+    pub(super) excess: Vec<i32>,
     /// Granules of all shares.
     pub(super) granules: usize,
 }
@@ -184,6 +188,7 @@ impl<'p> Image<'p> {
             narrow: true,
             channels: program.channels(),
             heard_in_rows: false,
+            excess: Vec::new(),
             granules: 0,
         };
         let blocks = image.lay_out();
@@ -193,6 +198,9 @@ impl<'p> Image<'p> {
         image.connect()?;
         image.ordering = !image.lanes.is_sorted() && image.shares.iter().any(Share::finds_compartments_in_rows);
         image.heard_in_rows = matches!(image.shares.as_slice(), [share] if share.hears_in_rows(image.channels));
+        if image.heard_in_rows {
+            image.excess = image.shares.first_mut().map(Share::even_out).unwrap_or_default();
+        }
         Ok(image)
     }
 
@@ -241,7 +249,7 @@ impl<'p> Image<'p> {
         };
         let shares: usize = self.shares.iter().map(of).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
-        shares + fields + 4 * self.lanes.len() + self.tally.bytes()
+        shares + fields + 4 * (self.lanes.len() + self.excess.len()) + self.tally.bytes()
     }
 
     /// Lays compartments out in lanes over all shares and returns their blocks.
@@ -455,6 +463,14 @@ impl Share {
         let follow =
             |end: u32, panel: &Panel| Some(panel.end).filter(|_| panel.first == end && panel.narrow().is_some());
         panels.panels.iter().try_fold(0, follow) == Some(channels)
+    }
+
+    /// Lets channels that reach rows, and all in the step in which they spike, be counted by the means of their panels; says by
+    /// how many synapses each has more. What arrives later may do so after a sample's end, and has to be counted as it is.
+    fn even_out(&mut self) -> Vec<i32> {
+        let [Reach { delay: 0, panels, table: None }] = self.of_channels.as_mut_slice() else { return Vec::new() };
+        let excess: Vec<i32> = panels.panels.iter_mut().flat_map(Panel::even_out).collect();
+        if excess.iter().all(|&excess| excess == 0) { Vec::new() } else { excess }
     }
 
     /// Whether rows lead from compartments.

@@ -77,11 +77,13 @@ pub struct Machine<'i> {
     marks: Vec<u64>,
     /// Synaptic events of the last step, whose number says how much the coming one will have to deliver.
     last_events: u64,
-    /// Of the sample, without the events of spikes that are still to be delivered.
+    /// Of the sample, without the events of spikes that are still to be delivered, and without `lacking`.
     totals: Totals,
     last: StepActivity,
     /// Spikes of each channel since the activity was last taken; compartments' are noted with their lanes.
     fired: Vec<u32>,
+    /// What the sample's synaptic events lack beside what `fired` says with the image's `excess`.
+    lacking: i64,
     /// Of all spikes those so near a sample's end that a delivery could fall after it: the source's number and the
     /// steps that its deliveries reach.
     late: Vec<(u32, u32)>,
@@ -108,6 +110,7 @@ impl<'i> Machine<'i> {
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
             fired: vec![0; image.channels as usize],
+            lacking: 0,
             late: Vec::new(),
             run_steps: 0,
         }
@@ -163,6 +166,7 @@ impl<'i> Machine<'i> {
 
     /// Spikes of each source since this was last asked.
     fn take_fired(&mut self) -> Vec<u32> {
+        self.lacking += self.excess();
         let mut fired: Vec<u32> = self.fired.iter_mut().map(std::mem::take).collect();
         fired.resize(self.image.sources(), 0);
         for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
@@ -171,6 +175,11 @@ impl<'i> Machine<'i> {
             }
         }
         fired
+    }
+
+    /// Synaptic events of channels that steps did not count, since the activity was last taken.
+    fn excess(&self) -> i64 {
+        self.image.excess.iter().zip(&self.fired).map(|(&excess, &fired)| i64::from(excess) * i64::from(fired)).sum()
     }
 
     /// Notes spikes whose deliveries may take `reach` steps, fewer than the longest delay needs.
@@ -191,6 +200,7 @@ impl Engine for Machine<'_> {
         (self.step, self.steps) = (0, steps);
         self.spikes.clear();
         self.last_events = 0;
+        self.lacking = -self.excess();
         self.totals = Totals::default();
         self.last.clear();
     }
@@ -309,7 +319,8 @@ impl Engine for Machine<'_> {
         let left = self.steps.saturating_sub(self.step);
         let sources = self.spikes.iter().map(|spike| self.image.channels + spike.0);
         let pending = self.image.tally.events_within(sources, left);
-        Totals { synaptic_events: self.totals.synaptic_events + pending, ..self.totals }
+        let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(self.lacking + self.excess());
+        Totals { synaptic_events, ..self.totals }
     }
 
     fn overflow(&self) -> Overflow {

@@ -58,6 +58,19 @@ impl Panel {
     }
 }
 
+impl Panel {
+    /// Makes the mean number of synapses that of every source; returns by how much it was missed, in order.
+    pub fn even_out(&mut self) -> Vec<i32> {
+        let Counts::Each(counts) = &self.synapses else { return vec![0; (self.end - self.first) as usize] };
+        let sum: u64 = counts.iter().map(|&count| u64::from(count)).sum();
+        // No count of a row's lanes comes near 31 bits, nor does their mean.
+        let mean = (sum / counts.len().max(1) as u64) as u32;
+        let excess = counts.iter().map(|&count| count as i32 - mean as i32).collect();
+        self.synapses = Counts::Same(mean);
+        excess
+    }
+}
+
 /// A number for each source.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Counts {
