@@ -156,9 +156,9 @@ pub struct Image<'p> {
     pub(super) channels: u32,
     /// Whether each channel has its row in one narrow panel and nothing else, so that its spikes are counted on the way.
     pub(super) heard_in_rows: bool,
-    /// By how many synapses each channel has more than a step counts for its spike; empty where it counts them all. Channels of
-    /// a panel that have different numbers are counted by their mean where it is known how often each spiked: looking each
-    /// number up in every step would take a sixth of it.
+    /// By how many synapses each source has more than a step counts for its spike; empty where it counts them all. Sources of a
+    /// panel that have different numbers are counted by their mean where it is known how often each spiked: looking each number
+    /// up in every step would take a sixth of it.
     pub(super) excess: Vec<i32>,
     /// Granules of all shares.
     pub(super) granules: usize,
@@ -198,9 +198,7 @@ impl<'p> Image<'p> {
         image.connect()?;
         image.ordering = !image.lanes.is_sorted() && image.shares.iter().any(Share::finds_compartments_in_rows);
         image.heard_in_rows = matches!(image.shares.as_slice(), [share] if share.hears_in_rows(image.channels));
-        if image.heard_in_rows {
-            image.excess = image.shares.first_mut().map(Share::even_out).unwrap_or_default();
-        }
+        image.even_out();
         Ok(image)
     }
 
@@ -454,6 +452,27 @@ impl<'p> Image<'p> {
         }
         Ok(())
     }
+
+    /// Lets sources with rows be counted by the means of their panels: compartments, and channels where their spikes are counted
+    /// one by one. What is on its way for more than a step may arrive after a sample's end, and has to be counted as it is.
+    fn even_out(&mut self) {
+        let mut excess = vec![0; self.sources()];
+        let (of_channels, of_compartments) = excess.split_at_mut(self.channels as usize);
+        for share in &mut self.shares {
+            if self.heard_in_rows {
+                even_out(&mut share.of_channels, of_channels);
+            }
+            even_out(&mut share.of_compartments, of_compartments);
+        }
+        self.excess = if excess.iter().all(|&excess| excess == 0) { Vec::new() } else { excess };
+    }
+}
+
+/// Lets sources be counted by the means of their panels where what they reach is reached at once.
+fn even_out(reached: &mut [Reach], excess: &mut [i32]) {
+    for reach in reached.iter_mut().filter(|reach| reach.delay == 0) {
+        reach.panels.panels.iter_mut().for_each(|panel| panel.even_out(excess));
+    }
 }
 
 impl Share {
@@ -463,14 +482,6 @@ impl Share {
         let follow =
             |end: u32, panel: &Panel| Some(panel.end).filter(|_| panel.first == end && panel.narrow().is_some());
         panels.panels.iter().try_fold(0, follow) == Some(channels)
-    }
-
-    /// Lets channels that reach rows, and all in the step in which they spike, be counted by the means of their panels; says by
-    /// how many synapses each has more. What arrives later may do so after a sample's end, and has to be counted as it is.
-    fn even_out(&mut self) -> Vec<i32> {
-        let [Reach { delay: 0, panels, table: None }] = self.of_channels.as_mut_slice() else { return Vec::new() };
-        let excess: Vec<i32> = panels.panels.iter_mut().flat_map(Panel::even_out).collect();
-        if excess.iter().all(|&excess| excess == 0) { Vec::new() } else { excess }
     }
 
     /// Whether rows lead from compartments.

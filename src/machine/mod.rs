@@ -177,9 +177,19 @@ impl<'i> Machine<'i> {
         fired
     }
 
-    /// Synaptic events of channels that steps did not count, since the activity was last taken.
+    /// Synaptic events that steps did not count, or will not, of all spikes since the activity was last taken.
     fn excess(&self) -> i64 {
-        self.image.excess.iter().zip(&self.fired).map(|(&excess, &fired)| i64::from(excess) * i64::from(fired)).sum()
+        let (image, product) = (self.image, |(&excess, &fired): (&i32, &u32)| i64::from(excess) * i64::from(fired));
+        if image.excess.is_empty() {
+            return 0;
+        }
+        let (of_channels, of_compartments) = image.excess.split_at(image.channels as usize);
+        let of_share = |(lanes, share): (&Lanes, &image::Share)| {
+            let excess = share.names.iter().map(|name| &of_compartments[name.index()]);
+            excess.zip(&lanes.fired).map(product).sum::<i64>()
+        };
+        of_channels.iter().zip(&self.fired).map(product).sum::<i64>()
+            + self.shares.iter().zip(&image.shares).map(of_share).sum::<i64>()
     }
 
     /// Notes spikes whose deliveries may take `reach` steps, fewer than the longest delay needs.
@@ -318,8 +328,11 @@ impl Engine for Machine<'_> {
         // A spike's events are its own step's, and are added up where they are delivered, a step later.
         let left = self.steps.saturating_sub(self.step);
         let sources = self.spikes.iter().map(|spike| self.image.channels + spike.0);
-        let pending = self.image.tally.events_within(sources, left);
-        let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(self.lacking + self.excess());
+        let pending = self.image.tally.events_within(sources.clone(), left);
+        let undelivered: i64 =
+            sources.filter_map(|source| self.image.excess.get(source as usize)).map(|&excess| i64::from(excess)).sum();
+        let lacking = self.lacking + self.excess() - undelivered;
+        let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(lacking);
         Totals { synaptic_events, ..self.totals }
     }
 

@@ -59,15 +59,16 @@ impl Panel {
 }
 
 impl Panel {
-    /// Makes the mean number of synapses that of every source; returns by how much it was missed, in order.
-    pub fn even_out(&mut self) -> Vec<i32> {
-        let Counts::Each(counts) = &self.synapses else { return vec![0; (self.end - self.first) as usize] };
+    /// Makes the mean number of synapses that of every source; adds to `excess`, by source, by how much it was missed.
+    pub fn even_out(&mut self, excess: &mut [i32]) {
+        let Counts::Each(counts) = &self.synapses else { return };
         let sum: u64 = counts.iter().map(|&count| u64::from(count)).sum();
         // No count of a row's lanes comes near 31 bits, nor does their mean.
         let mean = (sum / counts.len().max(1) as u64) as u32;
-        let excess = counts.iter().map(|&count| count as i32 - mean as i32).collect();
+        for (&count, excess) in counts.iter().zip(&mut excess[self.first as usize..]) {
+            *excess += count as i32 - mean as i32;
+        }
         self.synapses = Counts::Same(mean);
-        excess
     }
 }
 
