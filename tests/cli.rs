@@ -372,6 +372,20 @@ fn text_is_no_wider_than_a_wide_terminal() {
 }
 
 #[test]
+fn energy_is_of_as_many_copies_as_a_mapping_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let saved = folder.path().join("mapping.ron").display().to_string();
+    assert_eq!(said(&["map", "--copies", "2", "-o", &saved]).0, 0);
+    let energy = ["energy", "--samples", "0..1", "--mapping"];
+    assert_eq!(object(&[&energy[..], &[&saved]].concat(), 0)["copies"], 2);
+    // A pipe can be read but once.
+    let piped = nsim(&[&energy[..], &["-", "--format", "json"]].concat()).pipe_stdin(&saved).unwrap().output().unwrap();
+    assert_eq!(serde_json::from_slice::<Value>(&piped.stdout).unwrap()["copies"], 2);
+    let other = object(&[&energy[..], &[&saved, "--copies", "3"]].concat(), 3);
+    assert_eq!(other["code"], "mapping.copies");
+}
+
+#[test]
 fn a_saved_mapping_runs_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let saved = folder.path().join("mapping.ron").display().to_string();

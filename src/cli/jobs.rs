@@ -156,6 +156,15 @@ impl Job {
         }
     }
 
+    /// Copies of the model.
+    #[must_use]
+    pub fn copies(&self) -> u32 {
+        match self {
+            Job::Mapped(compiled, ..) => compiled.options.copies,
+            Job::Quantised(..) | Job::Real(..) => 1,
+        }
+    }
+
     /// The model's own stimulus.
     #[must_use]
     pub fn scene(&self) -> Option<&str> {
@@ -176,19 +185,23 @@ impl From<CompileError> for Error {
     }
 }
 
+/// Copies where neither an argument nor a mapping says how many: the paper's.
+pub const COPIES: u32 = 32;
+
 /// Loads a model and makes it ready for an engine.
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.
 pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, Error> {
-    prepare_probed(args, wanted, copies, &[])
+    prepare_probed(args, wanted, Some(copies), &[])
 }
 
-/// The same, with the populations of these names whole however much is pruned.
+/// The same, with as many copies as a saved mapping has unless it is said, and with the populations of these names whole however
+/// much is pruned.
 ///
 /// # Errors
 /// As [`prepare`].
-pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: u32, probed: &[&str]) -> Result<Prepared, Error> {
+pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let real = match wanted {
@@ -212,8 +225,9 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: u32, probed: &[&st
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
     }
     let target = io::target::load_target(&args.target)?;
-    let options = Options { copies, ..Options::default() };
     let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
+    let copies = copies.or(mapping.as_ref().map(|file| file.copies)).unwrap_or(COPIES);
+    let options = Options { copies, ..Options::default() };
     if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
         // Copies share nothing, so one of them is the whole of what a run shows.
         tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);

@@ -206,7 +206,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(message.to_string()));
     }
     let probed: Vec<&str> = args.probe.iter().filter_map(|text| Some(text.rsplit_once('.')?.0)).collect();
-    let job = match jobs::prepare_probed(&args.job, EngineChoice::wanted(args.engine), 1, &probed)? {
+    let job = match jobs::prepare_probed(&args.job, EngineChoice::wanted(args.engine), Some(1), &probed)? {
         jobs::Prepared::Ready(job) => job,
         jobs::Prepared::DoesNotFit(refusal) => return refusal.say(crate::report::run::nothing("fast"), context),
     };

@@ -303,6 +303,24 @@ mod tests {
     }
 
     #[test]
+    fn a_margin_is_seen_in_the_step_in_which_it_is_reached() {
+        for seed in 0..2000 {
+            let outputs = 1 + rng::below(5, seed, 0, 0) as u32;
+            let exit = exit(margin(1 + rng::below(9, seed, 0, 1) as u32), &vec![1; outputs as usize]);
+            let mut decision = Decision::new(&exit, 200);
+            for step in 0..200 {
+                for output in 0..outputs {
+                    let rate = if output == 0 { 60 } else { 40 };
+                    if rng::below(100, seed, 2 + u64::from(output), step.into()) < rate {
+                        decision.spike(step, output);
+                    }
+                }
+                assert_eq!(decision.decided_after(step), decision.lacking(step) == 0, "seed {seed}, step {step}");
+            }
+        }
+    }
+
+    #[test]
     fn a_tie_goes_to_the_lower_index_and_so_does_certainty() {
         // After step 2 two steps are left. Output 0 leads by two: output 1 can tie, which changes nothing.
         assert_eq!(decided_at(&exit(Rule::Certain, &[1, 1]), 5, &[&[0], &[0], &[]]), Some(2));
@@ -446,6 +464,7 @@ mod tests {
                     }
                 }
                 let decided = decision.decided_after(step);
+                assert_eq!(decided, decision.lacking(step) == 0, "seed {seed}: not looked at in time");
                 assert!(decided || first.is_none(), "seed {seed}: a decision was taken back");
                 if decided && first.is_none() {
                     first = Some((step, class(&trains)));
@@ -471,8 +490,9 @@ mod tests {
                 if rng::below(3, seed, 5, u64::from(step)) == 0 {
                     decision.spike(step, rng::below(outputs as u64, seed, 6, u64::from(step)) as u32);
                 }
+                let _ = decision.decided_after(step);
             }
-            let by_steps = (begin..steps).find(|&step| decision.decided_after(step));
+            let by_steps = (begin..steps).find(|&step| decision.lacking(step) == 0);
             assert_eq!(decision.decided_in_silence(begin, steps), by_steps, "seed {seed}");
             assert_eq!(decision.decided_in_silence(begin, begin), None);
         }

@@ -191,7 +191,7 @@ pub struct StepActivity {
     pub spikes_out: u64,
     /// The input channels that spiked, for what follows messages one by one.
     pub channels: Vec<ChannelId>,
-    /// The compartments that fired, ascending.
+    /// The compartments that fired, each once, in any order.
     pub fired: Vec<CompartmentId>,
 }
 

@@ -140,7 +140,8 @@ pub trait Engine {
     /// One timestep with these input channels spiking (ascending, each once).
     fn step(&mut self, channels: &[ChannelId]);
     /// Passes over this many steps without input, if nothing at all would happen in them: then every register is and stays
-    /// zero, and counts are as if they had been computed. Otherwise does nothing and returns false.
+    /// zero, and counts are as if they had been computed. Otherwise does nothing and returns false. With 0 it only says whether
+    /// that is so.
     fn rest(&mut self, steps: u32) -> bool {
         let _ = steps;
         false

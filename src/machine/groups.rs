@@ -10,7 +10,8 @@ use crate::machine::lists::{Place, STEP, lay_out};
 use crate::machine::prefetch::prefetch;
 use crate::machine::store::Store;
 
-/// Sources whose groups are queued at a time: enough to be worth it, few enough for the first-level cache.
+/// Sources whose groups are queued at a time: enough to be worth it, few enough for the first-level cache where lists have up to
+/// some 16 groups.
 const SOURCES: usize = 512;
 /// Groups of a list that are queued whether they are or not.
 const FORESEEN: usize = 8;

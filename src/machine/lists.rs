@@ -3,7 +3,7 @@
 //! Comes in: lanes and weights, source after source ([`Draft`]). Goes out: a [`Table`] of them in the narrowest form that
 //! holds all. Where spikes are rare their lists come from far away in memory, and what a synapse costs is the lines of the
 //! cache that it lies in; so a list is laid where it touches as few as its length allows. What it leaves out on purpose:
-//! lanes beside each other, which are rows of `panels`, and how the narrowest form is laid out and read (`groups`).
+//! lanes beside each other, which are rows of `panels`, and how lists are written and read (`groups`).
 
 use std::ops::Range;
 
@@ -13,8 +13,6 @@ use crate::machine::prefetch::LINE;
 
 /// Bytes from one place where a list can begin to the next.
 pub(super) const STEP: usize = 4;
-/// Bytes of one whose weight fits beside its lane.
-pub(super) const PACKED: usize = 4;
 
 /// Synapses from the sources of one kind; weights in units of 64.
 #[derive(Debug)]
@@ -286,8 +284,8 @@ fn named<G>(made: Option<(Vec<Place>, G)>, form: fn(G) -> Synapses) -> Option<(V
 }
 
 /// Places for lists of so many synapses, which take so many bytes, one after the other but that none touches more lines of the
-/// cache than its length needs, and the bytes that all take. At most half of these are gaps: a gap is smaller than the list after it. `None` when
-/// a place has no number.
+/// cache than its length needs, and the bytes that all take. At most half of these are gaps: a gap is smaller than the list
+/// after it. `None` when a place in a list has no number.
 pub(super) fn lay_out(
     lengths: impl Iterator<Item = usize>,
     bytes: impl Fn(usize) -> usize,
@@ -296,10 +294,11 @@ pub(super) fn lay_out(
     let place = |count: usize| {
         let size = bytes(count);
         let mut start = end.next_multiple_of(STEP);
-        if (start % LINE + size).div_ceil(LINE) > size.div_ceil(LINE) {
+        if size > 0 && (start % LINE + size).div_ceil(LINE) > size.div_ceil(LINE) {
             start = start.next_multiple_of(LINE);
         }
         end = start + size;
+        u32::try_from(end / STEP).ok()?;
         Some(Place { start: (start / STEP).try_into().ok()?, count: count.try_into().ok()? })
     };
     let places = lengths.map(place).collect::<Option<Vec<_>>>()?;
@@ -370,20 +369,32 @@ mod tests {
     }
 
     #[test]
+    fn longer_lists_are_in_larger_groups() {
+        let of = |length: u64| {
+            let list = |source| (0..length).map(|k| (rng::below(8_000, 1, source, k) as u32, 1)).collect();
+            read(&(0..100).map(list).collect::<Vec<_>>(), 8_000).1.synapses
+        };
+        assert!(matches!((of(3), of(8), of(64)), (Synapses::Fours(_), Synapses::Eights(_), Synapses::Sixteens(_))));
+    }
+
+    #[test]
     fn no_list_touches_a_line_more_than_it_has_to() {
         for group in [1, 3] {
-            let bytes = |length: usize| PACKED * length.next_multiple_of(group);
-            let lengths: Vec<usize> = (0..3_000).map(|k| rng::below(90, 5, k, 0) as usize).collect();
+            let bytes = |length: usize| STEP * length.next_multiple_of(group);
+            let length = |k| rng::below(90, 5, k, 0) * rng::below(2, 5, k, 1);
+            let lengths: Vec<usize> = (0..3_000).map(|k| length(k) as usize).collect();
             let (places, size) = lay_out(lengths.iter().copied(), bytes).unwrap();
-            let mut end = 0;
+            let (mut end, mut gaps) = (0, 0);
             for (place, &length) in places.iter().zip(&lengths) {
                 let (begin, size) = (place.start() * STEP, bytes(length));
                 assert!(begin >= end, "lists do not overlap");
+                gaps += begin - end;
                 end = begin + size;
                 let lines = (end.div_ceil(LINE) - begin / LINE) * usize::from(length > 0);
                 assert_eq!((place.len(), lines), (length, size.div_ceil(LINE)));
             }
             assert_eq!(size, end);
+            assert!(2 * gaps <= size, "{gaps} of {size} bytes are gaps");
         }
     }
 

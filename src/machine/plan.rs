@@ -7,8 +7,9 @@
 //! so in a network that no cache holds rows with many zeros lose.
 
 use crate::machine::kernel::LANES;
-use crate::machine::lists::PACKED;
 
+/// Bytes of a synapse in a list.
+const LISTED: usize = 4;
 /// Bytes of a chunk.
 const CHUNK_BYTES: usize = 2 * LANES;
 /// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a synapse.
@@ -229,7 +230,7 @@ impl Plan {
 
     /// The most bytes that rows alone may take: what the cache holds, or no more than lists.
     fn most(&self) -> usize {
-        CACHED.max(PACKED * self.synapses)
+        CACHED.max(LISTED * self.synapses)
     }
 
     /// The panels, ascending: those that cost least.

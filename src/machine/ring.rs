@@ -36,7 +36,7 @@ impl<S: Sum> Ring<S> {
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
         let of = |words: &Vec<u64>| size_of::<S>() * self.lanes + size_of_val(words.as_slice());
-        self.arrivals.iter().map(of).sum()
+        self.arrivals.iter().map(of).sum::<usize>() + 4 * self.queue.capacity()
     }
 
     /// Nothing in flight.
@@ -63,7 +63,7 @@ impl<S: Sum> Ring<S> {
         if slot >= self.sums.len() { slot - self.sums.len() } else { slot }
     }
 
-    /// Delivers what spikes of one kind, ascending, reach, and notes where; returns the synapses over which it arrives within
+    /// Delivers what spikes of one kind, ascending where there are rows, reach, and notes where; returns the synapses over which it arrives within
     /// `left` steps. Spikes that reach narrow rows are counted in `heard` by source, unless that is empty.
     #[inline(always)]
     pub fn deliver<const NOTE: bool, I: Id>(

@@ -117,13 +117,14 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         io::write::check_free(file, context.force)?;
     }
     let (mode, convention) = (Mode::from(args.mode), Convention::from(args.convention));
-    let copies = copies(args)?;
-    let job = match jobs::prepare(&args.job, Wanted::Mapped, copies)? {
+    let job = match jobs::prepare_probed(&args.job, Wanted::Mapped, args.copies, &[])? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
+            let copies = args.copies.unwrap_or(jobs::COPIES);
             return refusal.say(reports::energy::nothing(copies, mode, convention), context);
         }
     };
+    let copies = job.copies();
     let workload = Workload::new(&job, copies, &args.input)?;
     let (compiled, target) = (workload.compiled, workload.target);
     let (target, preset) = with_preset(target.clone(), args.constants.as_deref())?;
@@ -202,18 +203,6 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
 }
 
 /// The files of an export.
-/// Copies without `--copies` and `--mapping`: the paper's.
-const COPIES: u32 = 32;
-
-/// How many copies: as asked for, or as mapped.
-fn copies(args: &EnergyArgs) -> Result<u32, Error> {
-    match (args.copies, &args.job.mapping) {
-        (Some(copies), _) => Ok(copies),
-        (None, Some(file)) => Ok(io::mapping::load_mapping(file)?.copies),
-        (None, None) => Ok(COPIES),
-    }
-}
-
 fn sanafe_files(folder: &std::path::Path) -> [PathBuf; 2] {
     ["arch.yaml", "snn.yaml"].map(|name| folder.join(name))
 }
@@ -311,8 +300,8 @@ mod tests {
     fn defaults_are_those_of_the_contract() {
         let args = args(&[]).unwrap();
         assert_eq!(
-            (args.job.model.as_str(), args.job.target.as_str(), copies(&args).unwrap(), args.input.repeat),
-            ("vtsnn-slip", "nahuku-32", 32, 1)
+            (args.job.model.as_str(), args.job.target.as_str(), args.copies, args.input.repeat),
+            ("vtsnn-slip", "nahuku-32", None, 1)
         );
         assert_eq!(
             (args.deployment, args.mode, args.convention),
@@ -368,9 +357,6 @@ mod tests {
         let core = |chip: u32, x: u32| format!("(chip: {chip}, x: {x}, y: 0, core: 1, holds: []),");
         let found = write(&(core(0, 0) + &core(0, 7) + &core(3, 0)), 2).unwrap();
         assert_eq!((found.cores_used, found.cores_powered, found.tiles_used, found.chips_used), (3, 12, 3, 2));
-        let with_mapping =
-            |more: &[&str]| copies(&args(&[&["--mapping", path.to_str().unwrap()], more].concat()).unwrap());
-        assert_eq!((with_mapping(&[]).unwrap(), with_mapping(&["--copies", "1"]).unwrap()), (2, 1));
         assert_eq!(write(&core(0, 0), 3).unwrap_err().exit_status(), 2);
         assert_eq!(write(&core(0, 8), 2).unwrap_err().exit_status(), 3);
         assert_eq!(write(&(core(0, 1) + &core(0, 1)), 2).unwrap_err().exit_status(), 3);

@@ -125,7 +125,7 @@ pub fn deployment(
             let paper = Deployment::paper();
             if paper.copies != copies {
                 return Err(Error::Usage(format!(
-                    "--deployment paper is of {} copies, not {copies}: leave --copies out or use --deployment packed",
+                    "--deployment paper is of {0} copies, not {copies}: ask for {0} or use --deployment packed",
                     paper.copies
                 )));
             }
