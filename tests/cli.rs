@@ -382,7 +382,21 @@ fn energy_is_of_as_many_copies_as_a_mapping_has() {
     let piped = nsim(&[&energy[..], &["-", "--format", "json"]].concat()).pipe_stdin(&saved).unwrap().output().unwrap();
     assert_eq!(serde_json::from_slice::<Value>(&piped.stdout).unwrap()["copies"], 2);
     let other = object(&[&energy[..], &[&saved, "--copies", "3"]].concat(), 3);
-    assert_eq!(other["code"], "mapping.copies");
+    assert_eq!((&other["code"], &other["file"]), (&"mapping.copies".into(), &saved.as_str().into()));
+    // What a mapping was made with is the file's to say.
+    assert_eq!(said(&["map", "--mapping", &saved, "--strategy", "greedy"]).0, 2);
+    assert_eq!(said(&["map", "--copies", "2", "--strategy", "greedy", "-o", &saved, "--force"]).0, 0);
+    assert_eq!(object(&["map", "--mapping", &saved], 0)["strategy"], "greedy");
+}
+
+#[test]
+fn nothing_is_compared_in_vain() {
+    for wrong in [&["--steps", "0"][..], &["--against", "golden", "--svg", "causes.svg"]] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut command = nsim(&[&["agree", "--samples", "0..1"], wrong].concat());
+        assert_eq!(command.current_dir(&folder).output().unwrap().status.code(), Some(2), "{wrong:?}");
+        assert!(std::fs::read_dir(&folder).unwrap().next().is_none());
+    }
 }
 
 #[test]

@@ -67,7 +67,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     calibration_samples: u32,
     /// Compare only so many steps of each sample
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
     /// Say which cause takes what share of the disagreement
     #[arg(long, value_enum, default_value = "on")]
@@ -147,13 +147,18 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         }
         Err(other) => return Err(other.into()),
     };
+    let attributed = matches!(against, Against::Srm | Against::Cuba) && matches!(args.attribution, Switch::On);
+    if args.svg.is_some() && !attributed {
+        let message = "--svg draws the causes of disagreement, which --against srm or cuba has, with --attribution on";
+        return Err(Error::Usage(message.to_string()));
+    }
     let outcome = compare(args, &graph, &fits, &ladder, &compiled.program, &against, &samples, context)?;
-    let attribution = match (&against, args.attribution) {
-        (Against::Srm | Against::Cuba, Switch::On) => {
+    let attribution = match attributed {
+        true => {
             let some = &samples[..samples.len().min(args.attribution_samples as usize)];
             Some(attribute(&ladder, &output_layer(ladder.deployed()), some))
         }
-        _ => None,
+        false => None,
     };
     if let (Some(path), Some(attribution)) = (&args.svg, &attribution) {
         let svg = crate::report::agree::bars(&args.model, attribution);

@@ -43,6 +43,25 @@ impl JobArgs {
         let target = "nahuku-32".to_string();
         JobArgs { model: model.to_string(), target, mapping: None, prune: PruneArgs { prune: Vec::new() } }
     }
+
+    /// An error about the saved mapping, with its file and what to do.
+    #[must_use]
+    pub fn of_mapping(&self, error: CompileError) -> CompileError {
+        match (&self.mapping, error) {
+            (Some(path), CompileError::Input(diagnostic)) if diagnostic.code.starts_with("mapping.") => {
+                let has_help = diagnostic.help.is_some();
+                let diagnostic = if diagnostic.place.is_none() { diagnostic.in_file(path) } else { diagnostic };
+                CompileError::Input(match has_help {
+                    true => diagnostic,
+                    false => diagnostic.help(format!(
+                        "use it with the model, target and copies that it was made for, or make another: nsim map {} -o FILE",
+                        self.model
+                    )),
+                })
+            }
+            (_, error) => error,
+        }
+    }
 }
 
 /// A network ready to run.
@@ -301,7 +320,7 @@ pub fn compiled(
         let pruned = front.quantised().pruned().cloned();
         return Ok((front.map(target, options), pruned));
     };
-    let compiled = front.map_saved(target, options, file);
+    let compiled = front.map_saved(target, options, file).map_err(|error| args.of_mapping(error));
     let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
     Ok((compiled, pruned))
 }

@@ -46,16 +46,16 @@ pub struct MapArgs {
     #[arg(long, default_value = "cores", value_parser = objective)]
     pub objective: Objective,
     /// How compartments are gathered on cores: sequential, greedy or multilevel
-    #[arg(long, default_value = "multilevel", value_parser = strategy)]
+    #[arg(long, default_value = "multilevel", value_parser = strategy, conflicts_with = "mapping")]
     pub strategy: Strategy,
     /// Leave cores in the order of the partition instead of placing them near what they talk to
-    #[arg(long)]
+    #[arg(long, conflicts_with = "mapping")]
     pub unplaced: bool,
     /// Seconds to spend on a better partition and placement, counted in work so that the result is the same everywhere
     #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
     pub time_budget: u32,
     /// Seed of strategies that draw
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, conflicts_with = "mapping")]
     pub seed: u64,
     /// Spikes that show how often sources fire, as --input of nsim run has them; `scene` for the model's own
     /// [default: an assumed rate, the same for all]
@@ -110,10 +110,11 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     }
     let (compiled, pruned) = match mapping.as_ref() {
         Some(file) if described => {
-            (described::describe_saved(front.into_quantised(), &target, &options, file).map(Mapped::described), None)
+            let mapped = described::describe_saved(front.into_quantised(), &target, &options, file);
+            (mapped.map_err(|error| args.job.of_mapping(error)).map(Mapped::described), None)
         }
         Some(file) => {
-            let compiled = front.map_saved(&target, &options, file);
+            let compiled = front.map_saved(&target, &options, file).map_err(|error| args.job.of_mapping(error));
             let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
             (compiled.map(Mapped::written), pruned)
         }
@@ -275,7 +276,8 @@ fn larger(target: &Target) -> Result<Vec<Target>, Error> {
 fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
     Options {
         copies: args.copies.or(mapping.map(|file| file.copies)).unwrap_or(1),
-        strategy: args.strategy,
+        // A file may have been made by other hands than any of these.
+        strategy: mapping.and_then(|file| strategy(&file.strategy).ok()).unwrap_or(args.strategy),
         objective: args.objective,
         seed: mapping.map_or(args.seed, |file| file.seed),
         place: !args.unplaced,

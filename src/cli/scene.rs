@@ -1,6 +1,6 @@
 //! `nsim scene`: makes synthetic recordings, writes them as a data set, and says what they hold.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -12,7 +12,7 @@ use crate::desc::dataset::{DataSet, SampleEntry};
 use crate::desc::spanned::Spanned;
 use crate::desc::stimulus::SceneArg;
 use crate::error::Error;
-use crate::io::{mapping, npy, write};
+use crate::io::{mapping, npy, stimulus, write};
 use crate::report::raster::{Panel, Raster};
 use crate::report::scene::{Class, SceneReport};
 use crate::scene::wire::Carried;
@@ -98,6 +98,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let sample = args.plot_sample.unwrap_or_else(with_onset);
         write::text(path, context.force, &raster(&scene, &argument, sample).svg())?;
     }
+    if let Some(folder) = &args.output {
+        warn_of_others(folder, &entries);
+    }
     let manifest = args.output.as_ref().map(|folder| folder.join("dataset.ron"));
     if let Some(path) = &manifest {
         let text = mapping::pretty(&data_set(&scene, &argument, entries), 2)?;
@@ -147,6 +150,26 @@ impl Facts {
     fn of(recording: &Recording) -> Facts {
         let spikes = [recording.touch.len(), recording.vision.len()];
         Facts { label: recording.label, onset_ms: recording.onset_ms, spikes, wire: recording.wire }
+    }
+}
+
+/// Says when recordings of an earlier scene lie beside those of this one: a run on the folder would take them for samples.
+fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
+    let written: BTreeSet<PathBuf> =
+        entries.iter().flat_map(|entry| entry.files.values()).map(|file| folder.join(&file.value)).collect();
+    for population in [TOUCH.0, VISION.0].map(|name| folder.join(name)) {
+        let Ok(listed) = stimulus::list_folder(&population) else { continue };
+        let others: Vec<PathBuf> =
+            listed.into_iter().map(|(_, _, file)| file).filter(|file| !written.contains(file)).collect();
+        if let Some(first) = others.first() {
+            tracing::warn!(
+                "{}: {} recordings are not of this scene, {} the first; --input {} would show them too: remove them",
+                population.display(),
+                others.len(),
+                first.display(),
+                population.display()
+            );
+        }
     }
 }
 

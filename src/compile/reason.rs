@@ -40,7 +40,7 @@ impl fmt::Display for Reason {
         }
         let Reason { need, limit, .. } = self;
         match (self.resource, self.population.is_some()) {
-            (Resource::Cores, _) => write!(f, "{need} cores are needed, the target has {limit}")?,
+            (Resource::Cores, _) => write!(f, "at least {need} cores are needed, the target has {limit}")?,
             (Resource::Compartments, false) if self.core.is_none() => {
                 write!(f, "{need} compartments are needed, the whole target has {limit}")?;
             }

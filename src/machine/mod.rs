@@ -188,8 +188,12 @@ impl<'i> Machine<'i> {
             let excess = share.names.iter().map(|name| &of_compartments[name.index()]);
             excess.zip(&lanes.fired).map(product).sum::<i64>()
         };
-        of_channels.iter().zip(&self.fired).map(product).sum::<i64>()
-            + self.shares.iter().zip(&image.shares).map(of_share).sum::<i64>()
+        // Without the processor's widest vectors it would take two microseconds a sample.
+        let of_channels = self.arch.dispatch(
+            #[inline(always)]
+            || of_channels.iter().zip(&self.fired).map(product).sum::<i64>(),
+        );
+        of_channels + self.shares.iter().zip(&image.shares).map(of_share).sum::<i64>()
     }
 
     /// Notes spikes whose deliveries may take `reach` steps, fewer than the longest delay needs.

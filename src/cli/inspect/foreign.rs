@@ -163,6 +163,16 @@ impl Sink for Extent {
     }
 }
 
+/// How many events a recording has.
+///
+/// # Errors
+/// As [`recording`].
+pub(super) fn events(path: &Path, format: EventFormat) -> Result<u64, Diagnostic> {
+    let mut extent = Extent::default();
+    events::each(path, format, &mut extent)?;
+    Ok(extent.events)
+}
+
 /// A recording of an event sensor.
 ///
 /// # Errors

@@ -292,11 +292,14 @@ fn inspect_csv(path: &Path) -> Result<Findings, Diagnostic> {
 
 fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
     let listed = stimulus::list_folder(path)?;
-    let (mut spikes, mut places) = (0u64, 0u64);
+    let (mut spikes, mut places, mut events) = (0u64, 0u64, 0u64);
     let mut shapes: Vec<Vec<usize>> = Vec::new();
-    // How many spikes a recording of events has is for the options of a run to say.
-    let is_array = |file: &Path| file.extension().is_some_and(|extension| extension == "npy");
-    for (_, _, file) in listed.iter().filter(|(_, _, file)| is_array(file)) {
+    for (_, _, file) in &listed {
+        // How many spikes a recording of events has is for the options of a run to say.
+        if let Some(format) = EventFormat::of(file) {
+            events += foreign::events(file, format)?;
+            continue;
+        }
         let array = npy::open(file)?;
         array.each_non_zero(|_| {
             spikes += 1;
@@ -310,15 +313,20 @@ fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
     let mut steps: Vec<usize> = shapes.iter().filter_map(|shape| shape.last().copied()).collect();
     steps.sort_unstable();
     steps.dedup();
+    let arrays = !shapes.is_empty();
+    let mut facts = vec![
+        ("samples", json!(listed.len())),
+        ("shapes", json!(shapes)),
+        ("steps", json!(steps)),
+        ("spikes", json!(arrays.then_some(spikes))),
+        ("density", json!((places > 0).then(|| spikes as f64 / places as f64))),
+    ];
+    if events > 0 || !arrays {
+        facts.push(("events", json!(events)));
+    }
     Ok(Findings {
         kind: "recordings",
-        facts: vec![
-            ("samples", json!(listed.len())),
-            ("shapes", json!(shapes)),
-            ("steps", json!(steps)),
-            ("spikes", json!(spikes)),
-            ("density", json!((places > 0).then(|| spikes as f64 / places as f64))),
-        ],
+        facts,
         tables: vec![labels_table(listed.iter().map(|(_, label, _)| *label), &[])],
     })
 }
@@ -393,10 +401,17 @@ Network(name: "m", timestep_ms: 1.0,
             std::fs::write(folder.path().join(name), &bytes).unwrap();
         }
         let folder = object(&inspect(folder.path().to_str().unwrap()).unwrap());
+        assert_eq!((&folder["spikes"], folder.get("events")), (&json!(4), None));
         assert_eq!(
             (&folder["density"], &folder["labels"]),
             (&json!(0.5), &json!([{"label": 1, "class": null, "samples": 2}]))
         );
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.bin", "b.bin"] {
+            std::fs::write(folder.path().join(name), [3, 4, 0x80, 0, 9, 5, 6, 0, 1, 0]).unwrap();
+        }
+        let folder = object(&inspect(folder.path().to_str().unwrap()).unwrap());
+        assert_eq!((&folder["spikes"], &folder["events"]), (&serde_json::Value::Null, &json!(4)));
     }
 
     #[test]
