@@ -411,7 +411,7 @@ Network(name: "m", timestep_ms: 1.0,
             std::fs::write(folder.path().join(name), [3, 4, 0x80, 0, 9, 5, 6, 0, 1, 0]).unwrap();
         }
         let folder = object(&inspect(folder.path().to_str().unwrap()).unwrap());
-        assert_eq!((&folder["spikes"], &folder["events"]), (&serde_json::Value::Null, &json!(4)));
+        assert_eq!((&folder["spikes"], &folder["events"]), (&Value::Null, &json!(4)));
     }
 
     #[test]
