@@ -43,7 +43,7 @@ pub struct EarlyArgs {
     #[arg(long, default_value = "nahuku-32")]
     target: String,
     /// Copies of the model on the target; figures are of one
-    #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", default_value_t = jobs::COPIES, value_parser = clap::value_parser!(u32).range(1..=1024))]
     copies: u32,
     /// Hold every step to the model's timestep, as a live sensor does
     #[arg(long)]

@@ -166,10 +166,14 @@ pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Resu
 /// # Errors
 /// `mapping.copies`.
 pub fn of_copies(file: &MappingFile, copies: u32) -> Result<(), Diagnostic> {
-    let message = || {
-        format!("the mapping is of {0} copies, not {copies}: say --copies {0}, or map {copies} of them", file.copies)
-    };
-    if file.copies == copies { Ok(()) } else { Err(Diagnostic::new("mapping.copies", message())) }
+    if file.copies == copies {
+        return Ok(());
+    }
+    let message = format!("the mapping is of {} copies, not {copies}", file.copies);
+    Err(Diagnostic::new("mapping.copies", message).help(format!(
+        "say --copies {}, or make a mapping of {copies}: nsim map --copies {copies} -o FILE",
+        file.copies
+    )))
 }
 
 /// The places of all cores of a file, in order.

@@ -56,9 +56,7 @@ impl Panel {
             Counts::Each(counts) => ids.iter().map(|id| u64::from(counts[id.index() - self.first as usize])).sum(),
         }
     }
-}
 
-impl Panel {
     /// Makes the mean number of synapses that of every source; adds to `excess`, by source, by how much it was missed.
     pub fn even_out(&mut self, excess: &mut [i32]) {
         let Counts::Each(counts) = &self.synapses else { return };

@@ -6,10 +6,11 @@
 //! in less time than a synapse from a list, so rows with many zeros still gain; but a chunk takes the memory of ten synapses,
 //! so in a network that no cache holds rows with many zeros lose.
 
+use crate::machine::groups::{Form, Packing};
 use crate::machine::kernel::LANES;
 
 /// Bytes of a synapse in a list.
-const LISTED: usize = 4;
+const LISTED: usize = Packing::SYNAPSE;
 /// Bytes of a chunk.
 const CHUNK_BYTES: usize = 2 * LANES;
 /// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a synapse.

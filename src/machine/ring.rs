@@ -63,8 +63,8 @@ impl<S: Sum> Ring<S> {
         if slot >= self.sums.len() { slot - self.sums.len() } else { slot }
     }
 
-    /// Delivers what spikes of one kind, ascending where there are rows, reach, and notes where; returns the synapses over which it arrives within
-    /// `left` steps. Spikes that reach narrow rows are counted in `heard` by source, unless that is empty.
+    /// Delivers what spikes of one kind, ascending where there are rows, reach, and notes where; returns the synapses over which
+    /// it arrives within `left` steps. Spikes that reach narrow rows are counted in `heard` by source, unless that is empty.
     #[inline(always)]
     pub fn deliver<const NOTE: bool, I: Id>(
         &mut self,
