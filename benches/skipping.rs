@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use nsim::base::id::ChannelId;
-use nsim::compile::prune::{Plan, prune};
+use nsim::compile::frontend::prune::{Plan, prune};
 use nsim::compile::{Options, compile_quantised, front};
 use nsim::desc::stimulus::SceneArg;
 use nsim::drive::decision::{EarlyExit, Rule};

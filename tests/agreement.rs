@@ -17,8 +17,9 @@ use nsim::agree::trace::{Layer, Trace};
 use nsim::base::diagnostic::SourceText;
 use nsim::base::id::ChannelId;
 use nsim::base::rng;
-use nsim::compile::convert::{self, Fit};
-use nsim::compile::{Options, compile_quantised, lower::lower};
+use nsim::compile::frontend::analytic::{self, Fit};
+use nsim::compile::frontend::lower::lower;
+use nsim::compile::{Options, compile_quantised};
 use nsim::desc::network::{Network, NetworkFile};
 use nsim::golden::Golden;
 use nsim::io::target::load_target;
@@ -102,14 +103,14 @@ fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
         biases: (0..count).map(|i| 0.01 * (f64::from(i) - 3.0)).collect(),
         ..fit
     };
-    let starts = convert::starts(graph).into_iter();
+    let starts = analytic::starts(graph).into_iter();
     starts.zip(graph.populations()).map(|(fit, (_, p))| fit.map(|fit| moved(fit, p.shape.len()))).collect()
 }
 
 #[test]
 fn without_a_cause_it_is_the_trained_network() {
     let graph = graph(SRM);
-    for fits in [convert::starts(&graph), chosen(&graph)] {
+    for fits in [analytic::starts(&graph), chosen(&graph)] {
         let ladder = Ladder::new(&graph, &fits).unwrap();
         let mut spikes = 0;
         for (kernel, rung) in
@@ -169,17 +170,17 @@ fn thresholds(network: &nsim::ir::quantised::Quantised, layer: &Layer) -> Vec<f6
 #[test]
 fn with_every_cause_it_is_the_machine_bit_for_bit() {
     let srm = graph(SRM);
-    is_the_machine(&srm, &convert::starts(&srm), &samples(0..6), 500);
+    is_the_machine(&srm, &analytic::starts(&srm), &samples(0..6), 500);
     is_the_machine(&srm, &chosen(&srm), &samples(0..6), 500);
     let real = graph(REAL);
-    is_the_machine(&real, &convert::starts(&real), &samples(0..6), 500);
+    is_the_machine(&real, &analytic::starts(&real), &samples(0..6), 500);
     let shipped = lower(&nsim::io::model::load_model("vtsnn-slip").unwrap()).unwrap();
     let noise = |seed: u64| {
         let all = (0..150).flat_map(|t| (0..3306).map(move |c| (t, ChannelId(c))));
         Sample::new(150, &all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < 0.03).collect::<Vec<_>>(), None)
             .unwrap()
     };
-    is_the_machine(&shipped, &convert::starts(&shipped), &[noise(1), noise(2)], 0);
+    is_the_machine(&shipped, &analytic::starts(&shipped), &[noise(1), noise(2)], 0);
 }
 
 #[test]
@@ -217,7 +218,7 @@ fn every_rung_is_real() {
 #[test]
 fn shares_add_up_to_the_disagreement() {
     let graph = graph(SRM);
-    let ladder = Ladder::new(&graph, &convert::starts(&graph)).unwrap();
+    let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
     let (samples, output) = (samples(0..10), ladder.layers()[1].clone());
     let attribution = attribute(&ladder, &output, &borrowed(&samples));
     let names: Vec<&str> = attribution.shares.iter().map(|share| share.cause.name()).collect();
@@ -246,7 +247,7 @@ fn the_search_comes_nearer_than_the_analytic_start() {
         let ladder = Ladder::new(&graph, fits).unwrap();
         distances(&ladder, trained, &[Rung::MACHINE], &output, &borrowed(&unseen))[0]
     };
-    let (start, end) = (on_unseen(&convert::starts(&graph)), on_unseen(&found.fits));
+    let (start, end) = (on_unseen(&analytic::starts(&graph)), on_unseen(&found.fits));
     assert!(end.class_agreement > start.class_agreement + 0.1, "{start:?} {end:?}");
 }
 

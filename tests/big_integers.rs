@@ -12,7 +12,7 @@ use common::{biased, neuron};
 use nsim::base::fixed::{Decay, VmaxExponent, VminExponent, WeightExponent, decay, scaled_weight};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::io::target::load_target;
-use nsim::machine::neuron::{Fields, Registers, update};
+use nsim::machine::update::neuron::{Fields, Registers, update};
 use nsim::stress::exact::{Compartment, Parameters, decayed, scaled};
 use nsim::stress::{CASES, Case};
 use proptest::prelude::*;

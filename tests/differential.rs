@@ -9,7 +9,7 @@ mod common;
 use common::random;
 use nsim::base::id::{CompartmentId, Id};
 use nsim::bench::networks::{Random, random as random_network};
-use nsim::compile::prune::{Plan, prune};
+use nsim::compile::frontend::prune::{Plan, prune};
 use nsim::compile::{Compiled, Options, compile_quantised, compile_with_mapping, front};
 use nsim::desc::stimulus::SceneArg;
 use nsim::desc::target::Target;

@@ -356,8 +356,8 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
         sorted.0.sort_unstable();
         sorted.1.sort_unstable();
         assert_eq!(sorted.0, sorted.1, "{name}: {kinds:?}");
-        let graph = nsim::compile::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
-        nsim::compile::quantise::quantise(&graph).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let graph = nsim::compile::frontend::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
+        nsim::compile::frontend::quantise::quantise(&graph).unwrap_or_else(|error| panic!("{name}: {error}"));
     }
     let imported = foreign::read(&folder.path().join("nir_recurrent.net"), &options).unwrap();
     let draft = imported.draft;
@@ -372,7 +372,7 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
         let options = Options { dt_ms: dt, ..Options::default() };
         let imported = foreign::of_bytes(Path::new("x.nir"), bytes, &options).unwrap_or_else(|e| panic!("{name}: {e}"));
         let network = imported.draft.network(Path::new("x.nir")).unwrap();
-        nsim::compile::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
+        nsim::compile::frontend::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
     }
 }
 

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use nsim::base::diagnostic::SourceText;
-use nsim::compile::{lower::lower, quantise::quantise};
+use nsim::compile::frontend::{lower::lower, quantise::quantise};
 use nsim::desc::mapping::MappingFile;
 use nsim::desc::spanned::parse;
 use nsim::io::shipped::Origin;

@@ -9,8 +9,8 @@
 //! so that the doubles hold exactly what the chip's registers hold.
 
 use crate::base::diagnostic::Diagnostic;
-use crate::compile::convert::{self, Fit};
-use crate::compile::quantise::{quantise, scales};
+use crate::compile::frontend::analytic::{self, Fit};
+use crate::compile::frontend::quantise::{quantise, scales};
 use crate::desc::network::ThresholdTest;
 use crate::ir::graph::{Graph, LoihiParameters, PopulationKind, SrmParameters};
 use crate::ir::quantised::{Quantised, Reset, Units};
@@ -165,7 +165,7 @@ impl Ladder {
                 _ => None,
             })
             .collect();
-        let (real, chosen) = (convert::with_fits(graph, &plain), convert::with_fits(graph, fits));
+        let (real, chosen) = (analytic::with_fits(graph, &plain), analytic::with_fits(graph, fits));
         let (rounded, calibrated) = (quantise(&real)?, quantise(&chosen)?);
         // Everything is in the register units of the network that is deployed.
         let units = scales(&chosen)?;
@@ -177,7 +177,7 @@ impl Ladder {
             let origin = match (&population.kind, fit) {
                 (PopulationKind::Srm(srm), Some(fit)) => Some(Origin::Srm(*srm, fit.clone())),
                 (PopulationKind::Loihi(parameters), _) => Some(Origin::Loihi(parameters.clone())),
-                (PopulationKind::Srm(srm), None) => Some(Origin::Srm(*srm, convert::start(srm, timestep_ms))),
+                (PopulationKind::Srm(srm), None) => Some(Origin::Srm(*srm, analytic::start(srm, timestep_ms))),
                 (PopulationKind::Input, _) => None,
             };
             debug_assert_eq!(node.index(), populations.len());
@@ -306,26 +306,26 @@ impl Ladder {
             Some(Origin::Srm(srm, fit)) => {
                 // An alpha kernel has one decay; only current and voltage can have two.
                 let keeps = match (rung.has(Cause::Decays), rung.has(Cause::Kernel)) {
-                    (true, true) => (convert::keep(fit.du), convert::keep(fit.dv)),
+                    (true, true) => (analytic::keep(fit.du), analytic::keep(fit.dv)),
                     (true, false) => {
-                        let r = convert::keep(convert::start(srm, self.timestep_ms).du);
+                        let r = analytic::keep(analytic::start(srm, self.timestep_ms).du);
                         (r, r)
                     }
                     (false, _) => {
-                        let r = convert::real_keep(srm, self.timestep_ms);
+                        let r = analytic::real_keep(srm, self.timestep_ms);
                         (r, r)
                     }
                 };
-                let matched = convert::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1);
+                let matched = analytic::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1);
                 let chosen = rung.has(Cause::Calibration);
                 // The factor by which a search moved the threshold from where the peaks match.
                 let moved = match chosen {
                     true => {
-                        let at = convert::matched_threshold(
+                        let at = analytic::matched_threshold(
                             srm,
                             self.timestep_ms,
-                            convert::keep(fit.du),
-                            convert::keep(fit.dv),
+                            analytic::keep(fit.du),
+                            analytic::keep(fit.dv),
                         );
                         fit.threshold / at
                     }
@@ -458,7 +458,7 @@ pub fn layers(network: &Quantised) -> Vec<Layer> {
 /// A fit without what only a search would choose: the peaks matched, no gains, no biases.
 fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
     Fit {
-        threshold: convert::matched_threshold(srm, timestep_ms, convert::keep(fit.du), convert::keep(fit.dv)),
+        threshold: analytic::matched_threshold(srm, timestep_ms, analytic::keep(fit.du), analytic::keep(fit.dv)),
         gains: Vec::new(),
         biases: Vec::new(),
         ..fit.clone()

@@ -1,7 +1,7 @@
 //! The integers with which a spike response network is best deployed, by a deterministic search over calibration samples.
 //!
 //! Comes in: the graph and calibration samples. Goes out: a [`Fit`] for each population, and what of the disagreement is
-//! left. From the analytic start (`compile::convert`) the search goes through the populations from the input on. Each gets
+//! left. From the analytic start (`compile::frontend::analytic`) the search goes through the populations from the input on. Each gets
 //! the spikes that its converted sources send, and is to send those that the trained population sends:
 //!
 //! 1. *Shape*: du, dv and the refractory period over a grid around the start, with the best threshold for each; then finer
@@ -25,7 +25,7 @@ use super::metrics::{TAU, Tally};
 use super::trace::{Comparison, Layer, Trace};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{Decay, Refractory};
-use crate::compile::convert::{self, Fit};
+use crate::compile::frontend::analytic::{self, Fit};
 use crate::ir::graph::{Graph, PopulationKind, ProjectionKind, SrmParameters};
 use crate::ir::spikes::Sample;
 use crate::reference::synapses::Synapses;
@@ -159,7 +159,7 @@ impl Shape {
 
     fn candidate(&self, srm: &SrmParameters, timestep_ms: f64) -> Candidate {
         let (keep_u, keep_v) = self.keeps();
-        let threshold = self.factor * convert::matched_threshold(srm, timestep_ms, keep_u, keep_v);
+        let threshold = self.factor * analytic::matched_threshold(srm, timestep_ms, keep_u, keep_v);
         Candidate { keep_u, keep_v, threshold, refractory: self.refractory as u32, gain: 1.0, bias: 0.0 }
     }
 }
@@ -167,9 +167,9 @@ impl Shape {
 /// Searches.
 ///
 /// # Errors
-/// As `compile::quantise`.
+/// As `compile::frontend::quantise`.
 pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)) -> Result<Found, Diagnostic> {
-    let starts = convert::starts(graph);
+    let starts = analytic::starts(graph);
     let ladder = Ladder::new(graph, &starts)?;
     let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).max().unwrap_or(1);
@@ -361,7 +361,7 @@ fn task(
 const FACTORS: [f64; 9] = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.35, 1.6];
 
 fn best_shape(task: &Task, srm: &SrmParameters, timestep_ms: f64, tried: &mut u64) -> Shape {
-    let base = convert::start(srm, timestep_ms).du.get();
+    let base = analytic::start(srm, timestep_ms).du.get();
     let times = |factor: f64| (f64::from(base) * factor).round() as i64;
     let start = Shape { du: i64::from(base), dv: i64::from(base), refractory: 1, factor: 1.0 };
     let mut shapes = vec![start];
@@ -411,7 +411,7 @@ fn best_shape(task: &Task, srm: &SrmParameters, timestep_ms: f64, tried: &mut u6
 }
 
 fn fit_of(shape: &Shape, srm: &SrmParameters, timestep_ms: f64) -> Fit {
-    let start = convert::start(srm, timestep_ms);
+    let start = analytic::start(srm, timestep_ms);
     Fit {
         du: Decay::new(shape.du).unwrap_or(start.du),
         dv: Decay::new(shape.dv).unwrap_or(start.dv),

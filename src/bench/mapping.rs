@@ -11,15 +11,15 @@ use std::time::Instant;
 use crate::base::units::Femtojoules;
 use crate::bench::networks::Bench;
 use crate::bench::suite::{Case, STEPS};
-use crate::compile::rates::Rates;
-use crate::compile::traffic::{DEFAULT_RATE, Traffic, traffic};
-use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, described, partitioned};
+use crate::compile::explore::traffic::{DEFAULT_RATE, Traffic, traffic};
+use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, partitioned, symbolic};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{Metered, StepMeter};
 use crate::cost::transport::{Transport, Ways};
 use crate::desc::target::Target;
 use crate::golden::Golden;
+use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::{Engine, Sample};
 use crate::machine::{Image, Machine, Settings};
@@ -97,7 +97,7 @@ pub fn map_all(
     effort_s: u32,
     mut row: impl FnMut(Mapped),
 ) -> Result<(), Failure> {
-    if described::applies(&bench.network, case.copies) {
+    if symbolic::applies(&bench.network, case.copies) {
         return by_kernels(case, bench, target, effort_s, row);
     }
     let meant = golden(&bench.network, &bench.period);
@@ -145,7 +145,7 @@ pub fn map_all(
     Ok(())
 }
 
-/// The ways of mapping a network that stays described: in boxes, placed and unplaced.
+/// The ways of mapping a network that stays symbolic: in boxes, placed and unplaced.
 fn by_kernels(
     case: &Case,
     bench: &Bench,
@@ -158,7 +158,7 @@ fn by_kernels(
         reset_peak();
         let begin = Instant::now();
         let strategy = options.strategy;
-        let described = described::describe(bench.network.clone(), target, &options)
+        let described = symbolic::describe(bench.network.clone(), target, &options)
             .map_err(|error| Failure::Compile(case.name, strategy.name(), Box::new(error)))?;
         let seconds = begin.elapsed().as_secs_f64();
         let traffic = described.traffic();

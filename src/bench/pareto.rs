@@ -19,8 +19,8 @@ use crate::agree::trace::{Comparison, Layer, Trace};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{Decay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits};
 use crate::base::id::{ChannelId, CompartmentId};
-use crate::compile::convert::{self, Fit};
-use crate::compile::quantise::quantise;
+use crate::compile::frontend::analytic::{self, Fit};
+use crate::compile::frontend::quantise::quantise;
 use crate::compile::{CompileError, Options, compile_quantised};
 use crate::cost::constants::CostTable;
 use crate::cost::meter::{Metered, StepMeter};
@@ -172,7 +172,7 @@ impl<'a> Subject<'a> {
     /// Makes a network ready: runs it as trained and on the golden interpreter.
     ///
     /// # Errors
-    /// As `compile::quantise`.
+    /// As `compile::frontend::quantise`.
     pub fn new(
         graph: &'a Graph,
         fits: &[Option<Fit>],
@@ -180,7 +180,7 @@ impl<'a> Subject<'a> {
         samples: Vec<&'a Sample>,
         budget: Duration,
     ) -> Result<Self, ParetoError> {
-        let converted = convert::with_fits(graph, fits);
+        let converted = analytic::with_fits(graph, fits);
         let deployed = quantise(&converted)?;
         let layers = layers(&deployed);
         let name = &deployed.populations()[deployed.parts().output].name;

@@ -12,7 +12,7 @@
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
 //! - `conv-10m`: 2 @ 512 x 512, convolutions 3 x 3 to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32 @ 256 x 256, 64 @ 128 x
 //!   128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x 16, 11: 11,012,107 compartments, whose 2.2
-//!   thousand million synapses are never written out ([`crate::compile::described`]); made up, to be as large.
+//!   thousand million synapses are never written out ([`crate::compile::symbolic`]); made up, to be as large.
 //! - `random-N`: N compartments, each with a driving channel and 64 random synapses ([`crate::bench::networks::random`]).
 //! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
 //!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between

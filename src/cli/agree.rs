@@ -13,8 +13,8 @@ use crate::base::id::CompartmentId;
 use crate::cli::jobs::Refusal;
 use crate::cli::run::{InputArgs, Switch, select};
 use crate::cli::{Answer, Context, common, inputs};
-use crate::compile::convert::{self, Fit};
-use crate::compile::{self, CompileError, Options, described};
+use crate::compile::frontend::analytic::{self, Fit};
+use crate::compile::{self, CompileError, Options, symbolic};
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
 use crate::golden::Golden;
@@ -129,7 +129,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = compile::front(&network)?.into_both();
-    described::within_reach("nsim agree", &analytic, 1)?;
+    symbolic::within_reach("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let against = against(args, &graph, &analytic)?;
@@ -265,7 +265,7 @@ pub fn fits(
     samples: &[&Sample],
 ) -> Result<(Vec<Option<Fit>>, Option<Found>), Error> {
     if !graph.has_srm() || conversion == Conversion::Analytic {
-        return Ok((convert::starts(graph), None));
+        return Ok((analytic::starts(graph), None));
     }
     let own = match (calibrate, input.input.as_slice()) {
         ([], inputs) => {
@@ -355,7 +355,7 @@ fn compare(
     let integer_thresholds = thresholds(network);
     let real = match against {
         Against::Srm => Some(graph.clone()),
-        Against::Cuba => Some(convert::with_fits(graph, fits)),
+        Against::Cuba => Some(analytic::with_fits(graph, fits)),
         Against::Golden | Against::Recorded(_) => None,
     };
     let model =

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::{Answer, Context, common};
 use crate::base::diagnostic::Diagnostic;
-use crate::compile::lower::lower;
+use crate::compile::frontend::lower::lower;
 use crate::desc::network::ThresholdTest;
 use crate::error::Error;
 use crate::io::draft::{Draft, DraftKind};

@@ -7,7 +7,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
 use crate::cli::prune::PruneArgs;
 use crate::cli::{Answer, Context, complain};
-use crate::compile::{self, CompileError, Compiled, Options, Reason, described, saved};
+use crate::compile::{self, CompileError, Compiled, Options, Reason, mapping_file, symbolic};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
 use crate::desc::target::Target;
@@ -239,7 +239,7 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
     }
     if wanted == Wanted::Quantised {
         let quantised = front(args, &network, probed)?.into_quantised();
-        described::within_reach("--engine golden", &quantised, 1)?;
+        symbolic::within_reach("--engine golden", &quantised, 1)?;
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
     }
@@ -250,7 +250,7 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
     if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
         // Copies share nothing, so one of them is the whole of what a run shows.
         tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);
-        *file = saved::one_copy(file);
+        *file = mapping_file::one_copy(file);
     }
     match compiled(args, &network, &target, &options, mapping.as_ref(), probed)?.0 {
         Ok(compiled) => {
@@ -291,7 +291,7 @@ pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compi
     let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
         Some(plan) => {
-            described::within_reach("--prune", front.quantised(), 1)?;
+            symbolic::within_reach("--prune", front.quantised(), 1)?;
             front.prune(&plan)?
         }
         None => front,
@@ -316,7 +316,7 @@ pub fn compiled(
     args.prune.not_with_mapping(mapping.is_some())?;
     let front = front(args, network, probed)?;
     let Some(file) = mapping else {
-        described::within_reach("running it on cores", front.quantised(), options.copies)?;
+        symbolic::within_reach("running it on cores", front.quantised(), options.copies)?;
         let pruned = front.quantised().pruned().cloned();
         return Ok((front.map(target, options), pruned));
     };

@@ -6,15 +6,16 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::jobs::{self, JobArgs};
 use crate::cli::{Answer, Context, common, inputs};
-use crate::compile::described::{self, Described};
-use crate::compile::rates::Rates;
-use crate::compile::traffic::Traffic;
-use crate::compile::{CompileError, Compiled, Layout, Objective, Options, Strategy, expect, remedy, traffic};
+use crate::compile::explore::traffic::{self, Traffic};
+use crate::compile::explore::{cost_estimate, remedy};
+use crate::compile::symbolic::{self, Described};
+use crate::compile::{CompileError, Compiled, Layout, Objective, Options, Strategy};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::golden::Golden;
 use crate::io;
+use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Engine;
 use crate::report::map::{self as report, Outcome, Question};
@@ -104,13 +105,13 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
     args.job.prune.not_with_mapping(mapping.is_some())?;
     let front = jobs::front(&args.job, &network, &[])?;
-    let described = described::applies(front.quantised(), options.copies);
+    let described = symbolic::applies(front.quantised(), options.copies);
     if described && !args.profile.is_empty() {
-        return Err(described::needs_synapses("--profile", front.quantised(), options.copies).into());
+        return Err(symbolic::needs_synapses("--profile", front.quantised(), options.copies).into());
     }
     let (compiled, pruned) = match mapping.as_ref() {
         Some(file) if described => {
-            let mapped = described::describe_saved(front.into_quantised(), &target, &options, file);
+            let mapped = symbolic::describe_saved(front.into_quantised(), &target, &options, file);
             (mapped.map_err(|error| args.job.of_mapping(error)).map(Mapped::described), None)
         }
         Some(file) => {
@@ -127,13 +128,13 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
             let one = front.quantised().clone();
             if args.pareto.is_some() {
                 let found = match described {
-                    true => described::candidates(one.clone(), &target, &options),
+                    true => symbolic::candidates(one.clone(), &target, &options),
                     false => front.candidates(&target, &options, &rates),
                 };
                 candidates = found.unwrap_or_default();
             }
             let compiled = match described {
-                true => described::describe(one.clone(), &target, &options).map(Mapped::described),
+                true => symbolic::describe(one.clone(), &target, &options).map(Mapped::described),
                 false => front.map_for(&target, &options, &rates).map(Mapped::written),
             };
             if let Err(CompileError::DoesNotFit(_)) = &compiled
@@ -226,9 +227,9 @@ impl Mapped {
         }
     }
 
-    fn score(&self, traffic: &Traffic, target: &Target) -> Result<expect::Score, Diagnostic> {
+    fn score(&self, traffic: &Traffic, target: &Target) -> Result<cost_estimate::Score, Diagnostic> {
         match self {
-            Mapped::Written(compiled) => expect::score_with(compiled, &compiled.rates, traffic, target),
+            Mapped::Written(compiled) => cost_estimate::score_with(compiled, &compiled.rates, traffic, target),
             Mapped::Described(described) => described.score(traffic, target),
         }
     }

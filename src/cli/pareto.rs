@@ -9,7 +9,7 @@ use crate::bench::pareto::{ParetoError, Subject, Variant, mark_front};
 use crate::cli::agree::{Conversion, fits};
 use crate::cli::run::{InputArgs, select};
 use crate::cli::{Answer, Context, common, inputs};
-use crate::compile::{self, described};
+use crate::compile::{self, symbolic};
 use crate::error::Error;
 use crate::io;
 use crate::report::pareto::{ParetoReport, replaced};
@@ -74,7 +74,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = compile::front(&network)?.into_both();
-    described::within_reach("nsim bench pareto", &analytic, 1)?;
+    symbolic::within_reach("nsim bench pareto", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();

@@ -2,7 +2,7 @@
 
 use crate::base::id::PopulationId;
 use crate::cli::inputs;
-use crate::compile::prune::Plan;
+use crate::compile::frontend::prune::Plan;
 use crate::error::Error;
 use crate::ir::quantised::Quantised;
 

@@ -7,7 +7,7 @@ use crate::base::id::Id;
 use crate::cli::common::SampleRange;
 use crate::cli::jobs::Wanted;
 use crate::cli::{Answer, Context, common, inputs, jobs, simulate};
-use crate::compile::prune::check_stimulus;
+use crate::compile::frontend::prune::check_stimulus;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, Outcome, Probe, Quantity};
 use crate::error::Error;

@@ -4,50 +4,30 @@
 //! reason why the network does not fit. A program that leaves this module has been verified against the target's limits
 //! and checked against its network by code that shares nothing with the stages that made it.
 
-pub mod axis;
-mod axon_of;
 pub mod check;
-pub mod convert;
-pub mod copies;
-pub mod described;
-pub mod expect;
-pub mod fanin;
-pub mod fill;
-pub mod formats;
-pub mod gather;
-pub mod geometry;
-pub mod lower;
-pub mod memory;
-pub mod packing;
+pub mod emit;
+pub mod explore;
+pub mod frontend;
+pub mod mapping_file;
 pub mod partition;
 pub mod place;
-pub mod prune;
-pub mod quantise;
-pub mod rates;
 pub mod reason;
-pub mod remedy;
-pub mod route;
-pub mod saved;
-pub mod search;
-pub mod sent;
-pub mod share;
+pub mod resources;
+pub mod symbolic;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
-pub mod traffic;
-pub mod usage;
-pub mod verify;
 
 use std::time::Instant;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CoreId, IdVec};
-use crate::compile::rates::Rates;
-use crate::compile::traffic::DEFAULT_RATE;
+use crate::compile::explore::traffic::DEFAULT_RATE;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::target::Target;
+use crate::ir::firing_rates::Rates;
 use crate::ir::graph::Graph;
 use crate::ir::partition::{Partition, Resource, seats};
 use crate::ir::placement::{Mesh, Placement};
@@ -187,7 +167,7 @@ pub struct Layout<'a> {
     pub placed: &'static str,
     /// Rates of all sources that it was made for.
     pub rates: &'a Rates,
-    /// Whether there is a program, checked against the network; otherwise see [`described`].
+    /// Whether there is a program, checked against the network; otherwise see [`symbolic`].
     pub written: bool,
 }
 
@@ -211,13 +191,13 @@ impl Compiled {
     /// The mapping as a file.
     #[must_use]
     pub fn mapping_file(&self) -> MappingFile {
-        let origin = saved::Origin {
+        let origin = mapping_file::Origin {
             target: self.target.clone(),
             copies: self.options.copies,
             strategy: self.options.strategy.name().to_string(),
             seed: self.options.seed,
         };
-        saved::save(&self.quantised, &self.partition, &self.placement, origin)
+        mapping_file::save(&self.quantised, &self.partition, &self.placement, origin)
     }
 }
 
@@ -293,19 +273,19 @@ pub struct Front {
 /// [`CompileError`].
 pub fn front(network: &Network) -> Result<Front, CompileError> {
     let mut clock = Clock::default();
-    let graph = clock.stage("lower", || lower::lower(network)).map_err(CompileError::Input)?;
+    let graph = clock.stage("lower", || frontend::lower::lower(network)).map_err(CompileError::Input)?;
     let one = clock.stage("quantise", || integers(&graph)).map_err(CompileError::Input)?;
     Ok(Front { graph, one, clock })
 }
 
-/// A network in integers, spike response neurons by way of [`convert`].
+/// A network in integers, spike response neurons by way of [`frontend::analytic`].
 ///
 /// # Errors
-/// As [`quantise::quantise`].
+/// As [`frontend::quantise::quantise`].
 pub fn integers(graph: &Graph) -> Result<Quantised, Diagnostic> {
     match graph.has_srm() {
-        true => quantise::quantise(&convert::convert(graph)),
-        false => quantise::quantise(graph),
+        true => frontend::quantise::quantise(&frontend::analytic::convert(graph)),
+        false => frontend::quantise::quantise(graph),
     }
 }
 
@@ -338,7 +318,7 @@ impl Front {
     ///
     /// # Errors
     /// [`CompileError`].
-    pub fn prune(mut self, plan: &prune::Plan) -> Result<Front, CompileError> {
+    pub fn prune(mut self, plan: &frontend::prune::Plan) -> Result<Front, CompileError> {
         self.one = self.clock.stage("prune", || pruned(&self.one, plan))?;
         Ok(self)
     }
@@ -346,14 +326,14 @@ impl Front {
     /// Candidates of mappings onto a target.
     ///
     /// # Errors
-    /// As [`search::candidates`].
+    /// As [`explore::search::candidates`].
     pub fn candidates(
         &self,
         target: &Target,
         options: &Options,
         rates: &Rates,
-    ) -> Result<Vec<search::Found>, CompileError> {
-        search::candidates(&self.one, target, options, rates)
+    ) -> Result<Vec<explore::search::Found>, CompileError> {
+        explore::search::candidates(&self.one, target, options, rates)
     }
 
     /// The network on a target.
@@ -381,8 +361,8 @@ impl Front {
     }
 }
 
-fn pruned(one: &Quantised, plan: &prune::Plan) -> Result<Quantised, CompileError> {
-    prune::prune(one, plan).map_err(|error| CompileError::Fault(error.to_string()))
+fn pruned(one: &Quantised, plan: &frontend::prune::Plan) -> Result<Quantised, CompileError> {
+    frontend::prune::prune(one, plan).map_err(|error| CompileError::Fault(error.to_string()))
 }
 
 fn mapped(
@@ -393,7 +373,7 @@ fn mapped(
     clock: Clock,
 ) -> Result<Compiled, CompileError> {
     if options.objective != Objective::Cores {
-        let mut best = search::best(&one, target, options, rates)?;
+        let mut best = explore::search::best(&one, target, options, rates)?;
         best.seconds.splice(0..0, clock.0);
         return Ok(best);
     }
@@ -487,7 +467,7 @@ impl Sited {
         let Sited { partitioned, placement, name: placed } = self;
         let Partitioned { one, all: quantised, partition, rates, mut clock } = partitioned;
         let limits = target.limits();
-        let routed = clock.stage("route", || route::route(&quantised, &partition, &placement, limits));
+        let routed = clock.stage("route", || emit::route::route(&quantised, &partition, &placement, limits));
         let program = routed.map_err(CompileError::Fault)?;
         let (seconds, target) = (clock.0, target.name().to_string());
         let options = *options;
@@ -526,11 +506,11 @@ fn remapped(
     file: &MappingFile,
     mut clock: Clock,
 ) -> Result<Compiled, CompileError> {
-    saved::of_copies(file, options.copies).map_err(CompileError::Input)?;
-    described::within_reach("running it on cores", &one, options.copies).map_err(CompileError::Input)?;
+    mapping_file::of_copies(file, options.copies).map_err(CompileError::Input)?;
+    symbolic::within_reach("running it on cores", &one, options.copies).map_err(CompileError::Input)?;
     one = match (&file.pruned, one.pruned()) {
         (Some(said), None) => {
-            let plan = saved::plan(said, &one).map_err(CompileError::Input)?;
+            let plan = mapping_file::plan(said, &one).map_err(CompileError::Input)?;
             clock.stage("prune", || pruned(&one, &plan))?
         }
         (None, Some(_)) => {
@@ -559,8 +539,8 @@ impl Routed {
         let mut clock = Clock(std::mem::take(&mut compiled.seconds));
         let (network, program) = (&compiled.quantised, &compiled.program);
         let fault = CompileError::Fault;
-        clock.stage("verify", || verify::verify(program, target)).map_err(|e| fault(e.to_string()))?;
-        clock.stage("check", || check::check(network, program)).map_err(|e| fault(e.to_string()))?;
+        clock.stage("verify", || check::verify::verify(program, target)).map_err(|e| fault(e.to_string()))?;
+        clock.stage("check", || check::equivalence::check(network, program)).map_err(|e| fault(e.to_string()))?;
         compiled.seconds = clock.0;
         Ok(compiled)
     }
@@ -571,7 +551,7 @@ fn does_not_fit(reason: Reason) -> CompileError {
 }
 
 fn all_copies(one: &Quantised, options: &Options) -> Result<Quantised, CompileError> {
-    copies::copies(one, options.copies)
+    frontend::copies::copies(one, options.copies)
         .map_err(|error| CompileError::Input(Diagnostic::new("map.copies", error.to_string())))
 }
 
@@ -604,12 +584,12 @@ fn within_bounds(
 
 /// A partition and placement as a file has them.
 fn from_file(all: &Quantised, target: &Target, file: &MappingFile) -> Result<(Partition, Placement), CompileError> {
-    let (members, sites) = saved::membership(file, all, target).map_err(CompileError::Input)?;
+    let (members, sites) = mapping_file::membership(file, all, target).map_err(CompileError::Input)?;
     let fault = |error: &dyn std::fmt::Display| CompileError::Fault(error.to_string());
     let placement = Placement::new(Mesh::of(target), sites).map_err(|e| fault(&e))?;
     let seats = seats(all.compartments(), &members).map_err(|e| fault(&e))?;
     let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
-    let usage = usage::usage(all, &members, &seats, &chips, target.limits());
+    let usage = resources::exact::usage(all, &members, &seats, &chips, target.limits());
     let reasons: Vec<Reason> = usage
         .enumerate()
         .flat_map(|(core, used)| used.excesses(target.limits()).map(move |e| (core, e)))

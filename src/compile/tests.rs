@@ -5,16 +5,16 @@ use std::collections::BTreeSet;
 use crate::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
 use crate::base::rng;
-use crate::compile::check::{Difference, check};
-use crate::compile::fanin::FanIn;
-use crate::compile::fill::{Filling, Newcomer};
-use crate::compile::memory;
+use crate::compile::check::equivalence::{Difference, check};
+use crate::compile::check::verify::{Violation, verify};
+use crate::compile::emit::memory;
+use crate::compile::emit::route::route;
 use crate::compile::partition::tiles;
 use crate::compile::place;
-use crate::compile::route::route;
+use crate::compile::resources::exact::usage;
+use crate::compile::resources::fan_in::FanIn;
+use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
-use crate::compile::usage::usage;
-use crate::compile::verify::{Violation, verify};
 use crate::compile::{CompileError, Compiled, Options, Reason, compile_quantised};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::target::{Limits, Packing};
@@ -125,7 +125,8 @@ fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
     let board = target(2, 2, limits());
     let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
     assert_eq!(compiled.partition.cores(), 32);
-    let traffic = crate::compile::traffic::traffic(&compiled.program, &crate::compile::rates::Rates::assumed(1.0));
+    let traffic =
+        crate::compile::explore::traffic::traffic(&compiled.program, &crate::ir::firing_rates::Rates::assumed(1.0));
     assert_eq!(traffic.cut_spikes_per_step, 32.0 * 3_306.0, "only inputs cross between cores");
     let small = compile_quantised(slip(100), &board, &options).unwrap();
     // 316 input axons and 62 compartments a copy: twelve copies share a core.

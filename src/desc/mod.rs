@@ -1,7 +1,7 @@
 //! What files say, as they say it: mirrors of networks, targets, mappings and stimuli.
 //!
 //! Values here are parsed and know where they stood in their file, so that any later stage can point at them. Whether
-//! they make sense together is for `compile::lower` to find out.
+//! they make sense together is for `compile::frontend::lower` to find out.
 
 pub mod baseline;
 pub mod dataset;

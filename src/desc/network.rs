@@ -1,7 +1,7 @@
 //! The mirror of a model file (`models/*.ron`; `docs/formats.md` describes each field).
 //!
 //! [`NetworkFile`] is what the RON says. [`Network`] is the same with every array that it refers to read; `io::model`
-//! makes it. Ranges that a single field has are left to `compile::lower`, which knows the population and can point at
+//! makes it. Ranges that a single field has are left to `compile::frontend::lower`, which knows the population and can point at
 //! the value.
 
 use std::collections::BTreeMap;

@@ -3,7 +3,7 @@
 //! Comes in: populations and projections with their arrays, as a reader of foreign files (or any other maker of models)
 //! found them. Goes out: the text of a RON model with one safetensors file beside it, or the [`Network`] that reading
 //! the two would give. There is one way from a draft to a network, through the text, so that a network that was imported
-//! on the fly and one that was written and read again are the same. Whether it makes sense is for `compile::lower`.
+//! on the fly and one that was written and read again are the same. Whether it makes sense is for `compile::frontend::lower`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

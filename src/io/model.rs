@@ -2,7 +2,7 @@
 //!
 //! Comes in: a path or the name of a shipped model. Goes out: a [`Network`]. A problem with an array is reported at the
 //! place in the model file that names it, together with what is wrong with the array's file. Whether the numbers make
-//! sense is for `compile::lower`.
+//! sense is for `compile::frontend::lower`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -3,8 +3,8 @@
 //! Each type's constructor checks what the type promises, so that owning a value proves that the stage before it
 //! succeeded: [`graph::Graph`], [`quantised::Quantised`], [`partition::Partition`], [`placement::Placement`],
 //! [`program::Program`], then [`activity::Activity`]. [`spikes`] holds what goes into a run and what comes out.
-
 pub mod activity;
+pub mod firing_rates;
 pub mod graph;
 pub mod partition;
 pub mod placement;

@@ -140,7 +140,7 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Cores with their compartments in slot order, and what each core uses (from `compile::usage`).
+    /// Cores with their compartments in slot order, and what each core uses (from `compile::resources::exact`).
     ///
     /// # Errors
     /// [`PartitionError`] when a compartment has not exactly one seat or a core exceeds a limit.

@@ -5,7 +5,7 @@
 //! their slots can be members of population axons and select one stored list ([`PopulationAxon`]). True of every
 //! [`Program`]: every table is closed (each message meets an existing axon, each synapse an existing compartment), no axon
 //! is reached by two sources, and every stored list is selected.
-//! That it equals its `Quantised` network is for `compile::check` to prove.
+//! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -5,16 +5,16 @@
 
 /// The lowest `count` bits, all 64 from there on.
 #[inline(always)]
-pub(super) fn ones(count: usize) -> u64 {
+pub(crate) fn ones(count: usize) -> u64 {
     if count >= 64 { u64::MAX } else { (1 << count) - 1 }
 }
 
 /// Room that [`write_ones`] needs after the last number: the first few are written whether they are or not.
-pub(super) const FORESEEN: usize = 4;
+pub(crate) const FORESEEN: usize = 4;
 
 /// Writes `name` of each set bit's number, ascending, to places from `begin` on; returns where the next begins.
 #[inline(always)]
-pub(super) fn write_ones<T>(places: &mut [T], begin: usize, mut bits: u64, name: impl Fn(u32) -> T) -> usize {
+pub(crate) fn write_ones<T>(places: &mut [T], begin: usize, mut bits: u64, name: impl Fn(u32) -> T) -> usize {
     let end = begin + bits.count_ones() as usize;
     for place in &mut places[begin..][..FORESEEN] {
         *place = name(bits.trailing_zeros());

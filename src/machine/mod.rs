@@ -15,22 +15,10 @@
 //! What it leaves out on purpose: energy and time, which `cost` computes from the counts, and names.
 
 mod bits;
-mod follow;
-mod gather;
-mod groups;
-pub mod image;
-pub mod kernel;
-mod lanes;
-mod lists;
-pub mod neuron;
-mod panels;
-mod plan;
-mod prefetch;
-mod ring;
-mod store;
-pub mod tally;
-#[cfg(target_arch = "x86_64")]
-mod vectors;
+pub mod count;
+pub(crate) mod deliver;
+pub mod layout;
+pub mod update;
 
 use rayon::prelude::*;
 
@@ -38,9 +26,9 @@ use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
 use crate::ir::spikes::Engine;
-use bits::{FORESEEN, write_ones};
-pub use image::{Image, ImageError};
-use lanes::{Lanes, Order, Step};
+use crate::machine::bits::{FORESEEN, write_ones};
+use crate::machine::update::lanes::{Lanes, Order, Step};
+pub use layout::image::{Image, ImageError};
 
 /// How to run, which never changes what comes out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -184,7 +172,7 @@ impl<'i> Machine<'i> {
             return 0;
         }
         let (of_channels, of_compartments) = image.excess.split_at(image.channels as usize);
-        let of_share = |(lanes, share): (&Lanes, &image::Share)| {
+        let of_share = |(lanes, share): (&Lanes, &layout::image::Share)| {
             let excess = share.names.iter().map(|name| &of_compartments[name.index()]);
             excess.zip(&lanes.fired).map(product).sum::<i64>()
         };
@@ -277,7 +265,7 @@ impl Engine for Machine<'_> {
             self.last.clear();
             image.tally.add_visits(1, &mut self.last);
             for lanes in &self.shares {
-                tally::add_active(&lanes.active, &mut self.last);
+                count::tally::add_active(&lanes.active, &mut self.last);
             }
             image.tally.add_step(channels, &self.spikes, left, &mut self.last);
         }

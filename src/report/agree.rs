@@ -8,7 +8,7 @@ use super::{count, wrapped};
 use crate::agree::attribution::{Attribution, Share};
 use crate::agree::search::{Found, Score};
 use crate::agree::trace::Comparison;
-use crate::compile::convert::Fit;
+use crate::compile::frontend::analytic::Fit;
 
 /// A layer of the two networks.
 #[derive(Debug, Clone, PartialEq)]

@@ -164,7 +164,7 @@ impl MapReport<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compile::traffic::Traffic;
+    use crate::compile::explore::traffic::Traffic;
 
     fn row(network: &'static str, strategy: Strategy, placed: bool, cores: u32, hops: f64) -> Mapped {
         let traffic = Traffic {

@@ -11,14 +11,14 @@ use serde_json::{Value, json};
 
 use super::plot::{Axis, Series, chart};
 use super::{count, wrapped};
-use crate::compile::expect::Score;
-use crate::compile::rates::Rates;
-use crate::compile::remedy::Remedy;
-use crate::compile::search::{Found, front};
-use crate::compile::traffic::{DEFAULT_RATE, Traffic};
+use crate::compile::explore::cost_estimate::Score;
+use crate::compile::explore::remedy::Remedy;
+use crate::compile::explore::search::{Found, front};
+use crate::compile::explore::traffic::{DEFAULT_RATE, Traffic};
 use crate::compile::{Layout, Options, Reason, place};
 use crate::cost::deployment::Deployment;
 use crate::desc::target::Target;
+use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Resource;
 use crate::ir::pruned::Row as PrunedRow;
 
@@ -447,9 +447,9 @@ fn table(compiled: Layout<'_>, target: &Target) -> String {
 mod tests {
     use super::*;
     use crate::base::diagnostic::SourceText;
-    use crate::compile::expect::score;
+    use crate::compile::explore::cost_estimate::score;
+    use crate::compile::explore::traffic::traffic;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::traffic::traffic;
     use crate::compile::{CompileError, compile, compile_quantised};
     use crate::desc::target::Limits;
 

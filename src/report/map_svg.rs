@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 
 use crate::base::id::{CoreId, PopulationId};
 use crate::compile::Layout;
-use crate::compile::traffic::Links;
+use crate::compile::explore::traffic::Links;
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
 
@@ -215,8 +215,8 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::compile::explore::traffic::links;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::traffic::links;
     use crate::compile::{Options, compile_quantised};
 
     #[test]

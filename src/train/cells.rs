@@ -8,7 +8,7 @@ use super::surrogate::Surrogate;
 use crate::base::fixed::Decay;
 use crate::desc::network::Semantics;
 use crate::desc::training::CreditDesc;
-use crate::machine::neuron::{Fields, Registers, update};
+use crate::machine::update::neuron::{Fields, Registers, update};
 use crate::reference::kernel::{Alpha, EPSILON, Kernel};
 
 /// The longest kernel in timesteps.

@@ -14,7 +14,7 @@ use crate::base::fixed::{
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, TrainingFile};
 use crate::ir::quantised::Neuron;
-use crate::machine::neuron::Fields;
+use crate::machine::update::neuron::Fields;
 use crate::reference::kernel::{Alpha, Kernel};
 use crate::reference::srm::Parameters;
 

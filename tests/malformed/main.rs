@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use cases::{Case, Through, cases};
 use nsim::base::diagnostic::Diagnostic;
-use nsim::compile::{lower::lower, quantise::quantise};
+use nsim::compile::frontend::{lower::lower, quantise::quantise};
 use nsim::io::{model::load_model, stimulus::read_source, target::load_target};
 
 /// Channels of the population that spike files are read for.

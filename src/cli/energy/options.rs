@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use crate::base::diagnostic::Diagnostic;
-use crate::compile::saved;
+use crate::compile::mapping_file;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::cost::estimate::Convention;
 use crate::cost::{CostTable, Deployment, Transport};
@@ -145,7 +145,7 @@ pub fn deployment(
                     target.name()
                 )));
             }
-            let placement = saved::placement(&mapping, Mesh::of(target)).map_err(|error| error.in_file(path))?;
+            let placement = mapping_file::placement(&mapping, Mesh::of(target)).map_err(|error| error.in_file(path))?;
             Ok(Deployment::of(path.display().to_string(), &placement, target.chip(), copies))
         }
     }

@@ -9,13 +9,13 @@
 //! A [`State`] keeps that cost and each core's use of compartments, input axons, output axons and synapse words up to date
 //! while groups of compartments move. Input axons and messages are exact. Words are those of the simple formats, taken at
 //! the index width that the largest core needs; output axons take the slots of another chip where there is more than one.
-//! Whoever keeps a refined partition has it counted exactly afterwards ([`crate::compile::usage`]).
+//! Whoever keeps a refined partition has it counted exactly afterwards ([`crate::compile::resources::exact`]).
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
-use crate::compile::fanin::first_source;
-use crate::compile::packing::{self, Group, Widths};
-use crate::compile::rates::Rates;
+use crate::compile::resources::fan_in::first_source;
+use crate::compile::resources::packing::{self, Group, Widths};
 use crate::desc::target::Target;
+use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::{Connectivity, Quantised};
 
 /// Lists of numbers in one allocation.

@@ -22,17 +22,17 @@ pub mod tiles;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::rng;
-use crate::compile::fill::Filling;
 use crate::compile::partition::hyper::{Groups, Hypergraph, State};
 use crate::compile::partition::levels::Levels;
 use crate::compile::partition::order::{Chips, Filler, Found, Indices, Segment, file_order};
 use crate::compile::partition::refine::Effort;
-use crate::compile::rates::Rates;
 use crate::compile::reason::Reason;
-use crate::compile::sent::{cores_of, messages, sent, slots_of};
-use crate::compile::share::Places;
-use crate::compile::usage::{usage, usage_sending};
+use crate::compile::resources::axon_sharing::Places;
+use crate::compile::resources::exact::{usage, usage_sending};
+use crate::compile::resources::fan_out::{cores_of, messages, sent, slots_of};
+use crate::compile::resources::incremental::Filling;
 use crate::desc::target::{Limits, Target};
+use crate::ir::firing_rates::Rates;
 use crate::ir::partition::{Partition, PartitionError, seats};
 use crate::ir::quantised::{Connectivity, Quantised};
 

@@ -16,11 +16,11 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::base::id::{CompartmentId, Id, PopulationId};
-use crate::compile::fanin::FanIn;
-use crate::compile::fill::{Filling, Newcomer};
 use crate::compile::partition::{Failure, Members, row_of_chips};
 use crate::compile::reason::Reason;
-use crate::compile::sent::{Sent, cores_of, sent, slots_of};
+use crate::compile::resources::fan_in::FanIn;
+use crate::compile::resources::fan_out::{Sent, cores_of, sent, slots_of};
+use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
 use crate::ir::quantised::{Quantised, Units};

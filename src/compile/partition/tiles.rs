@@ -7,7 +7,7 @@
 //! for the fewest cores with a beam search over them, here every grid is counted in closed form and the first that fits,
 //! in the order of cores and then of messages, is taken; cores are tiles and those that the layer before takes more because
 //! its output axons reach many tiles. Grids whose sources or whose weights alone are too many for a core
-//! are not tried, with lists of their own or shared ([`crate::compile::share`]), whichever are fewer.
+//! are not tried, with lists of their own or shared ([`crate::compile::resources::axon_sharing`]), whichever are fewer.
 //!
 //! Compartments of a tile stand position by position, channels together, so that the targets of a spike follow each
 //! other; channel by channel where each channel only sees its own (pooling, depthwise convolution).
@@ -15,13 +15,13 @@
 use std::collections::BTreeSet;
 
 use crate::base::id::{CompartmentId, PopulationId};
-use crate::compile::axis::{Axis, Pattern, relative};
-use crate::compile::fill::{Filling, Newcomer};
-use crate::compile::formats::Formats;
-use crate::compile::geometry::{Incoming, Layer};
-use crate::compile::packing::MOST_SLOTS;
 use crate::compile::partition::order::{Indices, Segment};
-use crate::compile::share::Places;
+use crate::compile::resources::axon_sharing::Places;
+use crate::compile::resources::closed_form::{Incoming, Layer};
+use crate::compile::resources::formats::Formats;
+use crate::compile::resources::incremental::{Filling, Newcomer};
+use crate::compile::resources::packing::MOST_SLOTS;
+use crate::compile::resources::receptive_field::{Axis, Pattern, relative};
 use crate::desc::target::Limits;
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Quantised, Units};

@@ -9,8 +9,8 @@ use std::collections::HashMap;
 
 use crate::base::id::{CoreId, IdVec};
 use crate::compile::partition::hyper::Csr;
-use crate::compile::rates::Rates;
-use crate::compile::sent::by_source;
+use crate::compile::resources::fan_out::by_source;
+use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Site};
 use crate::ir::quantised::Quantised;

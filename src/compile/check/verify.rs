@@ -1,0 +1,379 @@
+//! Rules that a finished program keeps, checked on its own tables.
+//!
+//! In come a [`Program`] and a target; out goes nothing, or the first [`Violation`]. Nothing is taken from the stages that
+//! made the program: every count is made again from what the machine would read. `Program::new` has checked that tables
+//! are closed; beyond that, of every core (each bullet is a variant of [`Violation`]):
+//!
+//! - the mesh is the target's (`Mesh`);
+//! - an output axon table names each destination core once, in ascending order (`Multicast`);
+//! - a list that is selected is not empty, one that is not is (`EmptyAxon`);
+//! - population axons have atoms, bases and numbers that messages and tables can hold, tables are the same or apart, no two
+//!   sources are the same atom of one, and a source is the same atom on every core (`Population`);
+//! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the core's index and delay
+//!   widths or none (`Format`);
+//! - in a list the synapses of one format stand together, and two groups do not differ in density or delay alone
+//!   (`Scattered`);
+//! - the slots of a dense group follow each other; those of a sparse group ascend and fit its index, and a
+//!   group with runs leaves out no more slots than they hold (`Slots`);
+//! - a group with delay bits has a delay, and each delay fits (`Delay`);
+//! - weights are multiples of their format's least step, in its range (`Weight`);
+//! - every resource of [`CoreUsage`] is within its limit (`Excess`).
+//!
+//! Whether the program says what its network says is for [`crate::compile::check::equivalence`].
+
+use std::collections::BTreeSet;
+
+use rayon::prelude::*;
+
+use crate::base::fixed::Delay;
+use crate::base::id::{CoreId, Id};
+use crate::compile::resources::axon_sharing::{BASE_END, BASE_STEP, MOST_ATOMS, most_axons};
+use crate::compile::resources::exact::profiles;
+use crate::compile::resources::packing::{self, Compression, Group, SKIP_BITS, Widths};
+use crate::desc::target::{Limits, Target};
+use crate::ir::partition::{CoreUsage, Resource};
+use crate::ir::placement::Mesh;
+use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Program, Stored, Synapse};
+
+/// A rule that is broken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Violation {
+    /// The program is for another board.
+    #[error("the program's mesh is not the target's")]
+    Mesh,
+    /// Messages of one source are not one for each core, ascending.
+    #[error("{0} does not name each destination core once, in ascending order")]
+    Multicast(String),
+    /// A list without synapses that is selected, or one with synapses that is not.
+    #[error("{core}: list {list} is selected and has no synapse, or has synapses and is not selected")]
+    EmptyAxon {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// Population axons that the hardware does not have.
+    #[error("{place}: {what}")]
+    Population {
+        /// The core or the source.
+        place: String,
+        /// What is wrong.
+        what: &'static str,
+    },
+    /// A format that cannot be stored, is not used, or is there twice.
+    #[error("{core}: synapse format {format} {what}")]
+    Format {
+        /// The core.
+        core: CoreId,
+        /// The format's number.
+        format: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// Synapses of one format that do not stand together.
+    #[error("{core}: list {list} has its synapses of one format in several places")]
+    Scattered {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// Slots that do not suit the format.
+    #[error("{core}: list {list}: the slots of a group do not suit its format")]
+    Slots {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// Delays that do not suit the format.
+    #[error("{core}: list {list}: the delays of a group do not suit its format")]
+    Delay {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// A weight that its format does not have.
+    #[error("{core}: list {list}: weight {weight} is not in its format")]
+    Weight {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+        /// The weight.
+        weight: i16,
+    },
+    /// More of a resource than there is.
+    #[error("{core} uses {need} {}, the limit is {limit}", resource.name())]
+    Excess {
+        /// The core.
+        core: CoreId,
+        /// The resource.
+        resource: Resource,
+        /// What it uses.
+        need: u64,
+        /// What there is.
+        limit: u64,
+    },
+}
+
+/// Checks every rule.
+///
+/// # Errors
+/// The first [`Violation`], by core.
+pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
+    let limits = target.limits();
+    if *program.mesh() != Mesh::of(target) {
+        return Err(Violation::Mesh);
+    }
+    let populations = program.cores().iter().any(|image| !image.inputs.populations.is_empty());
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
+    }
+    // Threads may finish in any order; the violation of the lowest core is told.
+    let found: Vec<Violation> = program
+        .cores()
+        .as_slice()
+        .par_iter()
+        .enumerate()
+        .filter_map(|(index, image)| verify_core(program, CoreId::new(index), image, populations, limits).err())
+        .collect();
+    found.into_iter().next().map_or(Ok(()), Err)
+}
+
+fn verify_messages(
+    program: &Program,
+    messages: &[AxonTarget],
+    populations: bool,
+    name: impl Fn() -> String,
+) -> Result<(), Violation> {
+    if !messages.windows(2).all(|pair| pair[0].core < pair[1].core) {
+        return Err(Violation::Multicast(name()));
+    }
+    if !populations {
+        return Ok(());
+    }
+    let atom = |message: &AxonTarget| match program.cores()[message.core].inputs.axon(message.axon.into()) {
+        InputAxon::Member { atom, .. } => Some(atom),
+        InputAxon::Discrete { .. } => None,
+    };
+    let mut atoms = messages.iter().filter_map(atom);
+    match atoms.next() {
+        Some(first) if atoms.any(|atom| atom != first) => {
+            Err(Violation::Population { place: name(), what: "it is another atom on another core" })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Whether each list belongs to a table; checks population axons.
+fn verify_populations(core: CoreId, inputs: &Stored) -> Result<Vec<bool>, Violation> {
+    let wrong = |what| Err(Violation::Population { place: core.to_string(), what });
+    let mut in_table = vec![false; inputs.lists.len()];
+    if inputs.populations.is_empty() {
+        return Ok(in_table);
+    }
+    let mut tables: Vec<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
+    tables.sort_unstable();
+    tables.dedup();
+    if tables.windows(2).any(|pair| pair[0].0 + u32::from(pair[0].1) > pair[1].0) {
+        return wrong("two tables of population axons overlap");
+    }
+    let atoms = tables.iter().map(|table| table.1).max().unwrap_or(0);
+    if atoms > MOST_ATOMS {
+        return wrong("a population axon has more atoms than a message can tell");
+    }
+    if inputs.populations.len() as u64 > u64::from(most_axons(atoms)) {
+        return wrong("there are more population axons than a message can tell beside their atoms");
+    }
+    if inputs.populations.iter().any(|axon| axon.base % BASE_STEP != 0 || axon.base >= BASE_END) {
+        return wrong("a population axon has a base that cannot be stored");
+    }
+    for &(table, atoms) in &tables {
+        in_table[table as usize..table as usize + usize::from(atoms)].fill(true);
+    }
+    let members = inputs.axons.iter().filter_map(|axon| match *axon {
+        InputAxon::Member { axon, atom } => Some((axon, atom)),
+        InputAxon::Discrete { .. } => None,
+    });
+    let mut members: Vec<(u16, u16)> = members.collect();
+    members.sort_unstable();
+    if members.windows(2).any(|pair| pair[0] == pair[1]) {
+        return wrong("two sources are the same atom of a population axon");
+    }
+    // What each population axon has lists for is what its members are.
+    let mut members = members.into_iter();
+    for (number, axon) in inputs.populations.iter().enumerate() {
+        for atom in 0..axon.atoms {
+            let list = axon.table as usize + usize::from(atom);
+            let selected = !inputs.lists.get(list).is_empty();
+            if selected && members.next() != Some((number as u16, atom)) {
+                return Err(Violation::EmptyAxon { core, list });
+            }
+        }
+    }
+    match members.next() {
+        Some((axon, atom)) => {
+            let list = inputs.populations[usize::from(axon)].table as usize + usize::from(atom);
+            Err(Violation::EmptyAxon { core, list })
+        }
+        None => Ok(in_table),
+    }
+}
+
+/// Words of a core's lists, those of a table as many times the longest as it has lists; and the most of one list.
+fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) {
+    let widest = of_lists.iter().copied().max().unwrap_or(0);
+    let discrete =
+        of_lists.iter().zip(in_table).filter(|(_, in_table)| !**in_table).map(|(words, _)| u64::from(*words));
+    let tables: BTreeSet<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
+    let of_table = |(table, atoms): (u32, u16)| {
+        let lists = &of_lists[table as usize..table as usize + usize::from(atoms)];
+        u64::from(atoms) * u64::from(lists.iter().copied().max().unwrap_or(0))
+    };
+    (discrete.sum::<u64>() + tables.into_iter().map(of_table).sum::<u64>(), widest)
+}
+
+fn verify_core(
+    program: &Program,
+    core: CoreId,
+    image: &CoreImage,
+    populations: bool,
+    limits: &Limits,
+) -> Result<(), Violation> {
+    for (slot, messages) in image.axons_out.iter().enumerate() {
+        verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
+    }
+    let in_table = verify_populations(core, &image.inputs)?;
+    let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
+    let widths = Widths::of(image.compartments.len() as u32, longest, limits.packing);
+    verify_formats(core, image, widths)?;
+    let mut of_lists = Vec::with_capacity(image.inputs.lists.len());
+    let (mut used, mut kinds) = (vec![false; image.formats.len()], Vec::new());
+    for (list, synapses) in image.inputs.lists.iter().enumerate() {
+        if synapses.is_empty() && !in_table[list] {
+            return Err(Violation::EmptyAxon { core, list });
+        }
+        let mut list_words = 0;
+        kinds.clear();
+        for group in synapses.chunk_by(|a, b| a.format == b.format) {
+            let format = image.formats[usize::from(group[0].format)];
+            used[usize::from(group[0].format)] = true;
+            if kinds.contains(&format.synapse) {
+                return Err(Violation::Scattered { core, list });
+            }
+            kinds.push(format.synapse);
+            verify_group(core, list, group, format)?;
+            let group = Group {
+                weight_bits: format.synapse.bits,
+                synapses: group.len() as u32,
+                delayed: format.delay_bits > 0,
+                dense: format.index_bits.is_none(),
+                skip: format.skip_bits,
+            };
+            let compression = match (format.index_bits, format.skip_bits) {
+                (None, _) => Compression::Dense,
+                (Some(_), Some(bits)) => Compression::RunLength(bits),
+                (Some(_), None) => Compression::Sparse,
+            };
+            let words = if in_table[list] { packing::words_in_table } else { packing::words_as };
+            list_words += words(group, compression, widths, limits);
+        }
+        of_lists.push(list_words);
+    }
+    if let Some(format) = used.iter().position(|&used| !used) {
+        return Err(Violation::Format { core, format, what: "is not used" });
+    }
+    let words = words_of(&image.inputs, &of_lists, &in_table);
+    let usage = usage_of(program, image, limits, longest, words);
+    match usage.excesses(limits).next() {
+        Some((resource, need, limit)) => Err(Violation::Excess { core, resource, need, limit }),
+        None => Ok(()),
+    }
+}
+
+fn verify_formats(core: CoreId, image: &CoreImage, widths: Widths) -> Result<(), Violation> {
+    let mut distinct = BTreeSet::new();
+    for (number, format) in image.formats.iter().enumerate() {
+        let wrong = |what| Err(Violation::Format { core, format: number, what });
+        if !distinct.insert(format) {
+            return wrong("is there twice");
+        }
+        if format.synapse.bits.get() == 7 {
+            return wrong("has weights of 7 bits");
+        }
+        if format.delay_bits != 0 && format.delay_bits != widths.delay {
+            return wrong("has delays of another width than its core");
+        }
+        if format.index_bits.is_some_and(|bits| bits != widths.index) {
+            return wrong("has indices of another width than its core");
+        }
+        if format.skip_bits.is_some_and(|bits| format.index_bits.is_none() || !SKIP_BITS.contains(&bits)) {
+            return wrong("has runs of a width that cannot be stored");
+        }
+    }
+    Ok(())
+}
+
+fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat) -> Result<(), Violation> {
+    let in_order = match format.index_bits {
+        None => group.windows(2).all(|pair| u32::from(pair[1].slot) == u32::from(pair[0].slot) + 1),
+        Some(bits) => {
+            group.windows(2).all(|pair| pair[0].slot <= pair[1].slot)
+                && group.iter().all(|s| u32::from(s.slot) < 1 << bits)
+        }
+    };
+    // A run holds the slots left out, so no slot stands twice and no gap is wider than it can say.
+    let holds = |bits: u8| {
+        group.windows(2).all(|pair| {
+            u32::from(pair[1].slot).checked_sub(u32::from(pair[0].slot) + 1).is_some_and(|gap| gap < 1 << bits)
+        })
+    };
+    if !in_order || !format.skip_bits.is_none_or(holds) {
+        return Err(Violation::Slots { core, list });
+    }
+    let longest = group.iter().map(|s| s.delay.get()).max().unwrap_or(0);
+    if (longest > 0) != (format.delay_bits > 0) || u32::from(longest) >= 1 << format.delay_bits {
+        return Err(Violation::Delay { core, list });
+    }
+    let (low, high) = format.synapse.sign.range(format.synapse.bits);
+    let step = format.synapse.sign.step(format.synapse.bits);
+    match group.iter().find(|s| !(low..=high).contains(&s.weight) || s.weight % step != 0) {
+        Some(synapse) => Err(Violation::Weight { core, list, weight: synapse.weight }),
+        None => Ok(()),
+    }
+}
+
+fn usage_of(
+    program: &Program,
+    image: &CoreImage,
+    limits: &Limits,
+    longest: Delay,
+    (words, widest): (u64, u32),
+) -> CoreUsage {
+    let compartments = image.compartments.len() as u32;
+    let slots = |message: &AxonTarget| {
+        if program.cores()[message.core].site.chip == image.site.chip {
+            limits.axon_out_slots
+        } else {
+            limits.axon_out_slots_off_chip
+        }
+    };
+    let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
+    let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
+    let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u32;
+    CoreUsage {
+        compartments,
+        axons_in,
+        axons_out: image.axons_out.items().iter().map(slots).sum(),
+        axons_out_per_compartment: image.axons_out.iter().map(|list| list.len() as u32).max().unwrap_or(0),
+        synapses: image.inputs.count(),
+        synapse_words: words,
+        synapse_words_per_axon: widest,
+        synapse_formats: image.formats.len() as u32,
+        compartment_profiles: profiles.len() as u32,
+        threshold_profiles: thresholds.len() as u32,
+        accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
+    }
+}

@@ -1,0 +1,4 @@
+//! A program written out: routes, axon tables, synapse words.
+
+pub mod memory;
+pub mod route;

@@ -1,0 +1,272 @@
+//! From seats and sites to tables: the program.
+//!
+//! In come a network, its partition and placement; out goes a [`Program`]. Each source sends one message to each core that
+//! holds a target of it, the own core included; there an input axon of its own leads to the list of its synapses, which
+//! is one of a table where [`crate::compile::resources::axon_sharing`] says so.
+//! Input axons of a core are numbered by source: channels in order, then compartments in order. A list is sorted by
+//! format, then slot, delay and weight; formats are numbered as they first appear. Widths are those of
+//! [`crate::compile::resources::packing`].
+//!
+//! Cores are written down in parallel, from their own synapses alone; then messages are sorted from cores to sources, a
+//! range of sources each.
+
+use rayon::prelude::*;
+
+use crate::base::fixed::Delay;
+use crate::base::id::{CompartmentId, CoreId, Id};
+use crate::compile::resources::axon_sharing::Places;
+use crate::compile::resources::by_core::{self, Key};
+use crate::compile::resources::exact::{Tallies, group_of, longest_delays, ways_of};
+use crate::compile::resources::formats::Formats;
+use crate::compile::resources::packing::{Compression, Group, Widths};
+use crate::desc::target::Limits;
+use crate::ir::partition::Partition;
+use crate::ir::placement::Placement;
+use crate::ir::program::{
+    AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Program, Stored, Synapse,
+};
+use crate::ir::quantised::{Quantised, Units};
+
+/// Sources whose messages are sorted by one task.
+const PIECE: u32 = 1 << 14;
+
+/// The program of a network on its places.
+///
+/// # Errors
+/// A sentence when the tables contradict each other or a core has more formats than can be numbered: a fault of the
+/// stages before, whose limits exclude it.
+pub fn route(
+    network: &Quantised,
+    partition: &Partition,
+    placement: &Placement,
+    limits: &Limits,
+) -> Result<Program, String> {
+    if partition.cores() != placement.len() {
+        return Err("the partition and the placement have different numbers of cores".to_string());
+    }
+    let (formats, places) = (Formats::of(network), Places::of(network));
+    let longest = longest_delays(network, partition.seats(), partition.cores());
+    let written = by_core::by_core(network, &formats, partition.seats(), partition.cores(), |core, keys| {
+        let held = &partition.members()[core];
+        let widths = Widths::of(held.len() as u32, longest[core], limits.packing);
+        let tallies = Tallies::of(keys, &formats, widths, limits, &places);
+        let (formats, inputs, sources) = write_lists(keys, &formats, widths, &tallies, limits)
+            .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
+        let image = CoreImage {
+            site: placement.site(core),
+            compartments: compartments(network, held),
+            ids: held.clone(),
+            formats,
+            inputs,
+            axons_out: Lists::default(),
+        };
+        Ok::<_, String>((image, sources))
+    });
+    let (mut cores, mut sources) = (Vec::with_capacity(written.len()), Vec::with_capacity(written.len()));
+    for core in written {
+        let (image, of_core) = core?;
+        cores.push(image);
+        sources.push(of_core);
+    }
+    let (channels, compartments) = (network.channels(), network.compartments());
+    let messages = messages(&sources, channels, compartments);
+    drop(sources);
+    cores.par_iter_mut().for_each(|image| {
+        let of = |id: &CompartmentId| messages.compartments[(id.0 / PIECE) as usize].get((id.0 % PIECE) as usize);
+        for id in &image.ids {
+            image.axons_out.push(of(id).iter().copied());
+        }
+        image.axons_out.shrink_to_fit();
+    });
+    let populations = network
+        .populations()
+        .iter()
+        .map(|population| population.first_compartment().map(|first| (first, population.shape.len())))
+        .collect();
+    let parts = network.parts();
+    Program::new(Parts {
+        mesh: *placement.mesh(),
+        cores: cores.into(),
+        channels: messages.channels,
+        seats: partition.seats().clone(),
+        populations,
+        output: parts.output,
+        semantics: parts.semantics,
+        threshold: parts.threshold,
+        reset: parts.reset,
+    })
+    .map_err(|error| error.to_string())
+}
+
+/// Parameters of compartments in slot order.
+fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
+    let mut known = None;
+    held.iter()
+        .filter_map(|&id| {
+            // Neighbours mostly are of one population.
+            let inside = |population: &crate::base::id::PopulationId| {
+                let population = &network.populations()[*population];
+                population
+                    .first_compartment()
+                    .is_some_and(|first| id.0.checked_sub(first.0).is_some_and(|index| index < population.shape.len()))
+            };
+            let population = known.filter(inside).unwrap_or_else(|| network.population_of(id).0);
+            known = Some(population);
+            let Units::Loihi { first, neurons, start_step } = &network.populations()[population].units else {
+                return None;
+            };
+            Some(Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step })
+        })
+        .collect()
+}
+
+/// The formats of a core, its input axons with their lists, and the source of each input axon.
+type Written = (Vec<CoreFormat>, Stored, Vec<u32>);
+
+/// Lists on their way into a core's image.
+struct Writer<'a> {
+    formats: &'a Formats,
+    widths: Widths,
+    limits: &'a Limits,
+    runs: bool,
+    known: Vec<CoreFormat>,
+    /// The last group's make-up and the number of its format.
+    last: Option<((u16, Group), u8)>,
+    lists: Lists<Synapse>,
+}
+
+impl Writer<'_> {
+    /// The number of the format of a group of this make-up.
+    fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
+        if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
+            return Some(number);
+        }
+        let [_, (compression, _)] = ways_of(made, self.widths, self.limits);
+        let stored = CoreFormat {
+            synapse: self.formats.get(format),
+            delay_bits: if made.delayed { self.widths.delay } else { 0 },
+            index_bits: (!made.dense).then_some(self.widths.index),
+            skip_bits: match compression {
+                Compression::RunLength(bits) if self.runs => Some(bits),
+                _ => None,
+            },
+        };
+        let number = number_of(&mut self.known, stored)?;
+        self.last = Some(((format, made), number));
+        Some(number)
+    }
+
+    /// Writes a list, its slots counted from a base.
+    fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
+        for group in by_core::groups(list) {
+            let number = self.number(group_of(group, self.formats))?;
+            for key in group {
+                let delay = Delay::new(key.delay().into()).ok()?;
+                let synapse = Synapse { slot: key.slot() - base, weight: key.weight(), format: number, delay };
+                self.lists.extend_last([synapse]);
+            }
+        }
+        self.lists.end();
+        Some(())
+    }
+}
+
+/// What a core keeps of its synapses; `None` when it has more input axons or formats than can be numbered.
+fn write_lists(keys: &[Key], formats: &Formats, widths: Widths, tallies: &Tallies, limits: &Limits) -> Option<Written> {
+    let (runs, lists) = (tallies.runs(limits), Lists::with_capacity(0, keys.len()));
+    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
+    let shared: Vec<_> = tallies.shared(limits).filter(|&(_, places)| places > 0).collect();
+    let sources: Vec<u32> = by_core::lists(keys).map(|list| list[0].source()).collect();
+    u16::try_from(sources.len().saturating_sub(1)).ok()?;
+    if shared.is_empty() {
+        by_core::lists(keys).try_for_each(|list| writer.list(list, 0))?;
+        writer.lists.shrink_to_fit();
+        return Some((writer.known, Stored::discrete(writer.lists), sources));
+    }
+    let all: Vec<&[Key]> = by_core::lists(keys).collect();
+    let (mut populations, mut members) = (Vec::new(), vec![None; all.len()]);
+    for (alike, places) in shared {
+        let (base, of_first) = alike.places.first()?;
+        let (table, atoms) = (writer.lists.len() as u32, of_first.last()?.0 + 1);
+        let mut of_atoms = of_first.iter().peekable();
+        for atom in 0..atoms {
+            match of_atoms.next_if(|(of, _)| *of == atom) {
+                Some((_, number)) => writer.list(all[*number as usize], *base)?,
+                None => writer.lists.end(),
+            }
+        }
+        for (base, lists) in &alike.places[..places as usize] {
+            let axon = u16::try_from(populations.len()).ok()?;
+            populations.push(PopulationAxon { table, atoms, base: *base });
+            lists.iter().for_each(|&(atom, number)| members[number as usize] = Some(InputAxon::Member { axon, atom }));
+        }
+    }
+    let mut axons = Vec::with_capacity(all.len());
+    for (list, member) in all.into_iter().zip(members) {
+        axons.push(member.unwrap_or(InputAxon::Discrete { list: writer.lists.len() as u32 }));
+        if member.is_none() {
+            writer.list(list, 0)?;
+        }
+    }
+    writer.lists.shrink_to_fit();
+    Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
+}
+
+/// Messages by source.
+struct Messages {
+    channels: Lists<AxonTarget>,
+    /// In pieces of [`PIECE`] compartments.
+    compartments: Vec<Lists<AxonTarget>>,
+}
+
+/// Sorts what cores know, the sources of their input axons, by source.
+fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages {
+    let pieces = |from: u32, count: u32| (0..count.div_ceil(PIECE)).map(move |piece| from + piece * PIECE);
+    let all = channels + compartments;
+    let starts: Vec<u32> = pieces(0, channels).chain(pieces(channels, compartments)).chain([all]).collect();
+    // Where the sources of each piece begin among those of each core, which ascend.
+    let cut = |of_core: &Vec<u32>| {
+        let mut at = 0;
+        let begins = starts.iter().map(|&start| {
+            at += of_core[at..].iter().take_while(|&&source| source < start).count();
+            at as u32
+        });
+        begins.collect()
+    };
+    let cuts: Vec<Vec<u32>> = sources.par_iter().map(cut).collect();
+    let of_piece = |piece: usize| {
+        let (from, to) = (starts[piece], starts[piece + 1]);
+        let parts = || cuts.iter().map(|cuts| cuts[piece] as usize..cuts[piece + 1] as usize);
+        let mut counts = vec![0u32; (to - from) as usize];
+        for (of_core, part) in sources.iter().zip(parts()) {
+            of_core[part].iter().for_each(|source| counts[(source - from) as usize] += 1);
+        }
+        let mut lists = Lists::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
+        for (core, (of_core, part)) in sources.iter().zip(parts()).enumerate() {
+            for (axon, &source) in part.clone().zip(&of_core[part]) {
+                // Counts now say how many are still to come; cores ascend, so lists do.
+                let source = (source - from) as usize;
+                let place = lists.get(source).len() - counts[source] as usize;
+                lists.get_mut(source)[place] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };
+                counts[source] -= 1;
+            }
+        }
+        lists
+    };
+    let mut of_pieces: Vec<Lists<AxonTarget>> = (0..starts.len() - 1).into_par_iter().map(of_piece).collect();
+    let of_compartments = of_pieces.split_off(channels.div_ceil(PIECE) as usize);
+    let mut of_channels = Lists::default();
+    of_pieces.iter().flat_map(Lists::iter).for_each(|list| of_channels.push(list.iter().copied()));
+    of_channels.shrink_to_fit();
+    Messages { channels: of_channels, compartments: of_compartments }
+}
+
+/// The number of a format on its core, which is new when the core has not had it yet.
+fn number_of(formats: &mut Vec<CoreFormat>, format: CoreFormat) -> Option<u8> {
+    let known = formats.iter().position(|&f| f == format);
+    let number = known.unwrap_or_else(|| {
+        formats.push(format);
+        formats.len() - 1
+    });
+    u8::try_from(number).ok()
+}

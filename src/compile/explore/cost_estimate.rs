@@ -1,0 +1,226 @@
+//! What a step of a program is expected to cost, before it has run.
+//!
+//! In come a program on its places and the rates of its sources; out go energy and time of a mean step under the target's
+//! first preset, by the equations of `docs/energy.md` applied to expected counts: those of a million steps, in whole
+//! numbers, so that they are the same everywhere. Every compartment counts as not at rest. A simulated step can take
+//! longer than this one, since spikes come together; which of two mappings is better is what it is for.
+
+use std::cmp::Ordering;
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{ChannelId, CoreId, Id};
+use crate::base::units::Picoseconds;
+use crate::compile::explore::traffic::{Traffic, parts, traffic};
+use crate::compile::{Compiled, Objective};
+use crate::cost::constants::CostTable;
+use crate::cost::deployment::Deployment;
+use crate::cost::model::{core_time, route_time, step_energy};
+use crate::desc::target::Target;
+use crate::ir::activity::StepActivity;
+use crate::ir::firing_rates::{Rates, UNIT};
+use crate::ir::placement::{Placement, Site};
+use crate::ir::program::{AxonTarget, Program};
+
+/// What a mapping is expected to be worth.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Score {
+    /// Cores in use.
+    pub cores: u64,
+    /// Cores that draw static power: all of a tile in use, where power comes in tiles.
+    pub cores_powered: u64,
+    /// Energy of a mean step, events and static power of powered cores, in microjoules.
+    pub energy_uj: f64,
+    /// Time of a mean step in microseconds.
+    pub step_us: f64,
+    /// Static power of the powered cores in milliwatts.
+    pub static_mw: f64,
+}
+
+/// The expected cost of a compiled program.
+///
+/// # Errors
+/// A diagnostic when the target's constants cannot be used or there are none.
+pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> {
+    score_at(compiled, &compiled.rates, target)
+}
+
+/// The expected cost of a compiled program whose sources spike at other rates than it was made for.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<Score, Diagnostic> {
+    score_with(compiled, rates, &traffic(&compiled.program, rates), target)
+}
+
+/// [`score_at`] where the traffic at these rates is known.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_with(compiled: &Compiled, rates: &Rates, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
+    let activity = expected(&compiled.program, rates);
+    score_of(&activity, traffic, &compiled.placement, target, compiled.options.copies)
+}
+
+/// The expected cost of what happens in as many steps as rates count, and of the traffic of one.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_of(
+    activity: &StepActivity,
+    traffic: &Traffic,
+    placement: &Placement,
+    target: &Target,
+    copies: u32,
+) -> Result<Score, Diagnostic> {
+    let none = || Diagnostic::new("target.constants", format!("target {} has no constants", target.name()));
+    let table = CostTable::new(target.constants().first().ok_or_else(none)?)?;
+    let deployment = Deployment::of("packed", placement, target.chip(), copies);
+    let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
+    let injection = table.injection.microseconds() * activity.spikes_in as f64;
+    let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used)];
+    let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
+    // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
+    let wait = (traffic.max_link_load * table.link.microseconds())
+        .max(traffic.max_chip_link_load * table.link_chip.microseconds());
+    let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
+    let events = step_energy(activity, &table, 0).total().microjoules() / UNIT;
+    let powered = (table.core_step * deployment.cores_powered).microjoules();
+    let static_mw = table.core_static.milliwatts() * deployment.cores_powered as f64;
+    Ok(Score {
+        cores: deployment.cores_used,
+        cores_powered: deployment.cores_powered,
+        // Milliwatts times microseconds are nanojoules.
+        energy_uj: events + powered + static_mw * step_us * 1e-3,
+        step_us,
+        static_mw,
+    })
+}
+
+/// Expected counts of as many steps as rates count.
+fn expected(program: &Program, rates: &Rates) -> StepActivity {
+    let cores = program.cores().as_slice();
+    let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
+    let of_cores = |part: Range<usize>| {
+        let mut sum = StepActivity::new(cores.len());
+        for (core, image) in part.clone().zip(&cores[part]) {
+            let core = CoreId::new(core);
+            for (slot, messages) in image.axons_out.iter().enumerate() {
+                let rate = rates.of(program.channels() + image.ids[slot].0);
+                sum.cores[core].spikes += rate;
+                sum.cores[core].messages_out += rate * messages.len() as u64;
+                for message in messages {
+                    sum.add_routes(program.mesh().route(image.site, sites[message.core.index()]), rate);
+                }
+            }
+            let steps = image.compartments.len() as u64 * UNIT as u64;
+            sum.cores[core].visited += steps;
+            sum.cores[core].active += steps;
+        }
+        sum
+    };
+    let of_channels = |part: Range<usize>| {
+        let mut sum = StepActivity::new(cores.len());
+        for channel in part {
+            let (rate, messages) = (rates.of(channel as u32), program.channel(ChannelId::new(channel)));
+            sum.spikes_in += rate;
+            sum.messages_from_inputs += rate * messages.len() as u64;
+            for message in messages {
+                sum.add_routes(program.mesh().route_from_corner(sites[message.core.index()]), rate);
+            }
+        }
+        sum
+    };
+    let none = || StepActivity::new(cores.len());
+    let together = |mut a: StepActivity, b: StepActivity| {
+        a.merge(&b);
+        a
+    };
+    let channels = parts(program.channels() as usize).into_par_iter().map(of_channels);
+    let mut sum = parts(cores.len()).into_par_iter().map(of_cores).chain(channels).reduce(none, together);
+    arrive(&mut sum, program, rates);
+    sum
+}
+
+/// Adds what arrives at each core: an input axon is the end of one message, so it has the rate of one source.
+fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
+    let cores = program.cores().as_slice();
+    let of_axons = match rates {
+        Rates::Assumed(_) => None,
+        Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
+    };
+    sum.cores.as_mut_slice().par_iter_mut().zip(cores).enumerate().for_each(|(core, (counts, image))| {
+        for (axon, list) in image.inputs.iter().enumerate() {
+            let rate = of_axons.as_ref().map_or_else(|| rates.of(0), |of_axons| of_axons[core][axon]);
+            let list = list.stored;
+            let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
+            counts.messages_in += rate;
+            counts.events_dense += dense as u64 * rate;
+            counts.events_sparse += (list.len() - dense) as u64 * rate;
+        }
+    });
+}
+
+/// The rate of the source that leads to each input axon, by core.
+fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
+    let mut of_axons: Vec<Vec<u64>> = program.cores().iter().map(|image| vec![0; image.inputs.len()]).collect();
+    let mut leads = |message: &AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
+    for image in program.cores() {
+        for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {
+            let rate = rates.of(program.channels() + id.0);
+            messages.iter().for_each(|message| leads(message, rate));
+        }
+    }
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        messages.iter().for_each(|message| leads(message, rates.of(channel as u32)));
+    }
+    of_axons
+}
+
+impl Score {
+    /// Which of two is better for an objective; ties fall to the other measures.
+    #[must_use]
+    pub fn better(&self, other: &Score, objective: Objective) -> Ordering {
+        let cores = self.cores.cmp(&other.cores).then(self.cores_powered.cmp(&other.cores_powered));
+        let energy = self.energy_uj.total_cmp(&other.energy_uj);
+        let time = self.step_us.total_cmp(&other.step_us);
+        match objective {
+            Objective::Cores => cores.then(energy).then(time),
+            Objective::Energy => energy.then(time).then(cores),
+            Objective::Latency => time.then(energy).then(cores),
+        }
+    }
+
+    /// Whether nothing of another is better and something is worse: the other is not on the front.
+    #[must_use]
+    pub fn dominates(&self, other: &Score) -> bool {
+        let pairs =
+            [(self.cores as f64, other.cores as f64), (self.energy_uj, other.energy_uj), (self.step_us, other.step_us)];
+        pairs.iter().all(|(a, b)| a <= b) && pairs.iter().any(|(a, b)| a < b)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::testing::{limits, random_network, target};
+    use crate::compile::{Options, compile_quantised};
+
+    #[test]
+    fn one_rate_for_all_is_the_same_as_that_rate_of_each() {
+        for seed in 0..20 {
+            let target = target(2, 2, limits());
+            let compiled = compile_quantised(random_network(seed), &target, &Options::default()).unwrap();
+            let (network, one) = (&compiled.quantised, Rates::assumed(0.25));
+            let each = |units: u32| vec![1; units as usize];
+            let of_each = Rates::profile(&each(network.channels()), &each(network.compartments()), 4);
+            let counts = expected(&compiled.program, &one);
+            assert_eq!(counts, expected(&compiled.program, &of_each), "seed {seed}");
+            let (sent, arrived): (u64, u64) =
+                counts.cores.iter().fold((0, 0), |sum, core| (sum.0 + core.messages_out, sum.1 + core.messages_in));
+            assert_eq!(sent + counts.messages_from_inputs, arrived, "seed {seed}");
+        }
+    }
+}

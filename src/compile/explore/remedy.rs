@@ -1,0 +1,177 @@
+//! What would make a network fit, tried.
+//!
+//! In come a network that does not fit its target and the target; out come [`Remedy`]s that were tried and made it fit, the
+//! cheapest change first. What is tried:
+//!
+//! - fewer copies: the most that fit;
+//! - leaving out what can change no output (`--prune static`);
+//! - fewer weight bits, each weight rounded to the coarser step: whether the network still does its task is another
+//!   question, which the remedy says;
+//! - the next larger shipped boards.
+//!
+//! Left out on purpose: what needs another model (merging polarities, pooling, relays) is advice in the reason itself.
+//! Another sign mode changes no count of words, so it is no remedy for what does not fit.
+
+use crate::base::fixed::WeightBits;
+use crate::compile::frontend::prune::{Plan, prune};
+use crate::compile::{Compiled, Objective, Options, compile_quantised};
+use crate::desc::target::Target;
+use crate::ir::quantised::{Connectivity, Parts, Quantised};
+
+/// Synapses above which trying would take longer than thinking.
+const MOST_SYNAPSES: u64 = 10_000_000;
+/// Weight bits that are tried.
+const BITS: [i64; 3] = [6, 5, 4];
+
+/// A change that makes the network fit.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Remedy {
+    /// A stable name for scripts: `copies`, `prune`, `weight_bits` or `target`.
+    pub kind: &'static str,
+    /// What to change, in words, with what to type where there is something to type.
+    pub change: String,
+    /// Cores that it then takes.
+    pub cores: u32,
+    /// Copies that fit then.
+    pub copies: u32,
+}
+
+/// Remedies for a network that does not fit, the cheapest change first; `boards` are larger targets, ascending.
+#[must_use]
+pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[Target]) -> Vec<Remedy> {
+    if one.synapses().saturating_mul(u64::from(options.copies)) > MOST_SYNAPSES {
+        return Vec::new();
+    }
+    let quick = Options { effort_s: 0, objective: Objective::Cores, place: false, ..*options };
+    let fits = |network: &Quantised, target: &Target, copies: u32| -> Option<Compiled> {
+        compile_quantised(network.clone(), target, &Options { copies, ..quick }).ok()
+    };
+    let mut found = Vec::new();
+    let mut keep = |kind, change: String, compiled: &Compiled| {
+        let (cores, copies) = (compiled.partition.cores() as u32, compiled.options.copies);
+        found.push(Remedy { kind, change, cores, copies });
+    };
+    if let Ok(pruned) = prune(one, &Plan::fixed())
+        && let Some(compiled) = fits(&pruned, target, options.copies)
+    {
+        keep("prune", "leave out what can change no output: --prune static".to_string(), &compiled);
+    }
+    if options.copies > 1
+        && let Some(compiled) = most_copies(options.copies, |copies| fits(one, target, copies))
+    {
+        let most = compiled.options.copies;
+        keep("copies", format!("map {most} of the {} copies: --copies {most}", options.copies), &compiled);
+    }
+    for bits in BITS {
+        let Some(compiled) = coarser(one, bits).and_then(|coarser| fits(&coarser, target, options.copies)) else {
+            continue;
+        };
+        let change =
+            format!("store weights in {bits} bits (weight_bits: {bits}); check the accuracy, weights get coarser");
+        keep("weight_bits", change, &compiled);
+        break;
+    }
+    for board in boards {
+        if let Some(compiled) = fits(one, board, options.copies) {
+            keep("target", format!("use a larger board: --target {}", board.name()), &compiled);
+            break;
+        }
+    }
+    found
+}
+
+/// The mapping of the most copies that fit, by bisection.
+fn most_copies(wanted: u32, fits: impl Fn(u32) -> Option<Compiled>) -> Option<Compiled> {
+    let mut best = fits(1)?;
+    let (mut low, mut high) = (1, wanted);
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        match fits(middle) {
+            Some(compiled) => (low, best) = (middle, compiled),
+            None => high = middle,
+        }
+    }
+    Some(best)
+}
+
+/// The network with weights of at most so many bits, rounded toward zero; `None` when no weight has more.
+#[must_use]
+pub fn coarser(one: &Quantised, bits: i64) -> Option<Quantised> {
+    let mut parts: Parts = one.parts().clone();
+    let fewer = WeightBits::new(bits).ok()?;
+    let mut changed = false;
+    for projection in parts.projections.iter_mut().filter(|p| p.format.bits > fewer) {
+        changed = true;
+        projection.format.bits = fewer;
+        let (low, high) = projection.format.sign.range(fewer);
+        let step = projection.format.sign.step(fewer);
+        let round = |w: i16| ((w / step) * step).clamp(low, high);
+        projection.connectivity = match &projection.connectivity {
+            Connectivity::Dense { targets, weights } => {
+                Connectivity::Dense { targets: *targets, weights: weights.iter().map(|&w| round(w)).collect() }
+            }
+            Connectivity::Sparse { first, targets, weights } => Connectivity::Sparse {
+                first: first.clone(),
+                targets: targets.clone(),
+                weights: weights.iter().map(|&w| round(w)).collect(),
+            },
+            Connectivity::Conv2d { window, kernel } => {
+                Connectivity::Conv2d { window: *window, kernel: kernel.iter().map(|&w| round(w)).collect() }
+            }
+            Connectivity::SumPool2d { window, weight } => {
+                Connectivity::SumPool2d { window: *window, weight: round(*weight) }
+            }
+            &Connectivity::Random { targets, fan_out, low, high, seed, first_source, .. } => {
+                Connectivity::Random { targets, fan_out, low: round(low), high: round(high), step, seed, first_source }
+            }
+        };
+    }
+    if changed { Quantised::new(parts).ok() } else { None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::CompileError;
+    use crate::compile::testing::{Builder, limits, slip, target};
+    use crate::desc::target::Limits;
+
+    fn tried(
+        network: &Quantised,
+        limits: Limits,
+        chips: u32,
+        copies: u32,
+        boards: &[Target],
+    ) -> Vec<(&'static str, u32)> {
+        let options = Options { copies, ..Options::default() };
+        let target = target(chips, 1, limits);
+        assert!(matches!(compile_quantised(network.clone(), &target, &options), Err(CompileError::DoesNotFit(_))));
+        remedies(network, &target, &options, boards).into_iter().map(|r| (r.kind, r.copies)).collect()
+    }
+
+    #[test]
+    fn the_most_copies_that_fit_and_the_next_board_are_found() {
+        let boards = [target(2, 1, limits()), target(4, 1, limits())];
+        // 200 copies of 3,366 input axons need 200 cores of which a chip has 128.
+        assert_eq!(tried(&slip(3150), limits(), 1, 200, &boards), [("copies", 128), ("target", 200)]);
+    }
+
+    #[test]
+    fn dead_synapses_and_coarse_weights_can_make_a_network_fit() {
+        let mut builder = Builder::new();
+        let (input, output) = (builder.input("in", 30), builder.loihi("out", 4));
+        builder.dense(input, output, |s, _| if s < 20 { 2 } else { 0 });
+        let dead = builder.build();
+        let tight = Limits { axons_in: 20, ..limits() };
+        assert_eq!(tried(&dead, tight, 1, 1, &[]), [("prune", 1)]);
+        let mut builder = Builder::new();
+        let (input, output) = (builder.input("in", 30), builder.loihi("out", 4));
+        builder.dense(input, output, |s, t| ((s * 4 + t) % 60) as i16 * 2 + 66);
+        let wide = builder.build();
+        let tight = Limits { synapse_words: 29, synapse_words_per_axon: 1, ..limits() };
+        assert!(tried(&wide, tight, 1, 1, &[]).is_empty(), "30 axons take at least 30 words");
+        let coarse = coarser(&wide, 4).unwrap();
+        assert!(coarse.projections().iter().all(|p| p.format.bits.get() == 4));
+        assert!(coarser(&coarse, 6).is_none());
+    }
+}

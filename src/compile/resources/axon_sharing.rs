@@ -1,0 +1,285 @@
+//! Which input axons of a core become members of population axons, so that a kernel is stored once.
+//!
+//! In come the lists of a core; out go classes of places whose lists are the same, and how many places of each share one
+//! stored table. A *place* is one position of a population over space from which a window (convolution or pooling) goes
+//! out; its channels are its *atoms*. All that a convolution sends from one place to a core is a list for each atom; from
+//! the next place it is the same lists, a few slots further on. A population axon stands for a place: it has a table (a
+//! list for each atom, which several population axons may have in common) and a base that is added to all slots. The
+//! message of a spike carries the atom.
+//!
+//! What the hardware allows (pop16 axons; nengo-loihi `hardware/builder.py`, `block.py` and `builder/validate.py`):
+//!
+//! - an atom has at most 9 bits (Intel's NxSDK had only five of them when nengo-loihi was written); of the 15 bits that axon
+//!   and atom share, those of the atom beyond five are taken from the ten of the axon ([`most_axons`]);
+//! - a base is a multiple of 4 below 256. Places that begin farther on keep whole 256s in the slots of their lists, so that
+//!   they share with others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`);
+//! - a compartment belongs to one population, so its atom is the same on every core: it is the channel;
+//! - the output axon takes the slot of a discrete one. pop32 axons take two slots, reach bases up to 255 and 32 atoms, and
+//!   are not used.
+//!
+//! How a table is stored: the lists of its atoms follow each other at equal distances. NxTF (`nxsdk_modules_ncl/dnn`) pads
+//! lists to the longest; here places whose lists differ in words do not share, so there is nothing to pad but atoms that
+//! send nothing. The entry of a population axon has one base and no more, so the first slot of a dense group stands in the
+//! table ([`packing::words_in_table`]).
+//!
+//! The rule: a class shares when that takes no more words than lists of its own for each source, and fewer words or fewer
+//! input axons; those that save most come first while there are numbers for population axons. [`crate::compile::resources::exact`] counts
+//! so, [`crate::compile::emit::route`] writes so, [`crate::compile::resources::incremental`] asks so for whole tiles, and
+//! [`crate::compile::symbolic`] counts classes from geometry.
+//!
+//! [`packing::words_in_table`]: crate::compile::resources::packing::words_in_table
+
+use std::collections::HashMap;
+
+use crate::base::id::PopulationId;
+use crate::compile::resources::by_core::{self, Key};
+use crate::compile::resources::fan_in::first_source;
+use crate::desc::target::Limits;
+use crate::ir::quantised::{Connectivity, Quantised};
+
+/// Bits of an atom at most.
+const MOST_ATOM_BITS: u32 = 9;
+/// Bits of an atom that the number of an axon does not miss.
+const FREE_ATOM_BITS: u32 = 5;
+/// Bits of the number of a population axon whose atoms need no more than [`FREE_ATOM_BITS`].
+const AXON_BITS: u32 = 10;
+/// Bases are multiples of this.
+pub const BASE_STEP: u16 = 4;
+/// Bases are below this.
+pub const BASE_END: u16 = 256;
+/// The most atoms.
+pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
+
+/// Population axons that a core can number when its tables have so many atoms, at most [`MOST_ATOMS`].
+#[must_use]
+pub fn most_axons(atoms: u16) -> u32 {
+    let bits = u16::BITS - atoms.saturating_sub(1).leading_zeros();
+    1 << (AXON_BITS - bits.clamp(FREE_ATOM_BITS, MOST_ATOM_BITS) + FREE_ATOM_BITS)
+}
+
+/// The base of a place whose lists begin at this slot.
+#[inline]
+#[must_use]
+pub fn base_of(first_slot: u16) -> u16 {
+    first_slot % BASE_END / BASE_STEP * BASE_STEP
+}
+
+/// A population whose sources have places.
+#[derive(Debug, Clone, Copy)]
+struct Spatial {
+    /// Its sources.
+    first: u32,
+    end: u32,
+    /// Positions of a channel.
+    positions: u32,
+    /// The number of its first place.
+    place: u32,
+}
+
+/// The places of a network's sources.
+#[derive(Debug, Clone, Default)]
+pub struct Places {
+    populations: Vec<Spatial>,
+}
+
+impl Places {
+    /// Of all populations over space from which a window goes out.
+    #[must_use]
+    pub fn of(network: &Quantised) -> Self {
+        let (mut populations, mut place) = (Vec::new(), 0);
+        for (id, population) in network.populations().enumerate() {
+            let is_window = |connectivity: &Connectivity| {
+                matches!(connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
+            };
+            let sends = network.outgoing(id).iter().any(|&p| is_window(&network.projections()[p].connectivity));
+            match population.shape.volume() {
+                Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => {
+                    let first = first_source(network, population);
+                    let (end, positions) = (first + population.shape.len(), height * width);
+                    populations.push(Spatial { first, end, positions, place });
+                    place += positions;
+                }
+                _ => {}
+            }
+        }
+        populations.sort_unstable_by_key(|population| population.first);
+        Places { populations }
+    }
+
+    /// Whether no source has a place.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.populations.is_empty()
+    }
+
+    /// Whether the sources of a population have places.
+    #[must_use]
+    pub fn holds(&self, network: &Quantised, population: PopulationId) -> bool {
+        self.of_source(first_source(network, &network.populations()[population])).is_some()
+    }
+
+    /// The place and the atom of a source.
+    #[inline]
+    #[must_use]
+    pub fn of_source(&self, source: u32) -> Option<(u32, u16)> {
+        let at = self.populations.partition_point(|population| population.end <= source);
+        let population = self.populations.get(at).filter(|population| population.first <= source)?;
+        let index = source - population.first;
+        Some((population.place + index % population.positions, (index / population.positions) as u16))
+    }
+}
+
+/// Places whose lists are the same, counted from their bases, and what one of them takes in one way of storing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Class {
+    /// How many places.
+    pub places: u32,
+    /// Lists of a place: sources at it that reach the core.
+    pub lists: u32,
+    /// The highest atom and one.
+    pub atoms: u16,
+    /// Words of a place's lists as lists of discrete axons.
+    pub words: u32,
+    /// The fewest and the most words that one of its lists takes in a table.
+    pub list_words: (u32, u32),
+}
+
+impl Class {
+    /// Words of its table.
+    #[must_use]
+    pub fn table(&self) -> u64 {
+        u64::from(self.atoms) * u64::from(self.list_words.1)
+    }
+
+    /// Words that so many places save by sharing; less than none when the table is dearer.
+    fn saving(&self, places: u32) -> i64 {
+        (u64::from(places) * u64::from(self.words)) as i64 - self.table() as i64
+    }
+
+    fn pays(&self, places: u32, limits: &Limits) -> bool {
+        let saving = self.saving(places);
+        places > 0
+            && self.list_words.0 == self.list_words.1
+            && self.list_words.1 <= limits.synapse_words_per_axon
+            && (saving > 0 || saving == 0 && self.lists > 1)
+    }
+}
+
+/// How many places of each class share its table.
+#[must_use]
+pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
+    let mut left = most_axons(classes.iter().map(|class| class.atoms).max().unwrap_or(1));
+    let mut order: Vec<usize> = (0..classes.len()).collect();
+    // Classes that are equal in all respects can take each other's part, so counts do not depend on the order they came in.
+    order.sort_by_key(|&at| std::cmp::Reverse((classes[at].saving(classes[at].places), classes[at])));
+    let mut sharing = vec![0; classes.len()];
+    for at in order {
+        let places = classes[at].places.min(left);
+        if classes[at].pays(places, limits) {
+            sharing[at] = places;
+            left -= places;
+        }
+    }
+    sharing
+}
+
+/// Words and input axons that sharing leaves of those that lists of their own would take.
+#[must_use]
+pub fn left(words: u64, axons: u32, classes: &[Class], sharing: &[u32]) -> (u64, u32) {
+    classes.iter().zip(sharing).filter(|(_, places)| **places > 0).fold(
+        (words, axons),
+        |(words, axons), (class, &places)| {
+            (words.saturating_add_signed(-class.saving(places)), axons - places * (class.lists - 1))
+        },
+    )
+}
+
+/// Places of a core whose lists are the same, counted from their bases.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Alike {
+    /// Of each place: its base, and atom and number of each of its lists, by atom.
+    pub places: Vec<(u16, Vec<(u16, u32)>)>,
+}
+
+/// Classes of a core's lists, given by their synapses; in the order of their first places.
+#[must_use]
+pub fn alike(keys: &[Key], places: &Places) -> Vec<Alike> {
+    let lists: Vec<&[Key]> = by_core::lists(keys).collect();
+    let placed = lists.iter().zip(0u32..).filter_map(|(list, number)| {
+        let (place, atom) = places.of_source(list[0].source())?;
+        Some((place, atom, number))
+    });
+    let mut placed: Vec<(u32, u16, u32)> = placed.collect();
+    placed.sort_unstable();
+    let (mut classes, mut known): (Vec<Alike>, HashMap<Vec<u64>, usize>) = (Vec::new(), HashMap::new());
+    for of_place in placed.chunk_by(|a, b| a.0 == b.0) {
+        let of = |&(_, _, number): &(u32, u16, u32)| lists[number as usize];
+        let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();
+        let base = base_of(first_slot.unwrap_or(0));
+        // Two lists are told apart by their atoms, so concatenations of different lists differ.
+        let told = of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.told(placed.1, base))).collect();
+        let class = *known.entry(told).or_insert_with(|| {
+            classes.push(Alike { places: Vec::new() });
+            classes.len() - 1
+        });
+        let lists = of_place.iter().map(|&(_, atom, number)| (atom, number)).collect();
+        classes[class].places.push((base, lists));
+    }
+    classes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::testing::{Builder, limits, plain_format};
+    use crate::ir::graph::{Shape, Window};
+
+    const CLASS: Class = Class { places: 9, lists: 16, atoms: 16, words: 32, list_words: (2, 2) };
+
+    #[test]
+    fn numbers_and_bases_are_those_of_pop16_axons() {
+        // nengo-loihi: ten bits for up to 32 atoms, then one fewer for each bit of the atom, nine at most.
+        assert_eq!(
+            [1, 2, 32, 33, 64, 65, 256, 257, 512].map(most_axons),
+            [1024, 1024, 1024, 512, 512, 256, 128, 64, 64]
+        );
+        assert_eq!([0, 3, 4, 7, 252, 255, 256, 1023].map(base_of), [0, 0, 4, 4, 252, 252, 0, 252]);
+    }
+
+    #[test]
+    fn what_saves_most_shares_while_there_are_numbers() {
+        let limits = limits();
+        assert_eq!(sharing(&[CLASS], &limits), [9]);
+        assert_eq!(sharing(&[CLASS], &Limits { synapse_words_per_axon: 1, ..limits }), [0]);
+        assert_eq!(sharing(&[Class { list_words: (1, 2), ..CLASS }], &limits), [0]);
+        // A place of its own pays by fewer axons, unless a table takes more words.
+        assert_eq!(sharing(&[Class { places: 1, ..CLASS }], &limits), [1]);
+        assert_eq!(sharing(&[Class { places: 1, words: 31, ..CLASS }], &limits), [0]);
+        assert_eq!(sharing(&[Class { places: 1, lists: 1, atoms: 1, words: 2, list_words: (2, 2) }], &limits), [0]);
+        // 512 atoms leave 64 numbers: the class that saves more takes 60 of them.
+        let wide = Class { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
+        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &limits), [4, 60]);
+        assert_eq!(left(100_000, 40_000, &[wide], &[60]), (100_000 - 59 * 1024, 40_000 - 60 * 511));
+        assert_eq!(left(100, 10, &[wide], &[0]), (100, 10));
+    }
+
+    #[test]
+    fn places_are_positions_and_atoms_channels() {
+        let mut net = Builder::new();
+        let flat = net.input("flat", 7);
+        let image = net.input_shape("image", Shape::Volume(3, 4, 5));
+        let to = net.loihi_with("to", Shape::Volume(1, 4, 5), crate::compile::testing::neurons());
+        net.dense(flat, to, |_, _| 2);
+        let (source, target) = ((3, 4, 5), (1, 4, 5));
+        let once = (1, 1);
+        let window = Window { source, target, kernel: once, stride: once, padding: (0, 0), dilation: once, groups: 1 };
+        net.connect((image, to), plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2, 4, 6].into() });
+        let places = Places::of(&net.build());
+        assert_eq!(places.of_source(6), None);
+        assert_eq!(places.of_source(7), Some((0, 0)));
+        assert_eq!(places.of_source(7 + 20 + 3), Some((3, 1)));
+        assert_eq!(places.of_source(7 + 59), Some((19, 2)));
+        // The compartments send nothing over a window.
+        assert_eq!(places.of_source(7 + 60), None);
+    }
+}

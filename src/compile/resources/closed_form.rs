@@ -1,0 +1,315 @@
+//! Boxes of a layer on cores, from the geometry of its windows alone.
+//!
+//! In comes a population that windows (or all sources) reach; out goes what a core uses that holds a box of it (channels x
+//! rows x columns). A window reaches rows and columns independently of each other, so the lists of a box are the products
+//! of patterns of rows, of columns and of channels: sources with the same patterns have lists of the same make-up, which is
+//! counted once, and places whose patterns are the same but for where they begin are a class that may share a table
+//! ([`crate::compile::resources::axon_sharing`]). The counts are those of [`crate::compile::resources::exact`], output axons and profiles excepted; a test
+//! holds them to it. They could only be greater where two different parts of a kernel have the same weights.
+
+use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::base::fixed::Delay;
+use crate::base::id::{Id, PopulationId};
+use crate::compile::partition::tiles;
+use crate::compile::resources::axon_sharing::{self, Class, Places};
+use crate::compile::resources::exact::{Tallies, Words, skip_of};
+use crate::compile::resources::formats::Formats;
+use crate::compile::resources::packing::{Group, Widths};
+use crate::compile::resources::receptive_field::{Axis, Pattern, relative};
+use crate::desc::target::Limits;
+use crate::ir::graph::Window;
+use crate::ir::partition::CoreUsage;
+use crate::ir::quantised::{Connectivity, Quantised};
+
+/// A projection into a layer.
+#[derive(Debug, Clone, Copy)]
+pub struct Incoming {
+    /// Where spikes come from.
+    pub source: PopulationId,
+    /// Its window; a layer that all sources reach is a window of one position.
+    pub window: Window,
+    /// Whether every source reaches every target.
+    pub all_to_all: bool,
+    /// Channels and positions of a source population that has places.
+    pub placed: Option<(u32, u64)>,
+    /// Whether all its weights are the same.
+    pub uniform: bool,
+    /// Compartments of the source; `None` for inputs, which take no output axon.
+    pub from: Option<u32>,
+    /// Its format among those of the network.
+    pub format: u16,
+    /// Its delay.
+    pub delay: Delay,
+}
+
+/// A population and what reaches it.
+#[derive(Debug, Clone)]
+pub struct Layer {
+    /// Channels, height and width.
+    pub shape: (u32, u32, u32),
+    /// What reaches it, in the order of the file.
+    pub incoming: Vec<Incoming>,
+    /// Whether each channel sees its own channel only: compartments stand channel by channel then.
+    pub own_only: bool,
+    /// Whether two projections come from one population: its lists are then both together, which is not counted here.
+    pub joined: bool,
+}
+
+impl Layer {
+    /// A population and what reaches it; `None` when a projection into it is neither a window nor all to all.
+    #[must_use]
+    pub fn of(network: &Quantised, population: PopulationId, formats: &Formats, places: &Places) -> Option<Self> {
+        let shape_of = |id: PopulationId| network.populations()[id].shape;
+        let shape = shape_of(population).volume().unwrap_or((shape_of(population).len(), 1, 1));
+        let (mut incoming, mut joined): (Vec<Incoming>, _) = (Vec::new(), false);
+        for (id, projection) in network.projections().enumerate().filter(|(_, p)| p.target == population) {
+            let source = projection.source;
+            let (window, all_to_all) = match &projection.connectivity {
+                Connectivity::Conv2d { window, .. } => (*window, false),
+                Connectivity::SumPool2d { window, .. } => (Window { groups: window.source.0, ..*window }, false),
+                Connectivity::Dense { targets, .. } if (shape.1, shape.2) == (1, 1) => {
+                    let (source, target, once) = ((shape_of(source).len(), 1, 1), (*targets, 1, 1), (1, 1));
+                    let (kernel, stride, dilation) = (once, once, once);
+                    (Window { source, target, kernel, stride, padding: (0, 0), dilation, groups: 1 }, true)
+                }
+                _ => return None,
+            };
+            joined |= incoming.iter().any(|other| other.source == source);
+            let positions = |(channels, height, width)| (channels, u64::from(height) * u64::from(width));
+            incoming.push(Incoming {
+                source,
+                window,
+                all_to_all,
+                placed: shape_of(source).volume().map(positions).filter(|_| places.holds(network, source)),
+                from: network.populations()[source].first_compartment().map(|_| shape_of(source).len()),
+                uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
+                format: formats.by_projection()[id.index()],
+                delay: projection.delay,
+            });
+        }
+        let own =
+            |incoming: &Incoming| incoming.window.groups == incoming.window.source.0 && incoming.window.groups > 1;
+        let own_only = !incoming.is_empty() && incoming.iter().all(own);
+        Some(Layer { shape, incoming, own_only, joined })
+    }
+
+    /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have this size.
+    #[must_use]
+    pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
+        let at = tiles::middle(self.shape, size);
+        let part = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
+        let channels = Channels::of(self, &part(self.shape.0, size.0, at.0));
+        let rows = Side::of(self, Axis::rows, &part(self.shape.1, size.1, at.1));
+        let columns = Side::of(self, Axis::columns, &part(self.shape.2, size.2, at.2));
+        use_of(self, formats, limits, (&channels, &rows, &columns))
+    }
+}
+
+/// A part of an axis, with the patterns of every projection into the layer.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Side {
+    /// Length of the part.
+    pub size: u32,
+    /// By projection: patterns, and how many sources have each.
+    patterns: Vec<Vec<(Pattern, u64)>>,
+}
+
+impl Side {
+    /// Of a layer.
+    #[must_use]
+    pub fn of(layer: &Layer, axis: fn(&Window) -> Axis, part: &Range<u32>) -> Self {
+        let patterns = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).patterns(part);
+        Side { size: part.end - part.start, patterns: layer.incoming.iter().map(patterns).collect() }
+    }
+}
+
+/// A part of the channels: how many of them sources reach, and how many sources reach so many; and the last such source.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Channels {
+    /// How many.
+    pub size: u32,
+    reached: Vec<Vec<(u32, u64)>>,
+    last: Vec<u32>,
+}
+
+impl Channels {
+    /// Of a layer.
+    #[must_use]
+    pub fn of(layer: &Layer, part: &Range<u32>) -> Self {
+        let of = |incoming: &Incoming| {
+            let window = &incoming.window;
+            let (of_group, sources) = (window.target.0 / window.groups, window.source.0 / window.groups);
+            let mut reached: BTreeMap<u32, u64> = BTreeMap::new();
+            for group in part.start / of_group..=(part.end - 1) / of_group {
+                let (from, to) = (part.start.max(group * of_group), part.end.min((group + 1) * of_group));
+                *reached.entry(to - from).or_default() += u64::from(sources);
+            }
+            reached.into_iter().collect()
+        };
+        let last = |incoming: &Incoming| {
+            let window = &incoming.window;
+            let group = (part.end - 1) / (window.target.0 / window.groups);
+            (group + 1) * (window.source.0 / window.groups) - 1
+        };
+        let (reached, last) = layer.incoming.iter().map(|incoming| (of(incoming), last(incoming))).unzip();
+        Channels { size: part.end - part.start, reached, last }
+    }
+}
+
+/// Synapses of a box with sources in one population.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Arriving {
+    /// The sources' population.
+    pub source: PopulationId,
+    /// In lists without indices.
+    pub dense: u64,
+    /// In lists with indices or runs.
+    pub sparse: u64,
+}
+
+/// What a core that holds a box uses.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BoxUse {
+    /// Everything but output axons and profiles.
+    pub usage: CoreUsage,
+    /// Its synapses, by where they come from.
+    pub arriving: Arc<[Arriving]>,
+}
+
+impl BoxUse {
+    /// Whether it needs more than there is.
+    #[must_use]
+    pub fn exceeds(&self, limits: &Limits) -> bool {
+        self.usage.excesses(limits).next().is_some()
+    }
+}
+
+/// What a core uses that holds the box of these channels, rows and columns.
+#[must_use]
+pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, &Side, &Side)) -> BoxUse {
+    let (channels, rows, columns) = parts;
+    let compartments = channels.size * rows.size * columns.size;
+    let reaching = |i: usize| !rows.patterns[i].is_empty() && !columns.patterns[i].is_empty();
+    let reaching: Vec<usize> = (0..layer.incoming.len()).filter(|&i| reaching(i)).collect();
+    let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
+    let widths = Widths::of(compartments, longest, limits.packing);
+    let (mut tallies, mut arriving) = (Tallies::default(), Vec::new());
+    let mut classes = Classes::default();
+    let mut slots: Vec<u16> = Vec::new();
+    for &i in &reaching {
+        let Incoming { source, format, delay, placed, all_to_all, .. } = layer.incoming[i];
+        let (mut dense, mut sparse) = (0, 0);
+        for (reached_rows, of_rows) in &rows.patterns[i] {
+            for (reached_columns, of_columns) in &columns.patterns[i] {
+                let mut place = Place::default();
+                for &(reached, of_channels) in &channels.reached[i] {
+                    slots.clear();
+                    if layer.own_only {
+                        let height = rows.size;
+                        let row = |c: u32, y: u16| (c * height + u32::from(y)) * columns.size;
+                        let starts = (0..reached).flat_map(|c| reached_rows.iter().map(move |&(y, _)| row(c, y)));
+                        slots.extend(
+                            starts.flat_map(|start| reached_columns.iter().map(move |&(x, _)| start as u16 + x)),
+                        );
+                    } else {
+                        for &(y, _) in reached_rows {
+                            let starts =
+                                reached_columns.iter().map(|&(x, _)| u32::from(y) * columns.size + u32::from(x));
+                            slots.extend(
+                                starts.flat_map(|at| (0..reached).map(move |c| (at * channels.size + c) as u16)),
+                            );
+                        }
+                    }
+                    let group = Group {
+                        weight_bits: formats.get(format).bits,
+                        synapses: slots.len() as u32,
+                        delayed: delay > Delay::MIN,
+                        dense: slots.windows(2).all(|pair| pair[1] == pair[0] + 1),
+                        skip: skip_of(slots.windows(2).map(|pair| pair[1] - pair[0])),
+                    };
+                    let lists = of_rows * of_columns * of_channels;
+                    place.lists(of_channels, tallies.lists(format, group, lists, widths, limits));
+                    *if group.dense { &mut dense } else { &mut sparse } += lists * slots.len() as u64;
+                }
+                let first_slot = {
+                    let at = u32::from(reached_rows[0].0) * columns.size + u32::from(reached_columns[0].0);
+                    if layer.own_only { at } else { at * channels.size }
+                };
+                let Some((atoms, positions)) = placed else { continue };
+                let behind = first_slot as u16 - axon_sharing::base_of(first_slot as u16);
+                if all_to_all {
+                    // Every source has weights of its own; all channels of a position reach the box.
+                    let place = place.part(positions);
+                    (0..positions).for_each(|_| classes.alone(place, atoms as u16));
+                } else {
+                    let kind = (i, relative(reached_rows), relative(reached_columns), behind);
+                    classes.add(kind, of_rows * of_columns, place, channels.last[i] as u16 + 1);
+                }
+            }
+        }
+        arriving.push(Arriving { source, dense, sparse });
+    }
+    tallies.share([&classes.ways[0], &classes.ways[1]], limits);
+    let synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
+    BoxUse { usage: tallies.usage(compartments, synapses, longest, limits), arriving: arriving.into() }
+}
+
+/// The lists of one place.
+#[derive(Debug, Clone, Copy, Default)]
+struct Place {
+    lists: u64,
+    /// Without and with runs: words as lists of discrete axons, and the fewest and the most of a list in a table.
+    ways: [(u64, Option<(u32, u32)>); 2],
+}
+
+impl Place {
+    fn lists(&mut self, lists: u64, words: [Words; 2]) {
+        self.lists += lists;
+        for (way, words) in self.ways.iter_mut().zip(words) {
+            way.0 += lists * u64::from(words.discrete);
+            let (least, most) = way.1.unwrap_or((words.in_table, words.in_table));
+            way.1 = Some((least.min(words.in_table), most.max(words.in_table)));
+        }
+    }
+
+    /// One of so many places with the same lists each.
+    fn part(mut self, places: u64) -> Self {
+        self.lists /= places;
+        self.ways.iter_mut().for_each(|way| way.0 /= places);
+        self
+    }
+
+    fn class(&self, way: usize, atoms: u16) -> Class {
+        let (words, list_words) = self.ways[way];
+        let list_words = list_words.unwrap_or_default();
+        Class { places: 1, lists: self.lists as u32, atoms, words: words as u32, list_words }
+    }
+}
+
+/// Projection, relative patterns of rows and columns, and how far behind its base a place begins.
+type Kind = (usize, Pattern, Pattern, u16);
+
+/// Classes of places of a box.
+#[derive(Debug, Default)]
+struct Classes {
+    known: HashMap<Kind, usize>,
+    ways: [Vec<Class>; 2],
+}
+
+impl Classes {
+    fn alone(&mut self, place: Place, atoms: u16) {
+        self.ways.iter_mut().enumerate().for_each(|(way, classes)| classes.push(place.class(way, atoms)));
+    }
+
+    fn add(&mut self, kind: Kind, places: u64, place: Place, atoms: u16) {
+        let at = *self.known.entry(kind).or_insert(self.ways[0].len());
+        if at == self.ways[0].len() {
+            self.alone(place, atoms);
+            self.ways.iter_mut().for_each(|classes| classes[at].places = 0);
+        }
+        self.ways.iter_mut().for_each(|classes| classes[at].places += places as u32);
+    }
+}

@@ -1,0 +1,183 @@
+//! What each compartment sends: its output axons, from where its targets sit.
+//!
+//! In come a network, the core of each compartment and the chip of each core; out go, compartment by compartment, the
+//! number of distinct cores that its spikes reach and the output axon slots that these take.
+
+use rayon::prelude::*;
+
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::compile::resources::fan_in::{bundle, first_source};
+use crate::desc::target::Limits;
+use crate::ir::firing_rates::Rates;
+use crate::ir::quantised::{Connectivity, Quantised};
+
+/// Compartments that one task looks at; fixed, so that nothing depends on threads.
+const PIECE: usize = 1 << 14;
+
+/// What each compartment sends.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sent {
+    /// Output axon slots by compartment.
+    pub slots: Vec<u32>,
+    /// Output axons by compartment.
+    pub axons: Vec<u32>,
+}
+
+/// The core of each compartment of a membership.
+#[must_use]
+pub fn cores_of(compartments: u32, members: &IdVec<CoreId, Vec<CompartmentId>>) -> IdVec<CompartmentId, CoreId> {
+    let mut core_of: IdVec<CompartmentId, CoreId> = vec![CoreId(0); compartments as usize].into();
+    for (core, held) in members.enumerate() {
+        held.iter().for_each(|&id| core_of[id] = core);
+    }
+    core_of
+}
+
+/// Cores of whole populations, for dense layers: all of their sources reach the same ones.
+#[must_use]
+pub fn cores_of_populations(
+    network: &Quantised,
+    core_of: &IdVec<CompartmentId, CoreId>,
+) -> IdVec<PopulationId, Vec<CoreId>> {
+    let of = |population: &crate::ir::quantised::Population| {
+        let Some(first) = population.first_compartment() else { return Vec::new() };
+        let mut cores = core_of.as_slice()[first.index()..first.index() + population.shape.len() as usize].to_vec();
+        cores.sort_unstable();
+        cores.dedup();
+        cores
+    };
+    network.populations().as_slice().par_iter().map(of).collect::<Vec<_>>().into()
+}
+
+/// Counts what each compartment sends.
+#[must_use]
+pub fn sent(
+    network: &Quantised,
+    core_of: &IdVec<CompartmentId, CoreId>,
+    chips: &IdVec<CoreId, u32>,
+    limits: &Limits,
+) -> Sent {
+    let counted = by_source(network, core_of, chips.len(), false, |_, own, reached: &[CoreId]| {
+        let near = reached.iter().filter(|&&core| own.is_some_and(|own| chips[core] == chips[own])).count() as u32;
+        let axons = reached.len() as u32;
+        (near * limits.axon_out_slots + (axons - near) * limits.axon_out_slots_off_chip, axons)
+    });
+    let (slots, axons) = counted.into_iter().unzip();
+    Sent { slots, axons }
+}
+
+/// Messages between cores, inputs' included, in as many steps as rates count.
+#[must_use]
+pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cores: usize, rates: &Rates) -> u64 {
+    let of = |source: u32, own: Option<CoreId>, reached: &[CoreId]| {
+        let others = reached.iter().filter(|&&core| Some(core) != own).count() as u64;
+        rates.of(source) * others
+    };
+    by_source(network, core_of, cores, true, of).into_iter().sum()
+}
+
+/// Consecutive sources of a population that one task looks at; for sources in bundles ([`crate::compile::resources::fan_in`]), the same
+/// positions of every channel of a bundle.
+#[derive(Debug, Clone)]
+struct Piece {
+    population: PopulationId,
+    /// Index of the first.
+    first: u32,
+    /// How many, in a channel.
+    length: u32,
+    /// From a channel to the next of its bundle, and how many there are.
+    channels: (u32, u32),
+}
+
+/// All sources in pieces: channels (if asked for), then compartments.
+fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
+    let mut pieces = Vec::new();
+    for (id, population) in network.populations().enumerate() {
+        if population.first_channel().is_some() && !with_channels {
+            continue;
+        }
+        let size = population.shape.len();
+        if size == 0 {
+            // Pruned whole.
+            continue;
+        }
+        let (positions, bundle) = match (bundle(network, id), population.shape.volume()) {
+            (bundle, Some((_, height, width))) if bundle > 1 => (height * width, bundle),
+            _ => (size, 1),
+        };
+        for group in (0..size).step_by(positions as usize * bundle as usize) {
+            let of = |from| Piece {
+                population: id,
+                first: group + from,
+                length: (PIECE / bundle as usize).max(1).min((positions - from) as usize) as u32,
+                channels: (positions, bundle),
+            };
+            pieces.extend((0..positions).step_by((PIECE / bundle as usize).max(1)).map(of));
+        }
+    }
+    pieces
+}
+
+/// What `f(source, own core, cores reached)` says of every source, in order: channels (if asked for), then compartments.
+/// Cores are in the order in which they are first reached.
+pub fn by_source<T: Send>(
+    network: &Quantised,
+    core_of: &IdVec<CompartmentId, CoreId>,
+    cores: usize,
+    with_channels: bool,
+    f: impl Fn(u32, Option<CoreId>, &[CoreId]) -> T + Sync,
+) -> Vec<T> {
+    let of_population = cores_of_populations(network, core_of);
+    let counted: Vec<Vec<(u32, Vec<T>)>> = pieces(network, with_channels)
+        .into_par_iter()
+        .map_init(
+            || (vec![0u32; cores], 0u32, Vec::new()),
+            |(seen, mark, reached), Piece { population: id, first, length, channels: (positions, bundle) }| {
+                let population = &network.populations()[id];
+                let number = first_source(network, population);
+                let mut told: Vec<(u32, Vec<T>)> = (0..bundle)
+                    .map(|k| (number + first + k * positions, Vec::with_capacity(length as usize)))
+                    .collect();
+                for index in first..first + length {
+                    // Marks tell sources apart; a task of few sources never comes near the end of their range.
+                    *mark += 1;
+                    reached.clear();
+                    let mut reach = |core: CoreId| {
+                        if std::mem::replace(&mut seen[core.index()], *mark) != *mark {
+                            reached.push(core);
+                        }
+                    };
+                    for &projection in network.outgoing(id) {
+                        let projection = &network.projections()[projection];
+                        let Some(target) = network.populations()[projection.target].first_compartment() else {
+                            continue;
+                        };
+                        match &projection.connectivity {
+                            Connectivity::Dense { .. } => {
+                                of_population[projection.target].iter().for_each(|&core| reach(core));
+                            }
+                            connectivity => connectivity.for_each_target(index, |t| {
+                                reach(core_of[CompartmentId(target.0 + t)]);
+                            }),
+                        }
+                    }
+                    for (k, (_, told)) in (0..).zip(&mut told) {
+                        let index = index + k * positions;
+                        let own = population.first_compartment().map(|first| core_of[CompartmentId(first.0 + index)]);
+                        told.push(f(number + index, own, reached));
+                    }
+                }
+                told
+            },
+        )
+        .collect();
+    let mut counted: Vec<(u32, Vec<T>)> = counted.into_iter().flatten().collect();
+    counted.sort_unstable_by_key(|(first, _)| *first);
+    counted.into_iter().flat_map(|(_, told)| told).collect()
+}
+
+/// Output axon slots of all compartments of a core together.
+#[must_use]
+pub fn slots_of(held: &[CompartmentId], sent: &Sent) -> u64 {
+    held.iter().map(|id| u64::from(sent.slots[id.index()])).sum()
+}

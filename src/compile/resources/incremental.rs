@@ -1,0 +1,511 @@
+//! One core while it is being filled: what its compartments so far need of every resource, kept up to date.
+//!
+//! In come compartments one by one; out goes whether the core still holds them all. The counts are exact, the same as
+//! those of [`crate::compile::resources::exact`] except for output axons, which depend on where the targets end up: for these the
+//! caller gives an estimate for each compartment. Adding never lowers a need (formats excepted, and
+//! the widest list when a core changes its mind about runs), so that a core that is too
+//! full stays too full; the caller then begins another.
+//!
+//! Lists that sources share through population axons ([`crate::compile::resources::axon_sharing`]) are counted only where a core does not
+//! hold its compartments without: while a tile is added row by row its lists differ, and only when it is whole are they
+//! the same. So compartments that came one by one are counted with lists of their own, which is never too little.
+
+use std::collections::{BTreeSet, HashMap};
+
+use crate::base::fixed::{Delay, WeightBits};
+use crate::base::id::{CompartmentId, PopulationId};
+use crate::base::rng;
+use crate::compile::resources::axon_sharing::{self, Class, Places};
+use crate::compile::resources::axon_table::AxonOf;
+use crate::compile::resources::exact::profiles;
+use crate::compile::resources::fan_in::FanIn;
+use crate::compile::resources::formats::Formats;
+use crate::compile::resources::packing::{self, Compression, Group, MOST_SLOTS, Widths};
+use crate::desc::target::Limits;
+use crate::ir::partition::CoreUsage;
+use crate::ir::quantised::{Neuron, Quantised};
+
+/// A compartment that wants a seat.
+#[derive(Debug, Clone, Copy)]
+pub struct Newcomer {
+    /// Its number in the network.
+    pub id: CompartmentId,
+    /// Its population.
+    pub population: PopulationId,
+    /// Its index there.
+    pub index: u32,
+    /// Its parameters.
+    pub neuron: Neuron,
+    /// Estimate of its output axon slots.
+    pub slots_out: u32,
+}
+
+/// The input axons of a bundle of sources ([`crate::compile::resources::fan_in`]) so far, which are alike.
+#[derive(Debug, Clone, Copy)]
+struct Axon {
+    /// How many.
+    bundle: u32,
+    /// The last of its groups, which leads to the others.
+    last: Option<u32>,
+    /// Without and with runs.
+    words: [u32; 2],
+    /// Where the first of its sources stands, if it has a place.
+    placed: Option<PlacedAxon>,
+}
+
+/// The list of a source that has a place, as far as it is to be told from others.
+#[derive(Debug, Clone, Copy)]
+struct PlacedAxon {
+    place: u32,
+    atom: u16,
+    /// Of the place.
+    base: u16,
+    /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they are. Two different lists
+    /// with the same digest would be found out when the cores are counted exactly.
+    told: u64,
+}
+
+impl PlacedAxon {
+    fn tell(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
+        let from_base = u64::from(slot - self.base);
+        let which = from_base << 48 | u64::from(format) << 32 | projection as u64;
+        self.told = rng::digest(rng::digest(self.told, which), part);
+    }
+}
+
+/// The synapses of one format of one axon so far.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    axon: u32,
+    previous: Option<u32>,
+    format: u16,
+    last_slot: u16,
+    synapses: u32,
+    /// Without and with runs.
+    words: [u32; 2],
+    delayed: bool,
+    dense: bool,
+    /// The widest gap between its slots; `None` once a slot stands twice.
+    gap: Option<u16>,
+    /// With runs.
+    compression: Compression,
+}
+
+impl Entry {
+    fn group(&self, weight_bits: WeightBits) -> Group {
+        let skip = self.gap.and_then(packing::skip_bits);
+        Group { weight_bits, synapses: self.synapses, delayed: self.delayed, dense: self.dense, skip }
+    }
+
+    /// Its class among the formats without runs, and among those with runs.
+    fn classes(&self) -> [usize; 2] {
+        let compression = match self.compression {
+            Compression::Dense => 0,
+            Compression::Sparse => 1,
+            Compression::RunLength(bits) => usize::from(bits),
+        };
+        [usize::from(self.delayed) * 2 + usize::from(self.dense), usize::from(self.delayed) * 6 + compression]
+    }
+}
+
+/// What a group of this make-up takes at these widths.
+#[derive(Debug, Clone, Copy)]
+struct Packed {
+    made: (Widths, Group),
+    /// Without and with runs.
+    words: [u32; 2],
+    /// With runs.
+    compression: Compression,
+}
+
+/// A core that is being filled.
+#[derive(Debug)]
+pub struct Filling<'a> {
+    fan_in: &'a FanIn,
+    limits: &'a Limits,
+    formats: Formats,
+    weight_bits: Vec<WeightBits>,
+    delays: Vec<Delay>,
+    axon_of: AxonOf,
+    members: Vec<CompartmentId>,
+    axons: Vec<Axon>,
+    /// Input axons, all of a bundle.
+    axons_in: u32,
+    entries: Vec<Entry>,
+    /// Groups by format and class without runs: twice delayed plus dense.
+    groups: Vec<[u32; 4]>,
+    /// Groups by format and class with runs: six times delayed plus 0 for dense, 1 for sparse, the bits of a run.
+    groups_with_runs: Vec<[u32; 12]>,
+    profiles: BTreeSet<(u16, u16, u8)>,
+    thresholds: BTreeSet<u32>,
+    longest: Delay,
+    widths: Widths,
+    synapses: u64,
+    /// Without and with runs.
+    words: [u64; 2],
+    widest: [u32; 2],
+    slots_out: u64,
+    places: Places,
+    /// The first slot that each place reaches.
+    begins: HashMap<u32, u16>,
+    /// Whether the core holds its compartments only because lists are shared.
+    shares: bool,
+    /// What a group took when last asked, by format: neighbours mostly are made up alike.
+    last: Vec<Option<Packed>>,
+}
+
+impl<'a> Filling<'a> {
+    /// An empty core.
+    #[must_use]
+    pub fn new(network: &Quantised, fan_in: &'a FanIn, limits: &'a Limits) -> Self {
+        let formats = Formats::of(network);
+        Filling {
+            fan_in,
+            limits,
+            weight_bits: network.projections().iter().map(|p| p.format.bits).collect(),
+            delays: network.projections().iter().map(|p| p.delay).collect(),
+            axon_of: AxonOf::new(),
+            members: Vec::new(),
+            axons: Vec::new(),
+            axons_in: 0,
+            entries: Vec::new(),
+            groups: vec![[0; 4]; formats.len()],
+            groups_with_runs: vec![[0; 12]; formats.len()],
+            last: vec![None; formats.len()],
+            formats,
+            profiles: BTreeSet::new(),
+            thresholds: BTreeSet::new(),
+            longest: Delay::MIN,
+            widths: Widths::of(0, Delay::MIN, limits.packing),
+            synapses: 0,
+            words: [0; 2],
+            widest: [0; 2],
+            slots_out: 0,
+            places: Places::of(network),
+            begins: HashMap::new(),
+            shares: false,
+        }
+    }
+
+    /// Begins another core and hands out the compartments of this one.
+    pub fn next_core(&mut self) -> Vec<CompartmentId> {
+        self.axon_of.clear();
+        self.axons.clear();
+        self.axons_in = 0;
+        self.entries.clear();
+        self.groups.fill([0; 4]);
+        self.groups_with_runs.fill([0; 12]);
+        self.profiles.clear();
+        self.thresholds.clear();
+        self.longest = Delay::MIN;
+        self.widths = Widths::of(0, Delay::MIN, self.limits.packing);
+        (self.synapses, self.words, self.widest, self.slots_out) = (0, [0; 2], [0; 2], 0);
+        self.begins.clear();
+        self.shares = false;
+        std::mem::take(&mut self.members)
+    }
+
+    /// Compartments so far.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.members.is_empty()
+    }
+
+    /// Adds a compartment.
+    ///
+    /// # Errors
+    /// What the core would use, when it cannot hold the compartment. It is not a member then, but the running counts are
+    /// spoiled: begin another core.
+    pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
+        self.put(newcomer)?;
+        self.holds().inspect_err(|_| {
+            self.members.pop();
+        })
+    }
+
+    /// Adds compartments that make a whole, whose lists may be shared.
+    ///
+    /// # Errors
+    /// As [`Filling::add`]; begin another core then.
+    pub fn add_whole(&mut self, newcomers: impl ExactSizeIterator<Item = Newcomer>) -> Result<(), CoreUsage> {
+        let compartments = (self.members.len() + newcomers.len()) as u32;
+        if compartments > self.limits.compartments.min(MOST_SLOTS) {
+            return Err(CoreUsage { compartments, ..self.usage() });
+        }
+        for newcomer in newcomers {
+            self.put(&newcomer)?;
+        }
+        if self.holds().is_err() {
+            self.shares = !self.places.is_empty();
+        }
+        self.holds()
+    }
+
+    fn put(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
+        if self.members.len() as u32 >= self.limits.compartments.min(MOST_SLOTS) {
+            return Err(CoreUsage { compartments: self.members.len() as u32 + 1, ..self.usage() });
+        }
+        let slot = self.members.len() as u16;
+        self.members.push(newcomer.id);
+        let fan_in = self.fan_in;
+        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part, bundle| {
+            let projection = projection.0 as usize;
+            self.longest = self.longest.max(self.delays[projection]);
+            self.synapse((source, bundle), projection, part, slot);
+        });
+        let widths = Widths::of(self.members.len() as u32, self.longest, self.limits.packing);
+        if widths != self.widths {
+            self.widths = widths;
+            self.recount();
+        }
+        let (profile, threshold) = profiles(&newcomer.neuron);
+        self.profiles.insert(profile);
+        self.thresholds.insert(threshold);
+        self.slots_out += u64::from(newcomer.slots_out);
+        Ok(())
+    }
+
+    /// Whether the core holds what it has.
+    fn holds(&self) -> Result<(), CoreUsage> {
+        // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
+        let mut used = self.usage();
+        if self.shares && used.excesses(self.limits).next().is_some() {
+            used = self.usage_shared();
+        }
+        let fits = used.excesses(self.limits).next().is_none()
+            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits.axons_out));
+        if fits { Ok(()) } else { Err(used) }
+    }
+
+    /// Adds a synapse of each source of a bundle.
+    fn synapse(&mut self, (source, bundle): (u32, u32), projection: usize, part: u64, slot: u16) {
+        let format = self.formats.by_projection()[projection];
+        let weight_bits = self.weight_bits[projection];
+        let axon_index = self.axon_of.get_or_insert(source, self.axons.len() as u32);
+        if axon_index as usize == self.axons.len() {
+            let placed = self.places.of_source(source).map(|(place, atom)| {
+                let first_slot = *self.begins.entry(place).or_insert(slot);
+                PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot), told: 0 }
+            });
+            self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
+            self.axons_in += bundle;
+        }
+        let axon = &mut self.axons[axon_index as usize];
+        if let Some(placed) = &mut axon.placed {
+            placed.tell(slot, format, projection, part);
+        }
+        let mut at = axon.last;
+        while let Some(index) = at {
+            if self.entries[index as usize].format == format {
+                break;
+            }
+            at = self.entries[index as usize].previous;
+        }
+        let index = at.unwrap_or_else(|| {
+            let index = self.entries.len() as u32;
+            let (previous, last_slot) = (axon.last.replace(index), slot);
+            let empty = Entry {
+                axon: axon_index,
+                previous,
+                format,
+                last_slot,
+                synapses: 0,
+                words: [0; 2],
+                delayed: false,
+                dense: true,
+                gap: Some(0),
+                compression: Compression::Dense,
+            };
+            self.entries.push(empty);
+            index
+        });
+        let entry = &mut self.entries[index as usize];
+        if entry.synapses > 0 {
+            let [plain, with_runs] = entry.classes();
+            self.groups[usize::from(format)][plain] -= 1;
+            self.groups_with_runs[usize::from(format)][with_runs] -= 1;
+            entry.dense &= slot == entry.last_slot + 1;
+            entry.gap = entry.gap.and_then(|gap| Some(gap.max((slot - entry.last_slot).checked_sub(1)?)));
+        }
+        entry.delayed |= self.delays[projection] > Delay::MIN;
+        entry.synapses += 1;
+        entry.last_slot = slot;
+        let group = entry.group(weight_bits);
+        let made = (self.widths, group);
+        let last = &mut self.last[usize::from(format)];
+        let Packed { words, compression, .. } = last.filter(|last| last.made == made).unwrap_or_else(|| {
+            let plain = packing::words(group, self.widths, self.limits);
+            let (compression, fewest) = packing::best(group, self.widths, self.limits);
+            *last.insert(Packed { made, words: [plain, fewest], compression })
+        });
+        entry.compression = compression;
+        let [class, class_with_runs] = entry.classes();
+        self.groups[usize::from(format)][class] += 1;
+        self.groups_with_runs[usize::from(format)][class_with_runs] += 1;
+        let before = std::mem::replace(&mut entry.words, words);
+        for (way, before) in before.into_iter().enumerate() {
+            // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
+            axon.words[way] = axon.words[way] + entry.words[way] - before;
+            self.widest[way] = self.widest[way].max(axon.words[way]);
+            let [now, before] = [entry.words[way], before].map(|words| u64::from(words) * u64::from(bundle));
+            self.words[way] = self.words[way] + now - before;
+        }
+        self.synapses += u64::from(bundle);
+    }
+
+    /// Counts all words again, with other widths.
+    fn recount(&mut self) {
+        (self.words, self.widest) = ([0; 2], [0; 2]);
+        self.axons.iter_mut().for_each(|axon| axon.words = [0; 2]);
+        for entry in &mut self.entries {
+            let group = entry.group(self.formats.get(entry.format).bits);
+            let (compression, fewest) = packing::best(group, self.widths, self.limits);
+            self.groups_with_runs[usize::from(entry.format)][entry.classes()[1]] -= 1;
+            entry.compression = compression;
+            self.groups_with_runs[usize::from(entry.format)][entry.classes()[1]] += 1;
+            entry.words = [packing::words(group, self.widths, self.limits), fewest];
+            for way in 0..2 {
+                let axon = &mut self.axons[entry.axon as usize];
+                axon.words[way] += entry.words[way];
+                self.words[way] += u64::from(entry.words[way]) * u64::from(axon.bundle);
+            }
+        }
+        for way in 0..2 {
+            self.widest[way] = self.axons.iter().map(|axon| axon.words[way]).max().unwrap_or(0);
+        }
+    }
+
+    /// Classes of places whose lists are the same, without and with runs.
+    fn classes(&self) -> [Vec<Class>; 2] {
+        let mut in_table = vec![[0u32; 2]; self.axons.len()];
+        for entry in &self.entries {
+            let group = entry.group(self.formats.get(entry.format).bits);
+            let plain = if entry.dense { Compression::Dense } else { Compression::Sparse };
+            for (way, compression) in [plain, entry.compression].into_iter().enumerate() {
+                in_table[entry.axon as usize][way] +=
+                    packing::words_in_table(group, compression, self.widths, self.limits);
+            }
+        }
+        let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
+        let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
+        placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
+        let mut classes: [Vec<Class>; 2] = Default::default();
+        let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
+        for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
+            let told = of_place.iter().map(|(placed, _)| (placed.atom, placed.told)).collect();
+            let next = classes[0].len();
+            let class = *known.entry(told).or_insert(next);
+            for (way, classes) in classes.iter_mut().enumerate() {
+                if class == next {
+                    let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
+                    classes.push(Class {
+                        places: 0,
+                        lists: of_place.iter().map(|&(_, at)| self.axons[at].bundle).sum(),
+                        atoms: of_place.last().map_or(0, |&(placed, at)| placed.atom + self.axons[at].bundle as u16),
+                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way] * self.axons[at].bundle).sum(),
+                        list_words: (words().min().unwrap_or(0), words().max().unwrap_or(0)),
+                    });
+                }
+                classes[class].places += 1;
+            }
+        }
+        classes
+    }
+
+    /// What the compartments so far use when lists are shared, output axons left out.
+    #[must_use]
+    pub fn usage_shared(&self) -> CoreUsage {
+        let (formats, axons) = (self.formats_in_use(), self.axons_in);
+        let of_way = |(way, classes): (usize, &Vec<Class>)| {
+            let sharing = axon_sharing::sharing(classes, self.limits);
+            let widest = classes.iter().zip(&sharing).filter(|(_, places)| **places > 0);
+            let widest = widest.map(|(class, _)| class.list_words.1).fold(self.widest[way], u32::max);
+            (axon_sharing::left(self.words[way], axons, classes, &sharing), widest)
+        };
+        let ways: Vec<((u64, u32), u32)> = self.classes().iter().enumerate().map(of_way).collect();
+        let runs = ways[1].0.0 < ways[0].0.0 && formats[1] <= self.limits.synapse_formats;
+        let way = usize::from(runs);
+        let ((synapse_words, axons_in), synapse_words_per_axon) = ways[way];
+        let synapse_formats = formats[way];
+        CoreUsage { axons_in, synapse_words, synapse_words_per_axon, synapse_formats, ..self.usage() }
+    }
+
+    /// Formats in use, without and with runs.
+    fn formats_in_use(&self) -> [u32; 2] {
+        let plain = self.groups.iter().flatten().filter(|&&groups| groups > 0).count() as u32;
+        let with_runs = self.groups_with_runs.iter().flatten().filter(|&&groups| groups > 0).count() as u32;
+        [plain, with_runs]
+    }
+
+    /// Whether the core stores runs, and the number of its formats.
+    fn runs(&self) -> (bool, u32) {
+        let [plain, with_runs] = self.formats_in_use();
+        match self.words[1] < self.words[0] && with_runs <= self.limits.synapse_formats {
+            true => (true, with_runs),
+            false => (false, plain),
+        }
+    }
+
+    /// What the compartments so far use with lists of their own, output axons left out.
+    #[must_use]
+    pub fn usage(&self) -> CoreUsage {
+        let compartments = self.members.len() as u32;
+        let (runs, formats) = self.runs();
+        let way = usize::from(runs);
+        CoreUsage {
+            compartments,
+            axons_in: self.axons_in,
+            axons_out: 0,
+            axons_out_per_compartment: 0,
+            synapses: self.synapses,
+            synapse_words: self.words[way],
+            synapse_words_per_axon: self.widest[way],
+            synapse_formats: formats,
+            compartment_profiles: self.profiles.len() as u32,
+            threshold_profiles: self.thresholds.len() as u32,
+            accumulators: compartments.saturating_mul(packing::delay_slots(self.longest)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::id::IdVec;
+    use crate::compile::resources::exact::usage;
+    use crate::compile::testing::{limits, random_network};
+    use crate::desc::target::Packing;
+    use crate::ir::partition::seats;
+    use crate::ir::quantised::Units;
+
+    #[test]
+    fn the_running_counts_equal_the_exact_ones() {
+        for seed in 0..80 {
+            let network = random_network(seed);
+            let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
+            let limits = Limits { packing, ..limits() };
+            let fan_in = FanIn::new(&network);
+            let mut filling = Filling::new(&network, &fan_in, &limits);
+            for (id, population) in network.populations().enumerate() {
+                let Units::Loihi { first, neurons, .. } = &population.units else { continue };
+                for index in 0..population.shape.len() {
+                    let (id, population) = (CompartmentId(first.0 + index), id);
+                    let neuron = neurons.get(index);
+                    filling.add(&Newcomer { id, population, index, neuron, slots_out: 0 }).unwrap();
+                }
+            }
+            let running = filling.usage_shared();
+            let members: IdVec<_, _> = vec![filling.next_core()].into();
+            let seats = seats(network.compartments(), &members).unwrap();
+            let mut exact = usage(&network, &members, &seats, &vec![0].into(), &limits).as_slice()[0];
+            (exact.axons_out, exact.axons_out_per_compartment) = (0, 0);
+            assert_eq!(running, exact, "seed {seed}");
+        }
+    }
+}

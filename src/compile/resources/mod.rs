@@ -1,0 +1,13 @@
+//! What a core has, and what compartments use of it.
+
+pub mod axon_sharing;
+pub mod axon_table;
+pub mod by_core;
+pub mod closed_form;
+pub mod exact;
+pub mod fan_in;
+pub mod fan_out;
+pub mod formats;
+pub mod incremental;
+pub mod packing;
+pub mod receptive_field;

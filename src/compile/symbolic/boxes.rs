@@ -1,0 +1,247 @@
+//! A network of layers cut into boxes, a core each, and what the boxes use and send.
+//!
+//! In comes a [`Layered`] network; out go its [`Boxes`]: the fewest that fit a target's limits, or those that lattices say.
+//! Where they are to be placed is not known yet: boxes stand in the order of populations and lattices, chip by chip, unless
+//! the chips are given.
+
+use std::collections::BTreeSet;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::compile::partition::{Members, row_of_chips};
+use crate::compile::reason::Reason;
+use crate::compile::resources::closed_form::{BoxUse, Layer};
+use crate::compile::resources::exact::profiles;
+use crate::compile::resources::formats::Formats;
+use crate::compile::resources::packing::MOST_SLOTS;
+use crate::compile::symbolic::layer::{self, Cut, Lattice};
+use crate::compile::symbolic::sends::{self, AllSends, Placed};
+use crate::compile::{CompileError, Options, all_copies, does_not_fit};
+use crate::desc::target::{Limits, Target};
+use crate::ir::graph::PerCompartment;
+use crate::ir::partition::{CoreUsage, Resource};
+use crate::ir::quantised::{Neurons, Quantised, Units};
+
+/// Rounds of making boxes smaller because their output axons do not fit.
+const ROUNDS: usize = 12;
+
+/// Where every layer is cut; none for inputs.
+pub type Lattices = IdVec<PopulationId, Option<Lattice>>;
+
+/// A network of layers.
+#[derive(Debug, Clone)]
+pub struct Layered {
+    /// One copy.
+    pub one: Quantised,
+    /// All copies.
+    pub all: Quantised,
+    /// The layers of all copies.
+    pub layers: IdVec<PopulationId, Layer>,
+    formats: Formats,
+}
+
+impl Layered {
+    /// So many copies of a network.
+    ///
+    /// # Errors
+    /// [`CompileError::DoesNotFit`] when it has more compartments than the target; [`CompileError::Input`] when it is not made
+    /// of layers or cannot be copied so often.
+    pub fn new(one: Quantised, target: &Target, options: &Options) -> Result<Self, CompileError> {
+        let (limits, compartments) = (target.limits(), u64::from(one.compartments()) * u64::from(options.copies));
+        if compartments > u64::from(target.cores()) * u64::from(limits.compartments) {
+            return Err(does_not_fit(Reason::of_compartments(target, limits, options.copies, compartments)));
+        }
+        let all = all_copies(&one, options)?;
+        let not_layers = || {
+            let message =
+                "a projection is neither a window nor all to all, so the network cannot be described by layers";
+            CompileError::Input(Diagnostic::new("map.layers", message))
+        };
+        let layers = layer::layers(&all).ok_or_else(not_layers)?;
+        let formats = Formats::of(&all);
+        Ok(Layered { one, all, layers, formats })
+    }
+
+    /// The fewest boxes of which each fits a core with at most so many compartments, before output axons are counted.
+    fn fewest(&self, most: &IdVec<PopulationId, u32>, limits: &Limits, cuts: &mut Cuts) -> Result<(), CompileError> {
+        let mut reasons = Vec::new();
+        for (id, population) in self.all.populations().enumerate() {
+            if population.first_compartment().is_none() || cuts[id].is_some() {
+                continue;
+            }
+            match Cut::of(&self.layers[id], &self.formats, limits, most[id]) {
+                Ok(cut) => cuts[id] = Some(cut),
+                Err(alone) => reasons.extend(
+                    alone
+                        .usage
+                        .excesses(limits)
+                        .map(|(resource, need, limit)| Reason::of_population(&population.name, resource, need, limit)),
+                ),
+            }
+        }
+        if reasons.is_empty() { Ok(()) } else { Err(CompileError::DoesNotFit(reasons)) }
+    }
+
+    fn no_cuts(&self) -> Cuts {
+        vec![None; self.layers.len()].into()
+    }
+
+    /// Whether boxes within these limits are no more than the cores of the target, as far as output axons leave it at that.
+    #[must_use]
+    pub fn may_fit(&self, limits: &Limits, target: &Target) -> bool {
+        let most = vec![limits.compartments.min(MOST_SLOTS); self.layers.len()].into();
+        let mut cuts = self.no_cuts();
+        let fewest = self.fewest(&most, limits, &mut cuts);
+        let boxes: u64 = cuts.iter().flatten().map(|cut| u64::from(cut.lattice.boxes())).sum();
+        fewest.is_ok() && boxes <= u64::from(target.cores())
+    }
+}
+
+type Cuts = IdVec<PopulationId, Option<Cut>>;
+
+/// A network in boxes, a core each.
+#[derive(Debug, Clone)]
+pub struct Boxes {
+    /// Where each layer is cut, and its first core.
+    pub placed: IdVec<PopulationId, Option<Placed>>,
+    /// The compartments of every box, in slot order.
+    pub members: Members,
+    /// What boxes and inputs send.
+    pub sends: AllSends,
+    /// The layer of each box.
+    pub layer: IdVec<CoreId, PopulationId>,
+    /// What each box uses.
+    pub uses: Vec<BoxUse>,
+}
+
+impl Boxes {
+    /// Cuts every layer into the fewest boxes, smaller where their output axons do not fit.
+    ///
+    /// # Errors
+    /// [`CompileError::DoesNotFit`].
+    pub fn fewest(network: &Layered, target: &Target, options: &Options) -> Result<Self, CompileError> {
+        let limits = target.limits();
+        let mut most: IdVec<PopulationId, u32> = vec![limits.compartments.min(MOST_SLOTS); network.layers.len()].into();
+        let mut cuts = network.no_cuts();
+        for round in 0.. {
+            network.fewest(&most, limits, &mut cuts)?;
+            let boxes: u64 = cuts.iter().flatten().map(|cut| u64::from(cut.lattice.boxes())).sum();
+            if boxes > u64::from(target.cores()) {
+                return Err(does_not_fit(Reason::of_cores(target, options.copies, boxes)));
+            }
+            let found = Boxes::of_cuts(network, &cuts);
+            let chips = row_of_chips(found.members.len(), target);
+            let usage = found.usage(&network.all, &chips, limits);
+            let mut reasons: Vec<Reason> = Vec::new();
+            for (core, used) in usage.enumerate() {
+                let id = found.layer[core];
+                let name = &network.all.populations()[id].name;
+                for (resource, need, limit) in used.excesses(limits) {
+                    // What one compartment sends, and what is too much for one alone, no smaller box makes less.
+                    let held = u64::from(used.compartments);
+                    if resource == Resource::AxonsOutPerCompartment || held == 1 || round == ROUNDS {
+                        let reason = Reason::of_population(name, resource, need, limit);
+                        if !reasons
+                            .iter()
+                            .any(|other| other.resource == resource && other.population == reason.population)
+                        {
+                            reasons.push(reason);
+                        }
+                        continue;
+                    }
+                    let fitting = (held * limit / need).max(1) as u32;
+                    if fitting < most[id] {
+                        (most[id], cuts[id]) = (fitting, None);
+                    }
+                }
+            }
+            if !reasons.is_empty() {
+                return Err(CompileError::DoesNotFit(reasons));
+            }
+            if cuts.enumerate().all(|(id, cut)| cut.is_some() || found.placed[id].is_none()) {
+                return Ok(found);
+            }
+        }
+        unreachable!("the last round gives reasons or boxes")
+    }
+
+    /// The boxes of these lattices, whether or not they fit; none may hold more than [`MOST_SLOTS`] compartments.
+    #[must_use]
+    pub fn of_lattices(network: &Layered, lattices: &Lattices, limits: &Limits) -> Self {
+        let cut = |(id, lattice): (PopulationId, &Option<Lattice>)| {
+            lattice.map(|lattice| Cut::new(&network.layers[id], lattice, &network.formats, limits))
+        };
+        Boxes::of_cuts(network, &lattices.enumerate().map(cut).collect())
+    }
+
+    fn of_cuts(network: &Layered, cuts: &Cuts) -> Self {
+        let mut next = 0;
+        let mut placed: IdVec<PopulationId, Option<Placed>> = IdVec::new();
+        let (mut members, mut layer, mut uses) = (Members::new(), IdVec::new(), Vec::new());
+        for (id, population) in network.all.populations().enumerate() {
+            let (Some(first), Some(cut)) = (population.first_compartment(), cuts[id].clone()) else {
+                placed.push(None);
+                continue;
+            };
+            for held in cut.lattice.members(&network.layers[id]) {
+                members.push(held.into_iter().map(|index| CompartmentId(first.0 + index)).collect());
+                layer.push(id);
+            }
+            uses.extend(cut.lattice.order().map(|at| cut.used(at).clone()));
+            let boxes = cut.lattice.boxes();
+            placed.push(Some(Placed { cut, first: next }));
+            next += boxes;
+        }
+        let sends = sends::sends(&network.all, &network.layers, &placed, &members);
+        Boxes { placed, members, sends, layer, uses }
+    }
+
+    /// Where every layer is cut.
+    #[must_use]
+    pub fn lattices(&self) -> Lattices {
+        self.placed.iter().map(|placed| placed.as_ref().map(|placed| placed.cut.lattice)).collect()
+    }
+
+    /// The kind of each box: those of one kind use the same, output axons excepted.
+    pub fn kinds(&self) -> impl Iterator<Item = (u32, (u32, u32, u32))> {
+        self.placed
+            .iter()
+            .flatten()
+            .flat_map(|Placed { cut, first }| cut.lattice.order().map(move |at| (*first, cut.kind(at))))
+    }
+
+    /// What every core uses, with its chip given.
+    #[must_use]
+    pub fn usage(&self, network: &Quantised, chips: &IdVec<CoreId, u32>, limits: &Limits) -> IdVec<CoreId, CoreUsage> {
+        let of = |(core, held): (CoreId, &Vec<CompartmentId>)| {
+            let (axons_out, axons_out_per_compartment) =
+                sends::axons(core.index(), &self.sends.cores[core.index()], chips, limits);
+            let axons_out = u32::try_from(axons_out).unwrap_or(u32::MAX);
+            let (compartment_profiles, threshold_profiles) = profiles_of(network, held);
+            CoreUsage {
+                axons_out,
+                axons_out_per_compartment,
+                compartment_profiles,
+                threshold_profiles,
+                ..self.uses[core.index()].usage
+            }
+        };
+        self.members.enumerate().map(of).collect()
+    }
+}
+
+/// Distinct compartment and threshold profiles of compartments of one population.
+fn profiles_of(network: &Quantised, held: &[CompartmentId]) -> (u32, u32) {
+    let Some(&id) = held.first() else { return (0, 0) };
+    let (population, index) = network.population_of(id);
+    let Units::Loihi { first, neurons, .. } = &network.populations()[population].units else { return (0, 0) };
+    let Neurons { du, dv, vth, refractory, .. } = neurons;
+    let same = matches!(
+        (du, dv, vth, refractory),
+        (PerCompartment::Same(_), PerCompartment::Same(_), PerCompartment::Same(_), PerCompartment::Same(_))
+    );
+    let looked_at = if same { &[CompartmentId(first.0 + index)][..] } else { held };
+    let all = looked_at.iter().map(|id| profiles(&neurons.get(id.0 - first.0)));
+    let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = all.unzip();
+    (profiles.len() as u32, thresholds.len() as u32)
+}

@@ -1,0 +1,154 @@
+//! Boxes as a file, and back.
+//!
+//! Out goes, layer by layer, the size of a box and the core of each. In come such a file and a network: where layers are cut
+//! and where boxes sit are taken from it after checking that they are of this network and target; everything else is
+//! counted again. Nothing is made of the size that a file asks for before the file has been found to hold as much.
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
+use crate::compile::mapping_file::Membership;
+use crate::compile::resources::closed_form::Layer;
+use crate::compile::resources::packing::MOST_SLOTS;
+use crate::compile::symbolic::boxes::Lattices;
+use crate::compile::symbolic::layer::{self, Lattice};
+use crate::desc::mapping::{MappedLayer, MappingFile, OnChip};
+use crate::desc::target::Target;
+use crate::ir::placement::{Mesh, Placement, Site};
+use crate::ir::quantised::Quantised;
+
+/// Where layers are cut, and where the boxes sit, in the order of populations.
+#[derive(Debug, Clone)]
+pub struct Outline {
+    /// Of each population that is mapped.
+    pub lattices: Lattices,
+    /// Of each box.
+    pub placement: Placement,
+}
+
+/// The layers of a file.
+#[must_use]
+pub fn layers_of(network: &Quantised, outline: &Outline) -> Vec<MappedLayer> {
+    let (mesh, mut sites) = (outline.placement.mesh(), outline.placement.sites().iter());
+    let mut layers = Vec::new();
+    for (id, population) in network.populations().enumerate() {
+        let Some(lattice) = &outline.lattices[id] else { continue };
+        let mut places: Vec<OnChip> = Vec::new();
+        for site in sites.by_ref().take(lattice.boxes() as usize) {
+            let core = (site.y * mesh.width + site.x) * mesh.cores_per_tile + site.core;
+            match places.last_mut() {
+                Some(on) if on.chip == site.chip => on.cores.push(core),
+                _ => places.push(OnChip { chip: site.chip, cores: vec![core] }),
+            }
+        }
+        layers.push(MappedLayer { population: population.name.clone(), size: lattice.size, places });
+    }
+    layers
+}
+
+/// The core of this number on this chip.
+///
+/// # Errors
+/// `mapping.site` when there is none.
+pub fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site, Diagnostic> {
+    let inside = chip < mesh.chips_x * mesh.chips_y && core < mesh.cores_per_chip;
+    let site = inside.then(|| mesh.site(chip * mesh.cores_per_chip + core)).flatten();
+    let none =
+        || Diagnostic::new("mapping.site", format!("core {core} of chip {chip} of the mapping is not on the target"));
+    site.ok_or_else(none)
+}
+
+/// What a file says of the boxes of a network of layers, all copies.
+///
+/// # Errors
+/// A diagnostic that names the population whose boxes are missing, not of its layer, or too many or too few for their
+/// places; or the place that is not on the target or taken.
+pub fn outline(
+    file: &MappingFile,
+    network: &Quantised,
+    layers: &IdVec<PopulationId, Layer>,
+    target: &Target,
+) -> Result<Outline, Diagnostic> {
+    let wrong = |code, message: String| Err(Diagnostic::new(code, message));
+    if !file.cores.is_empty() {
+        let message = "the mapping lists compartments core by core, where boxes of layers are wanted".to_string();
+        return wrong("mapping.layers", message);
+    }
+    if file.pruned.is_some() {
+        return wrong("mapping.pruned", "a mapping of boxes is of the whole network, not of a pruned one".to_string());
+    }
+    let mut found: IdVec<PopulationId, Option<(Lattice, &MappedLayer)>> = vec![None; layers.len()].into();
+    for mapped in &file.layers {
+        let MappedLayer { population: name, size, .. } = mapped;
+        let id = network.population_named(name);
+        let Some(id) = id.filter(|&id| network.populations()[id].first_compartment().is_some()) else {
+            return wrong(
+                "mapping.population",
+                format!("the mapping holds boxes of {name}, which is no population of compartments"),
+            );
+        };
+        if found[id].is_some() {
+            return wrong("mapping.twice", format!("layer {name} is mapped twice"));
+        }
+        let (shape, (channels, rows, columns)) = (layers[id].shape, *size);
+        let Some(lattice) = Lattice::new(shape, *size) else {
+            return wrong(
+                "mapping.box",
+                format!("boxes of {channels} x {rows} x {columns} do not fit {name}, which has {shape:?}"),
+            );
+        };
+        let held = u64::from(channels) * u64::from(rows) * u64::from(columns);
+        if held > u64::from(MOST_SLOTS) {
+            return wrong(
+                "mapping.slots",
+                format!("a box of {name} holds {held} compartments, more than {MOST_SLOTS}"),
+            );
+        }
+        let (boxes, places) = (u64::from(lattice.boxes()), mapped.places().count() as u64);
+        if boxes != places {
+            return wrong(
+                "mapping.places",
+                format!("layer {name} has {boxes} boxes, and the mapping places for {places}"),
+            );
+        }
+        found[id] = Some((lattice, mapped));
+    }
+    let mesh = Mesh::of(target);
+    let mut sites: IdVec<CoreId, Site> = IdVec::new();
+    for (id, population) in network.populations().enumerate() {
+        match found[id] {
+            Some((_, mapped)) => {
+                for place in mapped.places() {
+                    sites.push(site(&mesh, place)?);
+                }
+            }
+            None if population.first_compartment().is_some() => {
+                return wrong("mapping.missing", format!("layer {} is not in the mapping", population.name));
+            }
+            None => {}
+        }
+    }
+    let placement = Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))?;
+    Ok(Outline { lattices: found.iter().map(|found| found.map(|(lattice, _)| lattice)).collect(), placement })
+}
+
+/// The membership and the places that a file of boxes gives, for a network small enough to be written out.
+///
+/// # Errors
+/// As [`outline`]; `mapping.layers` when the network is not made of layers.
+pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<Membership, Diagnostic> {
+    let not_layers = || {
+        let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor all \
+                       to all";
+        Diagnostic::new("mapping.layers", message)
+    };
+    let layers = layer::layers(network).filter(|_| network.pruned().is_none()).ok_or_else(not_layers)?;
+    let Outline { lattices, placement } = outline(file, network, &layers, target)?;
+    let mut members: IdVec<CoreId, Vec<CompartmentId>> = IdVec::new();
+    for (id, population) in network.populations().enumerate() {
+        let (Some(first), Some(lattice)) = (population.first_compartment(), lattices[id]) else { continue };
+        for held in lattice.members(&layers[id]) {
+            members.push(held.into_iter().map(|index| CompartmentId(first.0 + index)).collect());
+        }
+    }
+    Ok((members, placement.sites().clone()))
+}

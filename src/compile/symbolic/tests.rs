@@ -1,0 +1,366 @@
+//! Described mappings against the same mappings with every synapse written out.
+
+use super::*;
+use crate::base::fixed::SignMode;
+use crate::base::rng;
+use crate::compile::explore::cost_estimate::{score, score_at};
+use crate::compile::explore::traffic::{links, traffic};
+use crate::compile::mapping_file::one_copy;
+use crate::compile::resources::fan_in::first_source;
+use crate::compile::symbolic::cost::only;
+use crate::compile::testing::{Builder, format, limits, neurons, plain_format, target};
+use crate::compile::{self, Partitioned, compile_with_mapping};
+use crate::desc::mapping::{MappedLayer, OnChip};
+use crate::desc::target::{Limits, Packing};
+use crate::ir::graph::{PerCompartment, Shape, Window};
+use crate::ir::partition::{CoreUsage, Resource};
+use crate::ir::quantised::{Connectivity, SynapseFormat};
+
+/// A weight of a format; those near each other differ: kernels in which parts repeat would share more tables than geometry
+/// can tell.
+fn weight(format: SynapseFormat, seed: u64, layer: u64, at: u64) -> i16 {
+    let (low, high) = format.sign.range(format.bits);
+    let step = format.sign.step(format.bits);
+    let levels = ((high - low) / step + 1) as u64;
+    low + step * ((rng::below(levels, seed, layer, at / levels) + at) * 37 % levels) as i16
+}
+
+/// Two inputs and layers of windows, some of which skip a layer or see their own channel only, and a dense one at the end.
+fn layered(seed: u64) -> Quantised {
+    let draw = |n: u64, k: u64| rng::below(n, seed, 9, k) as u32;
+    let mut net = Builder::new();
+    let side = |k: u64| 5 + draw(14, k);
+    let (h, w) = (side(0), side(1));
+    let volume = |c, h, w| Shape::Volume(c, h, w);
+    let mut all = vec![(net.input_shape("in", volume(2, h, w)), (2, h, w))];
+    for layer in 0..3u64 {
+        let k = 100 * (layer + 1);
+        let (from, source) = all[all.len() - 1];
+        let (kernel, stride) = ((1 + draw(3, k), 1 + draw(3, k + 1)), (1 + draw(2, k + 2), 1 + draw(2, k + 3)));
+        let (padding, dilation) = ((draw(2, k + 4), draw(2, k + 5)), (1 + draw(2, k + 6), 1));
+        let own = draw(3, k + 7) == 0;
+        let groups = if own { source.0 } else { [1, 2][draw(2, k + 8) as usize] };
+        let channels = if own { source.0 } else { 2 * (1 + draw(4, k + 9)) };
+        let reach = |size: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
+            (size + 2 * padding).saturating_sub(dilation * (kernel - 1) + 1) / stride + 1
+        };
+        let shape = (
+            channels,
+            reach(source.1, kernel.0, stride.0, padding.0, dilation.0),
+            reach(source.2, kernel.1, stride.1, padding.1, dilation.1),
+        );
+        let window = Window { source, target: shape, kernel, stride, padding, dilation, groups };
+        let mut own_neurons = neurons();
+        if draw(2, k + 10) == 0 {
+            let n = shape.0 * shape.1 * shape.2;
+            let of = |i: u32| crate::base::fixed::Decay::new(i64::from(i % 3) * 100).unwrap();
+            own_neurons.du = PerCompartment::Each((0..n).map(of).collect());
+        }
+        let to = net.loihi_with(&format!("layer{layer}"), volume(shape.0, shape.1, shape.2), own_neurons);
+        let sign = [SignMode::Mixed, SignMode::Excitatory][draw(2, k + 11) as usize];
+        let kind = format(0, sign, [8, 6][draw(2, k + 12) as usize]);
+        let delay = i64::from([0, 0, 2][draw(3, k + 13) as usize]);
+        if own && draw(2, k + 14) == 0 {
+            net.connect((from, to), kind, delay, Connectivity::SumPool2d { window, weight: 8 });
+        } else {
+            let weights = (shape.0 * source.0 / groups * kernel.0 * kernel.1) as usize;
+            let kernel = (0..weights).map(|i| weight(kind, seed, k, i as u64)).collect();
+            net.connect((from, to), kind, delay, Connectivity::Conv2d { window, kernel });
+        }
+        // Itself, as recurrent convolutions have it.
+        if draw(3, k + 15) == 0 {
+            let once = Window {
+                source: shape,
+                target: shape,
+                kernel: (3, 1),
+                stride: (1, 1),
+                padding: (1, 0),
+                dilation: (1, 1),
+                groups: 1,
+            };
+            let own = format(0, SignMode::Mixed, 8);
+            let weights = u64::from(shape.0 * shape.0 * 3);
+            let kernel = (0..weights).map(|i| weight(own, seed, k + 1, i)).collect();
+            net.connect((to, to), own, 0, Connectivity::Conv2d { window: once, kernel });
+        }
+        all.push((to, shape));
+    }
+    let out = net.loihi("out", 11);
+    let plain = plain_format();
+    net.dense(all[3].0, out, |s, t| weight(plain, seed, 1, u64::from(s * 11 + t)));
+    if draw(2, 50) == 0 {
+        net.dense(all[2].0, out, |s, t| weight(plain, seed, 2, u64::from(s * 11 + t)));
+    }
+    net.build()
+}
+
+fn small(seed: u64) -> Limits {
+    let packing = if seed.is_multiple_of(2) { Packing::Nengo } else { Packing::Nxtf };
+    Limits { compartments: 24 + (seed % 40) as u32, synapse_words: 2_000, packing, ..limits() }
+}
+
+#[test]
+fn counts_traffic_and_cost_are_those_of_the_written_program() {
+    let mut several = 0;
+    for seed in 0..60 {
+        let board = target(8, 4, small(seed));
+        let options = Options { copies: 1 + (seed % 3) as u32, place: seed % 4 > 0, effort_s: 0, ..Options::default() };
+        let made = describe(layered(seed), &board, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
+        let network = &made.quantised;
+        let chips = row_of_chips(made.partition.cores(), &board);
+        let (members, seats) = (made.partition.members(), made.partition.seats());
+        let exact = compile::resources::exact::usage(network, members, seats, &chips, board.limits());
+        assert_eq!(made.partition.usage().as_slice(), exact.as_slice(), "seed {seed}");
+        let Described { one, quantised: all, partition, placement, placed: name, rates, .. } = made.clone();
+        let partitioned = Partitioned { one, all, partition, rates, clock: Clock::default() };
+        let sited = compile::Sited { partitioned, placement, name };
+        let written = sited.routed(&board, &options).unwrap().proved(&board).unwrap();
+        let of_program = traffic(&written.program, &written.rates);
+        assert_eq!(made.traffic(), of_program, "seed {seed}");
+        assert_eq!(made.links().busiest(), links(&written.program, &written.rates).busiest(), "seed {seed}");
+        assert_eq!(made.score(&of_program, &board).unwrap(), score(&written, &board).unwrap(), "seed {seed}");
+        // A step in which all sources of one population spike.
+        let network = &made.quantised;
+        let ids: Vec<_> = network.populations().ids().collect();
+        let id = ids[seed as usize % ids.len()];
+        let mut spikes = vec![0; (network.channels() + network.compartments()) as usize];
+        let (first, population) = (first_source(network, &network.populations()[id]), &network.populations()[id]);
+        spikes[first as usize..(first + population.shape.len()) as usize].fill(1);
+        let (channels, compartments) = spikes.split_at(network.channels() as usize);
+        let meant = score_at(&written, &Rates::profile(channels, compartments, 1), &board).unwrap();
+        let counted = made.whereabouts().score(&only(network, id, &Rates::assumed(1.0)), &board, options.copies);
+        assert_eq!(counted.unwrap(), meant, "seed {seed} {}", population.name);
+        several += usize::from(written.partition.cores() > 8);
+    }
+    assert!(several > 30, "{several} networks take several cores");
+}
+
+#[test]
+fn output_axons_make_boxes_smaller() {
+    let few = Limits { axons_out: 24, ..small(1) };
+    let options = Options { effort_s: 0, ..Options::default() };
+    let (many, plain) = (target(8, 8, few), target(8, 8, Limits { axons_out: 4096, ..few }));
+    let cores = |board: &Target| describe(layered(3), board, &options).unwrap().partition.cores();
+    assert!(cores(&many) > cores(&plain), "{} and {}", cores(&many), cores(&plain));
+    let none = Limits { axons_out: 1, ..few };
+    let Err(CompileError::DoesNotFit(reasons)) = describe(layered(3), &target(8, 8, none), &options) else {
+        panic!("it fits")
+    };
+    assert!(reasons.iter().all(|reason| reason.resource == Resource::AxonsOut), "{reasons:?}");
+}
+
+#[test]
+fn what_cannot_be_described_is_said() {
+    let board = target(1, 1, limits());
+    let mut net = Builder::new();
+    let (a, b) = (net.input("a", 20), net.loihi("b", 5));
+    net.random(a, b, 2, 1);
+    assert!(layer::layers(&net.build()).is_none());
+    let sequential = Options { strategy: Strategy::Sequential, ..Options::default() };
+    let said = describe(layered(1), &board, &sequential).unwrap_err().to_string();
+    assert!(said.contains("no sequential mapping"), "{said}");
+    assert!(!applies(&layered(1), 1));
+    assert!(applies(&layered(1), u32::MAX));
+}
+
+#[test]
+fn a_wrong_count_is_found() {
+    let board = target(8, 4, small(2));
+    let options = Options { effort_s: 0, ..Options::default() };
+    let made = describe(layered(2), &board, &options).unwrap();
+    let chips = row_of_chips(made.partition.cores(), &board);
+    let every: Vec<CoreId> = made.partition.usage().ids().collect();
+    let checked = |change: fn(&mut CoreUsage), cores: &[CoreId]| {
+        let mut usage = made.partition.usage().clone();
+        change(&mut usage[CoreId(1)]);
+        let members = made.partition.members().clone();
+        let partition = Partition::new(made.quantised.compartments(), members, usage, board.limits()).unwrap();
+        check::check(&made.quantised, &partition, cores, &chips, board.limits())
+    };
+    checked(|_| {}, &every).unwrap();
+    for change in [
+        |used: &mut CoreUsage| used.synapses -= 1,
+        |used: &mut CoreUsage| used.synapse_words -= 1,
+        |used: &mut CoreUsage| used.axons_in -= 1,
+        |used: &mut CoreUsage| used.axons_out += 1,
+        |used: &mut CoreUsage| used.compartment_profiles += 1,
+    ] {
+        assert!(checked(change, &every).is_err());
+    }
+    // The sum of synapses needs no core.
+    assert!(checked(|used| used.synapses -= 1, &[]).is_err());
+}
+
+/// A mapping in boxes, its board, and how it was made.
+fn saved(seed: u64, copies: u32) -> (Described, Target, Options) {
+    let board = target(8, 4, small(seed));
+    let options = Options { copies, place: !seed.is_multiple_of(4), effort_s: 0, ..Options::default() };
+    (describe(layered(seed), &board, &options).unwrap(), board, options)
+}
+
+#[test]
+fn a_saved_mapping_is_made_again_and_also_written_out() {
+    for seed in 0..24 {
+        let (made, board, options) = saved(seed, 1 + (seed % 3) as u32);
+        let file: MappingFile = ron::from_str(&ron::to_string(&made.mapping_file()).unwrap()).unwrap();
+        let again = describe_saved(layered(seed), &board, &options, &file).unwrap();
+        assert_eq!(again.partition, made.partition, "seed {seed}");
+        assert_eq!((&again.placement, again.placed), (&made.placement, place::SAVED), "seed {seed}");
+        assert_eq!(again.mapping_file(), file, "seed {seed}");
+        let traffic = made.traffic();
+        assert_eq!(again.traffic(), traffic, "seed {seed}");
+        assert_eq!(again.score(&traffic, &board).unwrap(), made.score(&traffic, &board).unwrap(), "seed {seed}");
+        // A network that can be written out takes the same file.
+        let written = compile_with_mapping(layered(seed), &board, &options, &file).unwrap();
+        assert_eq!((&written.partition, &written.placement), (&made.partition, &made.placement), "seed {seed}");
+        let one = Options { copies: 1, ..options };
+        let first = compile_with_mapping(layered(seed), &board, &one, &one_copy(&file)).unwrap();
+        let of_first = written.placement.sites().as_slice();
+        assert_eq!(first.placement.sites().as_slice(), &of_first[..first.partition.cores()], "seed {seed}");
+    }
+}
+
+#[test]
+fn files_that_say_what_cannot_be_are_refused() {
+    let (made, board, options) = saved(2, 2);
+    let good = made.mapping_file();
+    let load = |file: &MappingFile| describe_saved(layered(2), &board, &options, file);
+    load(&good).unwrap();
+    let refused = |change: &dyn Fn(&mut MappingFile), code: &str, word: &str| {
+        let mut file = good.clone();
+        change(&mut file);
+        match load(&file) {
+            Err(CompileError::Input(diagnostic)) => {
+                assert_eq!(diagnostic.code, code, "{diagnostic}");
+                assert!(diagnostic.message.contains(word), "{diagnostic}");
+            }
+            other => panic!("{code}: {:?}", other.map(|made| made.partition.cores())),
+        }
+    };
+    refused(&|f| f.model = "other".into(), "mapping.model", "other");
+    refused(&|f| f.target = "tiny".into(), "mapping.target", "tiny");
+    refused(&|f| f.copies = 3, "mapping.copies", "3 copies");
+    refused(&|f| f.layers[0].population = "ghost".into(), "mapping.population", "ghost");
+    refused(&|f| f.layers[0].population = "in".into(), "mapping.population", "in");
+    refused(&|f| f.layers[1].population = "layer0".into(), "mapping.twice", "layer0");
+    refused(&|f| f.layers[0].size.1 = 0, "mapping.box", "layer0");
+    refused(&|f| f.layers[0].size.2 = u32::MAX, "mapping.box", "layer0");
+    refused(&|f| f.layers[0].places[0].cores.push(0), "mapping.places", "layer0");
+    refused(&|f| f.layers[0].places.clear(), "mapping.places", "places for 0");
+    refused(&|f| drop(f.layers.pop()), "mapping.missing", "out@1");
+    refused(&|f| f.layers[0].places[0].chip = u32::MAX, "mapping.site", "chip");
+    refused(&|f| f.layers[0].places[0].cores[0] = u32::MAX, "mapping.site", "core");
+    let taken = |f: &mut MappingFile| f.layers[1].places[0] = f.layers[0].places[0].clone();
+    refused(&|f| f.layers.iter_mut().take(2).for_each(|of| of.size = (1, 1, 1)), "mapping.places", "boxes");
+    let one = |at: u32| vec![OnChip { chip: 0, cores: vec![at] }];
+    let whole = |population: &str, size, at| MappedLayer { population: population.into(), size, places: one(at) };
+    let shape = layer::layers(&layered(2)).unwrap().as_slice()[1].shape;
+    // All of a layer on one core: more than it holds, though every number is legal.
+    let mut file = good.clone();
+    file.layers[0] = whole("layer0", shape, good.layers[0].places[0].cores[0]);
+    match load(&file) {
+        Err(CompileError::DoesNotFit(reasons)) => {
+            assert!(reasons.iter().any(|reason| reason.resource == Resource::Compartments), "{reasons:?}");
+        }
+        other => panic!("{:?}", other.map(|made| made.partition.cores())),
+    }
+    if good.layers[0].places[0].cores.len() == good.layers[1].places[0].cores.len() {
+        refused(&taken, "mapping.site", "same physical core");
+    }
+    refused(&|f| f.layers[1].places[0].cores[0] = f.layers[0].places[0].cores[0], "mapping.site", "same physical core");
+    refused(&|f| f.cores.push(listed()), "mapping.layers", "core by core");
+}
+
+fn listed() -> crate::desc::mapping::MappedCore {
+    crate::desc::mapping::MappedCore { chip: 0, x: 0, y: 0, core: 0, holds: Vec::new() }
+}
+
+#[test]
+fn no_file_makes_it_contradict_itself() {
+    let (made, board, options) = saved(3, 1);
+    let good = made.mapping_file();
+    let mut loaded = 0;
+    for seed in 0..300u64 {
+        let draw = |n: u64, k: u64| rng::below(n, seed, 77, k);
+        let mut file = good.clone();
+        for k in 0..1 + draw(3, 0) {
+            let k = 10 * (k + 1);
+            let value = [0, 1, 2, 3, 7, 64, 1 << 16, u32::MAX][draw(8, k) as usize];
+            let layers = file.layers.len() as u64;
+            let of = &mut file.layers[draw(layers, k + 1) as usize];
+            let places = of.places.len() as u64;
+            match draw(6, k + 2) {
+                0 => of.size.0 = value,
+                1 => of.size.1 = value,
+                2 => of.size.2 = value,
+                3 if places > 0 => of.places[draw(places, k + 3) as usize].chip = value,
+                4 if places > 0 => of.places[draw(places, k + 3) as usize].cores.push(value),
+                _ if places > 0 => of.places[draw(places, k + 3) as usize].cores.iter_mut().for_each(|c| *c ^= value),
+                _ => {}
+            }
+        }
+        for result in [
+            describe_saved(layered(3), &board, &options, &file).map(drop),
+            compile_with_mapping(layered(3), &board, &options, &file).map(drop),
+        ] {
+            match result {
+                Ok(()) => loaded += 1,
+                Err(CompileError::Fault(message)) => panic!("seed {seed}: {message}"),
+                Err(CompileError::Input(_) | CompileError::DoesNotFit(_)) => {}
+            }
+        }
+    }
+    assert!(loaded > 0, "some changes are harmless");
+}
+
+#[test]
+fn objectives_take_the_best_candidate_and_never_a_worse_one() {
+    let mut changed = [0, 0];
+    for seed in 0..8 {
+        // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
+        let board = target(8, 8, limits());
+        let options = Options { effort_s: 1, place: false, ..Options::default() };
+        let found = candidates(layered(seed), &board, &options).unwrap();
+        assert!(found.len() > 2 && !found[0].candidate.placed && found[0].candidate.divisor == 1, "seed {seed}");
+        for (which, objective) in [Objective::Energy, Objective::Latency].into_iter().enumerate() {
+            let options = Options { objective, ..options };
+            let found = candidates(layered(seed), &board, &options).unwrap();
+            let made = describe(layered(seed), &board, &options).unwrap();
+            let score = made.score(&made.traffic(), &board).unwrap();
+            assert!(found.iter().any(|one| one.score == score), "seed {seed}: the mapping is one of the candidates");
+            let plain = found[0].score;
+            if objective == Objective::Energy {
+                let least = found.iter().map(|one| one.score.energy_uj).fold(f64::INFINITY, f64::min);
+                assert_eq!(score.energy_uj, least, "seed {seed}");
+            } else {
+                assert!(score.step_us <= plain.step_us, "seed {seed}");
+                let all = everywhere(&made.quantised, &Rates::assumed(1.0));
+                let burst = made.whereabouts().score(&all, &board, 1).unwrap().step_us;
+                let unplaced =
+                    describe(layered(seed), &board, &Options { place: false, objective: Objective::Cores, ..options });
+                let unplaced = unplaced.unwrap().whereabouts().score(&all, &board, 1).unwrap().step_us;
+                assert!(burst <= unplaced, "seed {seed}: {burst} and {unplaced} when all spike");
+            }
+            changed[which] += usize::from(score.cores > plain.cores);
+        }
+    }
+    assert!(changed[1] > 2, "smaller boxes are faster: {changed:?}");
+}
+
+#[test]
+fn profiles_make_boxes_smaller() {
+    // A population of which every third compartment has its own decay.
+    let few = Limits { compartment_profiles: 2, ..small(1) };
+    let options = Options { effort_s: 0, ..Options::default() };
+    let several = (0..20).filter(|&seed| {
+        let plain = describe(layered(seed), &target(8, 8, small(1)), &options).unwrap();
+        plain.partition.usage().iter().any(|used| used.compartment_profiles > 2)
+    });
+    let mut seen = 0;
+    for seed in several.collect::<Vec<_>>() {
+        let made = describe(layered(seed), &target(16, 16, few), &options).unwrap();
+        assert!(made.partition.usage().iter().all(|used| used.compartment_profiles <= 2), "seed {seed}");
+        seen += 1;
+    }
+    assert!(seen > 3, "{seen} networks have several profiles");
+}

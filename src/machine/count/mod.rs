@@ -1,0 +1,4 @@
+//! Counts of the mapped program, from who spiked.
+
+pub(crate) mod routing_tables;
+pub mod tally;

@@ -1,0 +1,242 @@
+//! Counts of the mapped program, from who spiked when.
+//!
+//! Every count but those of the compartments themselves is a sum over spikes of what the program's tables say one spike
+//! of that source costs. So the machine only notes who spiked; this module multiplies. Work that a spike causes (its
+//! messages, hops, synaptic events) is attributed to the step of the spike, inputs' to the step they enter: the cores of
+//! the chip receive it before the barrier that ends that step.
+//!
+//! How many synapses of a list are dense and how many sparse is the same for every spike that selects it, so a [`Tally`]
+//! knows it beforehand. Only near a sample's end, where deliveries fall after it, are synapses counted one by one.
+
+use rayon::prelude::*;
+
+use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
+use crate::ir::activity::StepActivity;
+use crate::ir::placement::Site;
+use crate::ir::program::{CoreFormat, CoreImage, Program, Synapse};
+use crate::machine::count::routing_tables::{Selected, Ways};
+
+/// The longest delay field of a program's synapses.
+#[must_use]
+pub fn longest_delay(program: &Program) -> u32 {
+    let synapses = program.cores().iter().flat_map(|image| image.inputs.lists.items());
+    synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
+}
+
+/// Whether lists of this format carry no index, as their targets follow each other.
+fn is_dense(format: &CoreFormat) -> bool {
+    format.index_bits.is_none()
+}
+
+/// Which synapses a core's lists hold.
+#[derive(Debug)]
+enum Held {
+    /// Dense ones alone.
+    Dense,
+    /// Sparse ones alone.
+    Sparse,
+    /// Of both kinds: how many of each stored list are dense.
+    Both(Vec<u32>),
+    /// Of both kinds, in lists so short that a table of them would be as large as they are.
+    Short,
+}
+
+/// Synapses of a list, in the mean, from which on how many are dense is written down.
+const WORTH_NOTING: usize = 4;
+
+impl Held {
+    fn of(image: &CoreImage) -> Self {
+        let lists = &image.inputs.lists;
+        match (image.formats.iter().any(is_dense), image.formats.iter().all(is_dense)) {
+            (_, true) => Held::Dense,
+            (false, false) => Held::Sparse,
+            (true, false) if lists.items().len() < WORTH_NOTING * lists.len() => Held::Short,
+            (true, false) => {
+                let dense: Vec<bool> = image.formats.iter().map(is_dense).collect();
+                let of = |list: &[_]| list.iter().filter(|s: &&Synapse| dense[usize::from(s.format)]).count() as u32;
+                Held::Both(lists.iter().map(of).collect())
+            }
+        }
+    }
+
+    /// Of a stored list of so many synapses: (dense, sparse), where it is known.
+    #[inline]
+    fn of_list(&self, list: usize, synapses: u64) -> Option<(u64, u64)> {
+        let dense = match self {
+            Held::Dense => synapses,
+            Held::Sparse => 0,
+            Held::Both(dense) => u64::from(dense[list]),
+            Held::Short => return None,
+        };
+        Some((dense, synapses - dense))
+    }
+}
+
+/// What a spike of each source costs.
+#[derive(Debug)]
+pub struct Tally<'p> {
+    program: &'p Program,
+    longest_delay: u32,
+    held: IdVec<CoreId, Held>,
+    sites: IdVec<CoreId, Site>,
+    ways: Ways<'p>,
+}
+
+impl<'p> Tally<'p> {
+    /// Looks through a program.
+    #[must_use]
+    pub fn new(program: &'p Program) -> Self {
+        let held = program.cores().iter().map(Held::of).collect();
+        let sites = program.cores().iter().map(|image| image.site).collect();
+        Tally { program, longest_delay: longest_delay(program), held, sites, ways: Ways::new(program) }
+    }
+
+    /// The longest delay field.
+    #[must_use]
+    pub fn longest_delay(&self) -> u32 {
+        self.longest_delay
+    }
+
+    /// Bytes of memory that it holds, the program not included.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let of = |held: &Held| if let Held::Both(dense) = held { size_of_val(dense.as_slice()) } else { 0 };
+        let held: usize = self.held.iter().map(|held| size_of::<Held>() + of(held)).sum();
+        held + size_of::<Site>() * self.sites.len() + self.ways.bytes()
+    }
+
+    /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
+    #[inline]
+    fn events(
+        &self,
+        (core, list): (CoreId, usize),
+        stored: &[Synapse],
+        formats: &[CoreFormat],
+        reach: u32,
+    ) -> (u64, u64) {
+        let known = if reach > self.longest_delay { self.held[core].of_list(list, stored.len() as u64) } else { None };
+        known.unwrap_or_else(|| counted(stored, formats, reach))
+    }
+
+    /// The core of a source, unless it is a channel.
+    fn core_of(&self, source: u32) -> Option<CoreId> {
+        let compartment = source.checked_sub(self.program.channels())?;
+        Some(self.program.seats()[CompartmentId(compartment)].core)
+    }
+
+    /// Synaptic events of a spike of each of these sources, of those synapses whose delay field is below `reach`. Sources are
+    /// numbered channels first.
+    #[must_use]
+    pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
+        let mut sum = 0;
+        self.ways.follow(sources, |Selected { core, list, stored, formats, .. }| {
+            let (dense, sparse) = self.events((core, list), stored, formats, reach);
+            sum += dense + sparse;
+        });
+        sum
+    }
+
+    /// Adds what spikes of these sources cause, so many of each, counting synapses whose delay field is below `reach`.
+    pub fn add_spikes(
+        &self,
+        sources: impl Iterator<Item = u32> + Clone,
+        times: impl Fn(u32) -> u64,
+        reach: u32,
+        sum: &mut StepActivity,
+    ) {
+        for source in sources.clone() {
+            let (sent, times) = (self.ways.messages(source).len() as u64, times(source));
+            match self.core_of(source) {
+                None => {
+                    sum.spikes_in += times;
+                    sum.messages_from_inputs += sent * times;
+                }
+                Some(core) => {
+                    sum.cores[core].spikes += times;
+                    sum.cores[core].messages_out += sent * times;
+                }
+            }
+        }
+        let (mesh, mut last) = (self.program.mesh(), None);
+        self.ways.follow(sources, |Selected { source, core, list, stored, formats, .. }| {
+            let (from, times) = match last {
+                Some((of, from, times)) if of == source => (from, times),
+                _ => {
+                    let (from, times) = (self.core_of(source).map(|core| self.sites[core]), times(source));
+                    last = Some((source, from, times));
+                    (from, times)
+                }
+            };
+            let (dense, sparse) = self.events((core, list), stored, formats, reach);
+            let to = self.sites[core];
+            let core = &mut sum.cores[core];
+            core.messages_in += times;
+            core.events_dense += dense * times;
+            core.events_sparse += sparse * times;
+            sum.add_routes(from.map_or_else(|| mesh.route_from_corner(to), |from| mesh.route(from, to)), times);
+        });
+    }
+
+    /// What so many spikes of each source cause, by the sources' numbers, of whose deliveries none falls after a sample's end.
+    #[must_use]
+    pub fn sum(&self, fired: &[u32]) -> StepActivity {
+        let cores = self.sites.len();
+        // Each thread has counts of its own, as many as there are cores: they have to be worth it.
+        let size = fired.len().div_ceil(rayon::current_num_threads()).max(cores).max(1);
+        let of_part = |(part, some): (usize, &[u32])| {
+            let mut sum = StepActivity::new(cores);
+            let sources = ((part * size) as u32..).zip(some).filter(|&(_, &times)| times > 0).map(|(source, _)| source);
+            self.add_spikes(sources, |source| fired[source as usize].into(), u32::MAX, &mut sum);
+            sum
+        };
+        let parts: Vec<StepActivity> = match fired.len() <= size {
+            true => vec![of_part((0, fired))],
+            false => fired.par_chunks(size).enumerate().map(of_part).collect(),
+        };
+        let mut parts = parts.into_iter();
+        let mut sum = parts.next().unwrap_or_else(|| StepActivity::new(cores));
+        parts.for_each(|part| sum.merge(&part));
+        sum
+    }
+
+    /// Adds one step's spikes: inputs, whose deliveries reach until `left` steps from this one are gone, and compartments,
+    /// which deliver a step later.
+    pub fn add_step(&self, channels: &[ChannelId], spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
+        let (first, size) = self.program.output();
+        step.channels.extend_from_slice(channels);
+        step.fired.extend_from_slice(spikes);
+        step.spikes_out += spikes.iter().filter(|c| (first.0..first.0 + size).contains(&c.0)).count() as u64;
+        let before = self.program.channels();
+        self.add_spikes(channels.iter().map(|channel| channel.0), |_| 1, left, step);
+        self.add_spikes(spikes.iter().map(|spike| before + spike.0), |_| 1, left.saturating_sub(1), step);
+    }
+
+    /// Adds every core's compartments, visited in so many steps.
+    pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
+        for (counts, image) in sum.cores.iter_mut().zip(self.program.cores()) {
+            counts.visited += image.compartments.len() as u64 * steps;
+        }
+    }
+}
+
+/// Synapses of a stored list whose delay field is below `reach`, one by one: (dense, sparse).
+#[inline]
+fn counted(stored: &[Synapse], formats: &[CoreFormat], reach: u32) -> (u64, u64) {
+    let (mut dense, mut sparse) = (0, 0);
+    for synapse in stored {
+        if u32::from(synapse.delay.get()) < reach {
+            match is_dense(&formats[usize::from(synapse.format)]) {
+                true => dense += 1,
+                false => sparse += 1,
+            }
+        }
+    }
+    (dense, sparse)
+}
+
+/// Adds compartments that were not at rest.
+pub fn add_active(active: &[(CoreId, u32)], step: &mut StepActivity) {
+    for &(core, count) in active {
+        step.cores[core].active += u64::from(count);
+    }
+}

@@ -1,0 +1,275 @@
+//! What each source of spikes reaches, gathered from the cores' tables.
+//!
+//! Comes in: a [`Program`], and the lane of each slot of each core. Goes out: for each share of the lanes and each delay a
+//! [`Draft`], source after source: the synapses in the order of the source's messages and their lists. Threads take
+//! consecutive sources each, and what they bring is put together in the order of sources. What it leaves out on purpose: which
+//! synapses stand in rows (`plan`).
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::base::id::Id;
+use crate::ir::program::Program;
+use crate::machine::count::routing_tables::Ways;
+use crate::machine::layout::image::units;
+use crate::machine::layout::lists::{Draft, Reached};
+
+/// Sources that a thread takes at a time.
+const PIECE: u32 = 1_024;
+/// Pieces a thread that are gathered before they are put together: what bounds the memory that they take.
+const PIECES: usize = 4;
+
+/// What consecutive sources reach on one share over synapses of one delay.
+#[derive(Debug)]
+struct Piece {
+    /// Synapses of each source.
+    counts: Vec<u32>,
+    /// Of one source after the other.
+    reached: Vec<Reached>,
+}
+
+/// The way from sources to lanes.
+#[derive(Debug)]
+pub(crate) struct Gatherer<'a> {
+    ways: Ways<'a>,
+    /// Place of the lane of each core's first slot.
+    slots: Vec<u32>,
+    /// The lane of each slot, over all shares, core after core.
+    lanes: Vec<u32>,
+    /// First lane of each share, over all.
+    bases: &'a [u32],
+    /// Delay fields, ascending.
+    delays: &'a [u8],
+}
+
+impl<'a> Gatherer<'a> {
+    /// With the lane of each compartment over all shares, the first lane of each share, and all delay fields, ascending.
+    pub fn new(program: &'a Program, lane_of: &[u32], bases: &'a [u32], delays: &'a [u8]) -> Self {
+        let (mut slots, mut lanes) = (Vec::new(), Vec::with_capacity(lane_of.len()));
+        for image in program.cores() {
+            slots.push(lanes.len() as u32);
+            lanes.extend(image.ids.iter().map(|id| lane_of[id.index()]));
+        }
+        Gatherer { ways: Ways::new(program), slots, lanes, bases, delays }
+    }
+
+    /// What these sources reach, by share and then by delay; the shares have so many lanes. Sources are numbered channels
+    /// first.
+    pub fn gather(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Draft> {
+        let drafts = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| Draft::new(lanes)));
+        let mut drafts: Vec<Draft> = drafts.collect();
+        let pieces: Vec<u32> = sources.clone().step_by(PIECE as usize).collect();
+        for some in pieces.chunks(PIECES * rayon::current_num_threads()) {
+            let piece = |&first: &u32| self.piece(first..sources.end.min(first.saturating_add(PIECE)));
+            let pieces: Vec<Vec<Piece>> = some.par_iter().map(piece).collect();
+            drafts.par_iter_mut().enumerate().for_each(|(place, draft)| {
+                for piece in pieces.iter().map(|piece| &piece[place]) {
+                    draft.append(&piece.counts, &piece.reached);
+                }
+            });
+        }
+        drafts
+    }
+
+    fn piece(&self, sources: Range<u32>) -> Vec<Piece> {
+        let mut place_of = [0; u8::MAX as usize + 1];
+        for (place, &delay) in self.delays.iter().enumerate() {
+            place_of[usize::from(delay)] = place;
+        }
+        let empty = || Piece { counts: vec![0; sources.len()], reached: Vec::new() };
+        let mut pieces: Vec<Piece> = (0..self.bases.len() * self.delays.len()).map(|_| empty()).collect();
+        self.ways.follow(sources.clone(), |selected| {
+            let slots = self.slots[selected.core.index()] as usize + usize::from(selected.base);
+            for synapse in selected.stored {
+                let lane = self.lanes[slots + usize::from(synapse.slot)];
+                let share = self.bases.partition_point(|&base| base <= lane) - 1;
+                let piece = &mut pieces[share * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
+                piece.counts[(selected.source - sources.start) as usize] += 1;
+                piece.reached.push((lane - self.bases[share], units(selected.formats, synapse) as i16));
+            }
+        });
+        pieces
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::fixed::{
+        BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
+        WeightBits, WeightExponent,
+    };
+    use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
+    use crate::base::rng;
+    use crate::desc::network::{Semantics, ThresholdTest};
+    use crate::ir::partition::Seat;
+    use crate::ir::placement::{Mesh, Site};
+    use crate::ir::program::{
+        AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Stored, Synapse,
+    };
+    use crate::ir::quantised::{Neuron, SynapseFormat};
+    use crate::machine::layout::image::Image;
+
+    const CORES: u64 = 9;
+    const SLOTS: u64 = 20;
+    const CHANNELS: u64 = 1_500;
+
+    fn neuron() -> Neuron {
+        Neuron {
+            du: Decay::MAX,
+            dv: Decay::MAX,
+            vth: ThresholdMantissa::MAX,
+            bias_mant: BiasMantissa::new(0).unwrap(),
+            bias_exp: BiasExponent::new(0).unwrap(),
+            refractory: Refractory::new(1).unwrap(),
+            vmin: VminExponent::MAX,
+            vmax: VmaxExponent::MAX,
+        }
+    }
+
+    fn format(exponent: i64, index_bits: Option<u8>) -> CoreFormat {
+        let exponent = WeightExponent::new(exponent).unwrap();
+        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits: WeightBits::new(8).unwrap() };
+        CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
+    }
+
+    /// Cores whose compartments are dealt out, each source with messages to some of them, each message with a list of its
+    /// own; the last core has a table that every third channel selects from, twice over at other bases.
+    fn program(seed: u64) -> Program {
+        let draw = |below, what, index| rng::below(below, seed, what, index);
+        let compartments = CORES * SLOTS;
+        // 7 and the number of compartments share no factor, so each is named once.
+        let id = |core, slot| CompartmentId((((core * SLOTS + slot) * 7 + seed) % compartments) as u32);
+        let sources = CHANNELS + compartments;
+        let mut lists = vec![Lists::default(); CORES as usize];
+        let mut axons = vec![0u16; CORES as usize];
+        let mut selected: Vec<InputAxon> = Vec::new();
+        let synapse = |source, core, index, slots| {
+            let at = (source * CORES + core) * 64 + index;
+            Synapse {
+                slot: draw(slots, 1, at) as u16,
+                weight: draw(512, 2, at) as i16 - 256,
+                format: draw(2, 3, at) as u8,
+                delay: Delay::new([0, 3, 17][draw(3, 4, at) as usize]).unwrap(),
+            }
+        };
+        let last = CORES - 1;
+        for atom in 0..CHANNELS / 3 {
+            let list = (0..draw(4, 5, atom)).map(|index| synapse(atom, 1_000, index, SLOTS / 2));
+            lists[last as usize].push(list);
+        }
+        let mut sent: Vec<Vec<AxonTarget>> = Vec::new();
+        for source in 0..sources {
+            let mut messages = Vec::new();
+            for core in (0..CORES).filter(|&core| draw(3, 6, source * CORES + core) == 0) {
+                let axon = &mut axons[core as usize];
+                messages.push(AxonTarget { core: CoreId(core as u32), axon: *axon });
+                *axon += 1;
+                if core == last && source < CHANNELS && source % 3 == 0 {
+                    let axon = (source % 2) as u16;
+                    selected.push(InputAxon::Member { axon, atom: (source / 3) as u16 });
+                    continue;
+                }
+                if core == last {
+                    selected.push(InputAxon::Discrete { list: lists[core as usize].len() as u32 });
+                }
+                let count = [1, 1, 2, 30][draw(4, 7, source * CORES + core) as usize];
+                lists[core as usize].push((0..count).map(|index| synapse(source, core, index, SLOTS)));
+            }
+            sent.push(messages);
+        }
+        let mut seats = vec![Seat { core: CoreId(0), slot: 0 }; compartments as usize];
+        let mut cores = Vec::new();
+        for (core, lists) in (0..).zip(lists) {
+            let ids: Vec<CompartmentId> = (0..SLOTS).map(|slot| id(core, slot)).collect();
+            let mut axons_out = Lists::default();
+            for (slot, id) in (0..).zip(&ids) {
+                seats[id.index()] = Seat { core: CoreId(core as u32), slot };
+                axons_out.push(sent[CHANNELS as usize + id.index()].iter().copied());
+            }
+            let table = |base| PopulationAxon { table: 0, atoms: (CHANNELS / 3) as u16, base };
+            let inputs = match core == last {
+                true => Stored::with_populations(lists, vec![table(0), table(7)], std::mem::take(&mut selected)),
+                false => Stored::discrete(lists),
+            };
+            cores.push(CoreImage {
+                site: Site { chip: 0, x: core as u32, y: 0, core: 0 },
+                compartments: vec![Compartment { neuron: neuron(), start_step: 0 }; SLOTS as usize],
+                ids,
+                formats: vec![format(0, Some(4)), format(3, None)],
+                inputs,
+                axons_out,
+            });
+        }
+        let mut channels = Lists::default();
+        sent[..CHANNELS as usize].iter().for_each(|messages| channels.push(messages.iter().copied()));
+        Program::new(Parts {
+            mesh: Mesh { chips_x: 1, chips_y: 1, width: 16, height: 1, cores_per_tile: 1, cores_per_chip: 16 },
+            cores: cores.into(),
+            channels,
+            seats: seats.into(),
+            populations: vec![Some((CompartmentId(0), compartments as u32))].into(),
+            output: PopulationId(0),
+            semantics: Semantics::Hardware,
+            threshold: ThresholdTest::Strict,
+            reset: None,
+        })
+        .unwrap()
+    }
+
+    /// The obvious walk: source by source, message by message, synapse by synapse.
+    fn walked(image: &Image, source: u32, share: usize, delay: u8) -> Vec<Reached> {
+        let program = image.program();
+        let messages = match source.checked_sub(program.channels()) {
+            None => program.channel(ChannelId(source)),
+            Some(compartment) => {
+                let seat = program.seats()[CompartmentId(compartment)];
+                program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
+            }
+        };
+        let mut reached = Vec::new();
+        for message in messages {
+            let core = &program.cores()[message.core];
+            for synapse in core.inputs.get(usize::from(message.axon)).synapses() {
+                let place = image.lane(core.ids[usize::from(synapse.slot)]);
+                if synapse.delay.get() == delay && place.0 == share {
+                    let exponent = core.formats[usize::from(synapse.format)].synapse.exponent.get();
+                    reached.push((place.1 as u32, synapse.weight << exponent));
+                }
+            }
+        }
+        reached
+    }
+
+    #[test]
+    fn what_is_gathered_is_what_messages_lead_to() {
+        for (seed, shares) in [(1, 1), (2, 3)] {
+            let program = program(seed);
+            let image = Image::new(&program, shares).unwrap();
+            assert_eq!(image.shares.len(), shares);
+            let lanes: Vec<usize> = image.shares.iter().map(|share| share.lanes).collect();
+            let delays = [0, 3, 17];
+            let gatherer = Gatherer::new(&program, &image.lanes, &image.bases, &delays);
+            let split = program.channels();
+            for sources in [0..split, split..split + program.compartments()] {
+                let drafts = gatherer.gather(sources.clone(), &lanes);
+                assert_eq!(drafts.len(), shares * delays.len());
+                let mut synapses = 0;
+                for (place, mut draft) in drafts.into_iter().enumerate() {
+                    let (share, delay) = (place / delays.len(), delays[place % delays.len()]);
+                    let mut lists = vec![Vec::new(); sources.len()];
+                    draft.retain(|source, lane, weight| {
+                        lists[source as usize].push((lane, weight));
+                        true
+                    });
+                    for (list, source) in lists.into_iter().zip(sources.clone()) {
+                        synapses += list.len();
+                        assert_eq!(list, walked(&image, source, share, delay), "{source} {share} {delay}");
+                    }
+                }
+                assert!(synapses > sources.len());
+            }
+        }
+    }
+}

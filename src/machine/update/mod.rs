@@ -1,0 +1,7 @@
+//! Compartments updated, sixteen at a time.
+
+pub mod kernel;
+pub(crate) mod lanes;
+pub mod neuron;
+#[cfg(target_arch = "x86_64")]
+pub(crate) mod vectors;
