@@ -11,6 +11,7 @@ pub mod base;
 pub mod bench;
 pub mod cli;
 pub mod compile;
+pub mod convert;
 pub mod cost;
 pub mod desc;
 pub mod drive;

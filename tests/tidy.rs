@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Rooms from the ground up; a room imports only what stands on a lower line than itself, and itself.
-const LAYERS: [&[&str]; 11] = [
+const LAYERS: [&[&str]; 12] = [
     &["base"],
     &["desc"],
     &["io", "ir"],
@@ -15,6 +15,7 @@ const LAYERS: [&[&str]; 11] = [
     &["compile", "machine", "golden", "reference", "scene"],
     &["drive"],
     &["agree", "stress", "train"],
+    &["convert"],
     &["bench"],
     &["report"],
     &["error"],

@@ -2,12 +2,11 @@
 //!
 //! Comes in: a network as it was trained, what it became, samples. Goes out: how far spikes and potentials lie apart layer
 //! by layer ([`trace`], [`metrics`]), which of the steps from real numbers to the machine is to blame ([`ladder`],
-//! [`attribution`]), and the integers that bring a spike response network nearest ([`search`]).
+//! [`attribution`]).
 //!
 //! Results do not depend on threads: samples are taken in parallel, their sums added in the order of the run.
 
 pub mod attribution;
 pub mod ladder;
 pub mod metrics;
-pub mod search;
 pub mod trace;

@@ -6,16 +6,19 @@ use rayon::prelude::*;
 
 use crate::agree::attribution::attribute;
 use crate::agree::ladder::{Ladder, layers};
-use crate::agree::search::{self, Found};
 use crate::agree::trace::{Comparison, Layer, Trace, measured_shift};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::CompartmentId;
-use crate::cli::jobs::Refusal;
-use crate::cli::run::{InputArgs, Switch, select};
-use crate::cli::{Answer, Context, common, inputs};
+use crate::cli::args::conversion::{Conversion, fits};
+use crate::cli::args::input::{InputArgs, select};
+use crate::cli::args::inputs;
+use crate::cli::args::jobs::Refusal;
+use crate::cli::args::values::Switch;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::{self, CompileError, Options, symbolic};
-use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
+use crate::desc::stimulus::{InputArg, InputSource};
 use crate::error::Error;
 use crate::golden::Golden;
 use crate::io;
@@ -26,15 +29,6 @@ use crate::ir::spikes::Sample;
 use crate::machine::{Image, Machine, Settings};
 use crate::reference::{self, Model, Reference};
 use crate::report::agree::{AgreeReport, LayerRow};
-
-/// How a spike response network becomes integers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Conversion {
-    /// The analytic start, then a search on calibration samples.
-    Search,
-    /// The analytic start alone.
-    Analytic,
-}
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -182,9 +176,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let name = &graph.facts().name;
         let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));
         let svg = crate::report::agree::bars(name, attribution);
-        crate::cli::pareto::update(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
+        output::update_section(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
     }
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     let exact = outcome.rows.iter().all(|row| row.comparison.first_divergence.is_none());
     let enough =
         args.require_class_agreement.is_none_or(|share| report.class_agreement().is_some_and(|is| is >= share));
@@ -243,64 +237,6 @@ fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Against, E
         Ok((layer.clone(), read_source(path, u64::from(layer.count))?))
     });
     Ok(Against::Recorded(recorded.collect::<Result<_, Error>>()?))
-}
-
-/// The seeds of calibration and of the run lie so far apart.
-const CALIBRATION_SEED: u64 = 1_000_003;
-
-/// What stands for the spike response populations of a network, and the search that found it, if there was one. It is made
-/// on so many samples: those of `calibrate`, or else of the input's scene with another seed, or else the first of the input.
-///
-/// # Errors
-/// [`Error`] when a source cannot be used.
-#[allow(clippy::too_many_arguments)]
-pub fn fits(
-    conversion: Conversion,
-    calibrate: &[String],
-    wanted: usize,
-    input: &InputArgs,
-    graph: &Graph,
-    network: &Quantised,
-    scene: Option<&str>,
-    samples: &[&Sample],
-) -> Result<(Vec<Option<Fit>>, Option<Found>), Error> {
-    if !graph.has_srm() || conversion == Conversion::Analytic {
-        return Ok((analytic::starts(graph), None));
-    }
-    let own = match (calibrate, input.input.as_slice()) {
-        ([], inputs) => {
-            let text = match inputs {
-                [] => scene.map(str::to_string),
-                [text] => Some(text.clone()),
-                _ => None,
-            };
-            text.and_then(|text| text.strip_prefix("scene:").map(str::to_string))
-        }
-        _ => None,
-    };
-    let stimulus = match own {
-        // Other samples of the same scene.
-        Some(scene) => {
-            let mut scene = SceneArg::parse(&scene)?;
-            let seed = |(key, value): &(String, String)| (key == "seed").then(|| value.parse::<u64>().ok()).flatten();
-            let given = input.seed.or_else(|| scene.parameters.iter().find_map(seed)).unwrap_or(1);
-            scene.parameters.retain(|(key, _)| key != "seed" && key != "samples");
-            scene.parameters.push(("samples".to_string(), wanted.to_string()));
-            let seed = given.wrapping_add(CALIBRATION_SEED);
-            Some(inputs::stimulus(network, &[scene.spelled()], None, Some(seed))?)
-        }
-        None if !calibrate.is_empty() => Some(inputs::stimulus(network, calibrate, None, None)?),
-        None => None,
-    };
-    let calibration: Vec<&Sample> = match &stimulus {
-        Some(stimulus) => stimulus.samples.iter().take(wanted).collect(),
-        None => {
-            tracing::warn!("calibrating on the first samples of the input itself; --calibrate gives others");
-            samples.iter().take(wanted).copied().collect()
-        }
-    };
-    let found = search::search(graph, &calibration, |population| tracing::info!("searching '{population}'"))?;
-    Ok((found.fits.clone(), Some(found)))
 }
 
 struct Compared {
@@ -406,7 +342,7 @@ fn compare(
         }
     };
     let limit = args.steps.unwrap_or(u32::MAX);
-    let bar = common::progress(context, samples.len() as u64, "samples");
+    let bar = output::progress(context, samples.len() as u64, "samples");
     let pair = |(index, sample): (usize, &&Sample)| {
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
         let second = Trace::record(&mut machine, sample, compartments, |m, c| relative(m, c, &integer_thresholds));

@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Answer, Context, common};
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::error::Error;
 use crate::io::draft::Draft;
 use crate::io::foreign::{hdf5, nir_export};
@@ -60,6 +61,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         value
     };
     let file = args.output.display().to_string();
-    common::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
+    output::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
     Ok(Answer::Yes)
 }

@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Answer, Context, common};
 use crate::base::diagnostic::Diagnostic;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::compile::frontend::lower::lower;
 use crate::desc::network::ThresholdTest;
 use crate::error::Error;
@@ -123,7 +124,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         value["schema"] = json!("nsim.import/1");
         value
     };
-    common::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
+    output::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
     Ok(Answer::Yes)
 }
 

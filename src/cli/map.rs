@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
-use crate::cli::jobs::{self, JobArgs};
-use crate::cli::{Answer, Context, common, inputs};
+use crate::cli::args::inputs;
+use crate::cli::args::jobs::{self, JobArgs};
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::compile::explore::traffic::{self, Traffic};
 use crate::compile::explore::{cost_estimate, remedy};
 use crate::compile::symbolic::{self, Described};
@@ -18,8 +20,8 @@ use crate::io;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Engine;
+use crate::report::charts::board;
 use crate::report::map::{self as report, Outcome, Question};
-use crate::report::map_svg;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -168,14 +170,14 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
             object["pareto"] = report::pareto_json(&candidates);
             object
         };
-        common::print(context.format, text, json, || Ok(report::csv(outcome)))?;
+        output::print(context.format, text, json, || Ok(report::csv(outcome)))?;
     }
     if let Ok(mapped) = &mapped {
         if let Some(output) = &args.output {
             io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
         }
         if let Some(path) = &args.svg {
-            io::write::text(path, context.force, &map_svg::svg(mapped.layout(), &target, &mapped.links()))?;
+            io::write::text(path, context.force, &board::svg(mapped.layout(), &target, &mapped.links()))?;
         }
         if let Some(path) = &args.pareto {
             io::write::text(path, context.force, &report::pareto_svg(model, &candidates))?;

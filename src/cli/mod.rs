@@ -4,19 +4,16 @@
 //! cannot be read or is not supported; 4 a fault of nsim itself.
 
 pub mod agree;
+pub mod args;
 pub mod bench;
-pub mod common;
-pub mod complain;
-pub mod early;
+pub mod context;
+pub mod diagnostics;
 pub mod energy;
 pub mod export;
 pub mod import;
-pub mod inputs;
 pub mod inspect;
-pub mod jobs;
 pub mod map;
-pub mod pareto;
-pub mod prune;
+pub mod output;
 pub mod run;
 pub mod scene;
 pub mod simulate;
@@ -28,41 +25,8 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 
+use crate::cli::context::{Answer, Context, Format};
 use crate::error::Error;
-
-/// How results are printed.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Format {
-    /// For people.
-    #[default]
-    Text,
-    /// One object with a `schema` key.
-    Json,
-    /// Rows with a header.
-    Csv,
-}
-
-/// What every subcommand knows.
-#[derive(Debug, Clone, Copy)]
-pub struct Context {
-    /// How to print the result on stdout.
-    pub format: Format,
-    /// Whether existing files may be replaced.
-    pub force: bool,
-    /// Whether stderr is a terminal that shows progress bars.
-    pub progress: bool,
-    /// Threads in use.
-    pub threads: usize,
-}
-
-/// What a command found out: the exit status is 0 or 1.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Answer {
-    /// Done, fits, agrees.
-    Yes,
-    /// Does not fit, does not agree, misses its bound.
-    No,
-}
 
 const AFTER_HELP: &str = "\
 EXAMPLES:
@@ -151,18 +115,18 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => return complain::usage(&error),
+        Err(error) => return diagnostics::usage(&error),
     };
     start_log(cli.verbose, cli.quiet);
     let threads = match cli.threads {
         Some(0) => {
-            return complain::report(&Error::Usage("--threads 0: at least one thread is needed".into()), cli.format);
+            return diagnostics::report(&Error::Usage("--threads 0: at least one thread is needed".into()), cli.format);
         }
         Some(threads) => threads.min(1024),
         None => std::thread::available_parallelism().map_or(1, usize::from),
     };
     if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
-        return complain::report(&Error::Fault(format!("threads cannot be started: {error}")), cli.format);
+        return diagnostics::report(&Error::Fault(format!("threads cannot be started: {error}")), cli.format);
     }
     let context = Context {
         format: cli.format,
@@ -173,7 +137,7 @@ pub fn main() -> ExitCode {
     match dispatch(&cli.command, context) {
         Ok(Answer::Yes) => ExitCode::SUCCESS,
         Ok(Answer::No) => ExitCode::from(1),
-        Err(error) => complain::report(&error, cli.format),
+        Err(error) => diagnostics::report(&error, cli.format),
     }
 }
 
@@ -187,7 +151,7 @@ fn start_log(verbose: u8, quiet: bool) {
     tracing_subscriber::fmt()
         .with_env_filter(tracing_subscriber::EnvFilter::new(level))
         .with_writer(std::io::stderr)
-        .with_ansi(complain::colour())
+        .with_ansi(diagnostics::colour())
         .without_time()
         .with_target(false)
         .init();

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
-use crate::cli::common::SampleRange;
-use crate::cli::jobs::Wanted;
-use crate::cli::{Answer, Context, common, inputs, jobs, simulate};
-use crate::compile::frontend::prune::check_stimulus;
+use crate::cli::args::input::{InputArgs, check_pruned, select};
+use crate::cli::args::jobs::Wanted;
+use crate::cli::args::values::Switch;
+use crate::cli::args::{inputs, jobs};
+use crate::cli::context::{Answer, Context};
+use crate::cli::{output, simulate};
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, Outcome, Probe, Quantity};
 use crate::error::Error;
@@ -62,40 +64,6 @@ pub enum ProbeFormat {
     /// Parquet, with CSV's columns; in builds with the feature `parquet`.
     #[cfg(feature = "parquet")]
     Parquet,
-}
-
-/// On or off.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Switch {
-    /// Yes.
-    On,
-    /// No.
-    Off,
-}
-
-/// Where the spikes of a run come from.
-#[derive(Debug, Clone, clap::Args)]
-pub struct InputArgs {
-    /// Spikes: POPULATION=SOURCE, or SOURCE when it is clear for which [default: the model's scene]
-    #[arg(long, value_name = "SOURCE")]
-    pub input: Vec<String>,
-    /// Only these samples, such as 0..20
-    #[arg(long, value_name = "A..B")]
-    pub samples: Option<SampleRange>,
-    /// Run everything so many times; nothing is remembered
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub repeat: u32,
-    /// Seed of a synthetic scene
-    #[arg(long)]
-    pub seed: Option<u64>,
-}
-
-impl InputArgs {
-    /// All samples of these sources, once.
-    #[must_use]
-    pub fn of(sources: &[String]) -> Self {
-        InputArgs { input: sources.to_vec(), samples: None, repeat: 1, seed: None }
-    }
 }
 
 const EXAMPLES: &str = "\
@@ -171,29 +139,6 @@ fn probe(network: &Quantised, text: &str) -> Result<NamedProbe, Error> {
             Err(wrong(format!("populations with compartments are: {}", names.join(", "))))
         }
     }
-}
-
-/// Takes the samples that a run asks for, as often as it asks.
-///
-/// # Errors
-/// [`Error::Usage`] when the range holds no sample.
-pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sample>, Error> {
-    let range = args.samples.as_ref().map_or(0..usize::MAX, |range| range.0.clone());
-    let end = range.end.min(samples.len());
-    let chosen = samples.get(range.start..end).filter(|chosen| !chosen.is_empty());
-    let chosen = chosen
-        .ok_or_else(|| Error::Usage(format!("--samples {}..: there are {} samples", range.start, samples.len())))?;
-    Ok((0..args.repeat).flat_map(|_| chosen.iter()).collect())
-}
-
-/// Refuses samples that fire what the network was pruned of; samples are numbered as the input has them.
-///
-/// # Errors
-/// `input.pruned`.
-pub fn check_pruned(network: &Quantised, samples: &[&Sample], args: &InputArgs) -> Result<(), Error> {
-    let first = args.samples.as_ref().map_or(0, |range| range.0.start);
-    let once = samples.len() / args.repeat as usize;
-    Ok(check_stimulus(network, &samples[..once], first)?)
 }
 
 /// The command.
@@ -282,7 +227,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(warning) = report.warning() {
         tracing::warn!("{warning}");
     }
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 

@@ -7,13 +7,14 @@ use rayon::prelude::*;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::folds::stratified_folds;
-use crate::cli::{Answer, Context, common};
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::desc::dataset::{DataSet, SampleEntry};
 use crate::desc::spanned::Spanned;
 use crate::desc::stimulus::SceneArg;
 use crate::error::Error;
 use crate::io::{mapping, npy, stimulus, write};
-use crate::report::raster::{Panel, Raster};
+use crate::report::charts::raster::{Panel, Raster};
 use crate::report::scene::{Class, SceneReport};
 use crate::scene::wire::Carried;
 use crate::scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
@@ -74,7 +75,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
         }
     }
-    let bar = common::progress(context, u64::from(scene.samples()), "scenes");
+    let bar = output::progress(context, u64::from(scene.samples()), "scenes");
     let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> = (0..scene.samples())
         .into_par_iter()
         .map(|sample| {
@@ -107,7 +108,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         write::text(path, context.force, &text)?;
     }
     let report = report(&scene, &argument, &facts, manifest);
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 

@@ -5,7 +5,8 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use crate::base::id::CompartmentId;
-use crate::cli::{Context, common};
+use crate::cli::context::Context;
+use crate::cli::output;
 use crate::drive::{Keep, Outcome, Probe, Quantity, run_sample};
 use crate::error::Error;
 use crate::ir::activity::{Activity, StepActivity};
@@ -52,7 +53,7 @@ pub fn fast<M: Send>(
     let large = synapses > LARGE || samples.len() == 1;
     let shards = if large && synapses > 100_000 { context.threads } else { 1 };
     let image = Image::new(program, shards).map_err(|e| unsuitable(&e))?;
-    let bar = common::progress(context, samples.len() as u64, "samples");
+    let bar = output::progress(context, samples.len() as u64, "samples");
     let begin = Instant::now();
     let run = |part: &[&Sample]| {
         let mut machine = Machine::new(&image, Settings { skip, per_step });
@@ -102,7 +103,7 @@ fn unsuitable(error: &ImageError) -> Error {
 /// Runs samples on the golden engine.
 #[must_use]
 pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, context: Context) -> (Vec<Outcome>, f64) {
-    let bar = common::progress(context, samples.len() as u64, "samples");
+    let bar = output::progress(context, samples.len() as u64, "samples");
     let begin = Instant::now();
     let size = samples.len().div_ceil(context.threads * 4).max(1);
     let outcomes = samples
@@ -133,7 +134,7 @@ pub fn reference<F: Real>(
     keep: &Keep,
     context: Context,
 ) -> (Vec<Outcome>, Vec<Traces>, f64) {
-    let bar = common::progress(context, samples.len() as u64, "samples");
+    let bar = output::progress(context, samples.len() as u64, "samples");
     let begin = Instant::now();
     let size = samples.len().div_ceil(context.threads * 4).max(1);
     let plain = Keep { probes: Vec::new(), ..keep.clone() };

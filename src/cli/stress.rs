@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::cli::{Answer, Context, common};
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::error::Error;
 use crate::io;
 use crate::report::stress::StressReport;
@@ -37,7 +38,7 @@ fn case(name: &str) -> Result<&'static Case, String> {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let cases: Vec<&Case> = if args.case.is_empty() { CASES.iter().collect() } else { args.case.clone() };
     let target = io::target::load_target("loihi1-chip")?;
-    let bar = common::progress(context, cases.len() as u64, "cases");
+    let bar = output::progress(context, cases.len() as u64, "cases");
     let verdicts: Vec<Verdict> = cases
         .par_iter()
         .with_max_len(1)
@@ -49,6 +50,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         .collect();
     bar.finish_and_clear();
     let report = StressReport { verdicts: &verdicts };
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(if verdicts.iter().all(|verdict| verdict.pass) { Answer::Yes } else { Answer::No })
 }

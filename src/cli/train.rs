@@ -7,8 +7,10 @@ use serde_json::Value;
 
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::base::folds::stratified_folds;
-use crate::cli::common::SampleRange;
-use crate::cli::{Answer, Context, common, inputs};
+use crate::cli::args::inputs;
+use crate::cli::args::values::SampleRange;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::compile;
 use crate::desc::training::TrainingFile;
 use crate::drive::{Outcome, digest};
@@ -177,7 +179,7 @@ fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Contex
     let of = kept.map(|path| (path, checkpoint::fingerprint(plan, examples)));
     let state = of.as_ref().map(|(path, print)| checkpoint::load(path, plan, print)).transpose()?.flatten();
     let mut state = state.unwrap_or_else(|| plan.start());
-    let bar = common::progress(context, u64::from(plan.epochs), "epochs");
+    let bar = output::progress(context, u64::from(plan.epochs), "epochs");
     let mut failed = Ok(());
     plan.run(&mut state, examples, |state| {
         bar.set_position(u64::from(state.epoch));
@@ -295,7 +297,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let (comment, provenance) = (report.provenance(&source, &args.set), report.summary());
         write_model(path, context.force, &job.file, &job.plan, weights, &comment, &provenance)?;
     }
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -391,6 +393,6 @@ fn study(
         }
     }
     let report = StudyReport { name: &args.config.display().to_string(), runs: &runs };
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }

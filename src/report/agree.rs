@@ -3,12 +3,12 @@
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use super::plot::{self, Axis};
-use super::{count, wrapped};
+use super::text::{count, wrapped};
 use crate::agree::attribution::{Attribution, Share};
-use crate::agree::search::{Found, Score};
 use crate::agree::trace::Comparison;
 use crate::compile::frontend::analytic::Fit;
+use crate::convert::search::{Found, Score};
+use crate::report::charts::plot::{self, Axis};
 
 /// A layer of the two networks.
 #[derive(Debug, Clone, PartialEq)]
@@ -194,7 +194,7 @@ impl AgreeReport<'_> {
                 first.map_or(String::new(), |d| d.neuron.to_string()),
             ])?;
         }
-        super::csv_text(out)
+        super::text::csv_text(out)
     }
 
     fn conversion_text(&self) -> String {
@@ -243,7 +243,7 @@ impl AgreeReport<'_> {
 
     fn attribution_text(&self) -> String {
         let Some(attribution) = self.attribution else { return String::new() };
-        let mut table = super::table([
+        let mut table = super::text::table([
             "cause",
             "share",
             "forward",
@@ -359,7 +359,7 @@ impl AgreeReport<'_> {
         out += &format!("\n{}\n", count(self.samples as u64, "sample"));
         out += &self.conversion_text();
         out.push('\n');
-        let mut table = super::table([
+        let mut table = super::text::table([
             "layer",
             "shift",
             "spikes a",

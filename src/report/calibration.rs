@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::energy::{plain, short};
-use super::wrapped;
+use super::text::wrapped;
 use crate::desc::measurement::MeasurementsFile;
 use crate::desc::target::{Residual, Unit};
 
@@ -86,7 +86,7 @@ impl CalibrationReport<'_> {
         for residual in self.residuals {
             writer.serialize(residual)?;
         }
-        super::csv_text(writer)
+        super::text::csv_text(writer)
     }
 
     /// The report for people.

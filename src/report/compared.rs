@@ -8,9 +8,9 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use super::energy::{EnergyReport, plain, short};
-use super::plot::{self, Axis};
-use super::wrapped;
+use super::text::wrapped;
 use crate::cost::estimate::Row;
+use crate::report::charts::plot::{self, Axis};
 
 /// Other hardware over the simulated chip: above 1, the chip needs less.
 #[derive(Debug, Clone, PartialEq, Serialize)]

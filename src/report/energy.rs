@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::{Packing, PerDecision, PerSample, Ratio};
-use super::{count, wrapped};
+use super::text::{count, wrapped};
 use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Convention, Estimate, Row};
@@ -226,7 +226,7 @@ impl EnergyReport {
             record.push(row.power_source.name().to_string());
             writer.write_record(record)?;
         }
-        super::csv_text(writer)
+        super::text::csv_text(writer)
     }
 
     /// The report for people.
@@ -424,7 +424,7 @@ impl EnergyReport {
 type Figure = fn(&Row) -> Option<f64>;
 
 pub(super) fn plain(header: &[&str]) -> Table {
-    let mut table = super::table(header);
+    let mut table = super::text::table(header);
     for (i, column) in table.column_iter_mut().enumerate() {
         let text = i == 0 || matches!(header[i], "Unit" | "Source");
         column.set_cell_alignment(if text { CellAlignment::Left } else { CellAlignment::Right });

@@ -29,6 +29,12 @@ pub struct Rows {
     pub rows: Vec<Vec<Value>>,
 }
 
+/// A number as people write it: without a fraction when it has none.
+#[must_use]
+pub fn number(x: f64) -> Value {
+    if x.fract() == 0.0 && x.abs() < 9e15 { json!(x as i64) } else { json!(x) }
+}
+
 /// A value for people: strings bare, lists as `[2, 3]`, nothing for what is not known.
 fn shown(value: &Value) -> String {
     match value {
@@ -50,7 +56,7 @@ impl Findings {
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
         for part in &self.tables {
-            let mut table = super::table(part.columns.iter().copied());
+            let mut table = super::text::table(part.columns.iter().copied());
             table.set_content_arrangement(ContentArrangement::Dynamic);
             for row in &part.rows {
                 table.add_row(row.iter().map(shown));
@@ -105,6 +111,6 @@ impl Findings {
                 }
             }
         }
-        super::csv_text(writer)
+        super::text::csv_text(writer)
     }
 }

@@ -9,8 +9,7 @@ use std::fmt::Write;
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use super::plot::{Axis, Series, chart};
-use super::{count, wrapped};
+use super::text::{count, wrapped};
 use crate::compile::explore::cost_estimate::Score;
 use crate::compile::explore::remedy::Remedy;
 use crate::compile::explore::search::{Found, front};
@@ -21,6 +20,7 @@ use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Resource;
 use crate::ir::pruned::Row as PrunedRow;
+use crate::report::charts::plot::{Axis, Series, chart};
 
 /// Cores that a table shows before it is shortened, and the number shown at its beginning then.
 const LONGEST_TABLE: usize = 40;
@@ -153,8 +153,16 @@ pub fn pareto_text(found: &[Found]) -> String {
         return String::new();
     }
     let front = front(found);
-    let mut table =
-        super::table(["strategy", "cores filled to", "placed", "cores", "powered", "uJ a step", "us a step", "front"]);
+    let mut table = super::text::table([
+        "strategy",
+        "cores filled to",
+        "placed",
+        "cores",
+        "powered",
+        "uJ a step",
+        "us a step",
+        "front",
+    ]);
     for one in found {
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         table.add_row([
@@ -204,7 +212,7 @@ const SHOWN_NAMES: usize = 6;
 
 /// What was pruned, for people.
 fn pruned_table(rows: &[PrunedRow]) -> String {
-    let mut table = super::table(["pruned", "count", "of", "why"]);
+    let mut table = super::text::table(["pruned", "count", "of", "why"]);
     for row in rows {
         let mut of: Vec<String> =
             row.of.iter().take(SHOWN_NAMES).map(|(name, count)| format!("{name}: {count}")).collect();
@@ -405,7 +413,7 @@ fn table(compiled: Layout<'_>, target: &Target) -> String {
     ];
     let mut header = vec!["core".to_string(), "chip".to_string(), "tile".to_string(), "synapses".to_string()];
     header.extend(resources.iter().map(|(_, name)| name.to_string()));
-    let mut table = super::table(header);
+    let mut table = super::text::table(header);
     let (cores, usage) = (compiled.partition.cores(), compiled.partition.usage());
     let shown = if cores > LONGEST_TABLE { SHORT_TABLE } else { cores };
     let cell = |need: u64, limit: u64| format!("{need} {:>3.0}%", 100.0 * need as f64 / limit.max(1) as f64);

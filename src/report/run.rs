@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::count;
+use super::text::count;
 use crate::drive::decision::Rule;
 use crate::drive::{Outcome, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
@@ -202,7 +202,7 @@ impl RunReport<'_> {
             row.extend(outcome.counts.iter().map(ToString::to_string));
             out.write_record(&row)?;
         }
-        super::csv_text(out)
+        super::text::csv_text(out)
     }
 
     fn class_name(&self, class: Option<u32>) -> String {

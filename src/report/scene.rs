@@ -53,8 +53,15 @@ impl SceneReport {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table =
-            super::table(["class", "samples", "touch spikes", "touch %", "vision spikes", "vision %", "onset ms"]);
+        let mut table = super::text::table([
+            "class",
+            "samples",
+            "touch spikes",
+            "touch %",
+            "vision spikes",
+            "vision %",
+            "onset ms",
+        ]);
         let percent = |x: f64| if x.is_nan() { "-".to_string() } else { format!("{:.2}", 100.0 * x) };
         for class in &self.classes {
             let onset = class.onset_ms.map_or("-".to_string(), |[a, b, c]| format!("{a:.0} .. {b:.0} .. {c:.0}"));
@@ -170,6 +177,6 @@ impl SceneReport {
                 last,
             ])?;
         }
-        super::csv_text(out)
+        super::text::csv_text(out)
     }
 }

@@ -3,7 +3,7 @@
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use super::count;
+use super::text::count;
 use crate::stress::Verdict;
 
 /// Everything that the report says.
@@ -39,13 +39,13 @@ impl StressReport<'_> {
         for verdict in self.verdicts {
             out.write_record([verdict.name, word(verdict), &verdict.steps.to_string(), &verdict.detail])?;
         }
-        super::csv_text(out)
+        super::text::csv_text(out)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = super::table(["case", "verdict", "steps", "seen"]);
+        let mut table = super::text::table(["case", "verdict", "steps", "seen"]);
         for verdict in self.verdicts {
             table.add_row([verdict.name, word(verdict), &verdict.steps.to_string(), &verdict.detail]);
         }

@@ -109,7 +109,7 @@ impl TrainReport<'_> {
     pub fn provenance(&self, source: &SourceText, set: &[String]) -> String {
         let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let set = set.iter().map(|set| format!(" --set '{set}'")).collect::<String>();
-        let summary: String = super::wrapped(&self.summary());
+        let summary: String = super::text::wrapped(&self.summary());
         format!(
             "{}\n\n{summary}\nnsim train {file}{set} --seed {}, the training file being:\n\n{}",
             self.name,
@@ -121,7 +121,7 @@ impl TrainReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut out = format!("{}: {}", self.name, super::wrapped(&self.summary()));
+        let mut out = format!("{}: {}", self.name, super::text::wrapped(&self.summary()));
         out += &format!("{:.1} s\n", self.seconds);
         if let Some(model) = self.model {
             out += &format!("written: {}\n", model.display());
@@ -226,13 +226,13 @@ impl StudyReport<'_> {
                 rounded(run.seconds).to_string(),
             ])?;
         }
-        super::csv_text(out)
+        super::text::csv_text(out)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = super::table(["setting", "runs", "mean", "sd", "least", "most", "s a run"]);
+        let mut table = super::text::table(["setting", "runs", "mean", "sd", "least", "most", "s a run"]);
         for (name, runs) in self.settings() {
             let accuracies: Vec<f64> = runs.iter().map(|run| run.accuracy).collect();
             let (mean, sd) = mean_sd(&accuracies);

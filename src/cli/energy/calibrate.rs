@@ -2,12 +2,13 @@
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::units::Picoseconds;
+use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::args::values::Switch;
+use crate::cli::context::{Answer, Context};
 use crate::cli::energy::EnergyArgs;
 use crate::cli::energy::options::{DeploymentArg, deployment};
 use crate::cli::energy::workload::Workload;
-use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
-use crate::cli::run::Switch;
-use crate::cli::{Answer, Context, common};
+use crate::cli::output;
 use crate::cost::calibrate::{Cell, Unknown, fit};
 use crate::cost::estimate::{Case, Convention, Row, estimate};
 use crate::cost::{CostTable, Deployment};
@@ -212,6 +213,6 @@ pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, E
         let remark = format!("Written by: nsim energy --calibrate {}", table.name);
         io::write::text(output, context.force, &io::target::constants_text(&preset, &remark))?;
     }
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }

@@ -19,9 +19,11 @@ use self::options::{
 };
 use self::workload::Workload;
 use crate::base::units::Picoseconds;
-use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
-use crate::cli::run::{InputArgs, Switch};
-use crate::cli::{Answer, Context, Format, common};
+use crate::cli::args::input::InputArgs;
+use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::args::values::Switch;
+use crate::cli::context::{Answer, Context, Format};
+use crate::cli::output;
 use crate::cost::Deployment;
 use crate::cost::estimate::Convention;
 use crate::desc::baseline::Mode;
@@ -195,7 +197,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
             io::write::text(path, context.force, &text)?;
         }
     }
-    common::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
+    output::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
     if context.format != Format::Text {
         energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
     }
@@ -213,7 +215,7 @@ mod tests {
 
     use super::*;
     use crate::base::diagnostic::SourceText;
-    use crate::cli::common::SampleRange;
+    use crate::cli::args::values::SampleRange;
     use crate::cost::baseline::{Baseline, tests::vtsnn};
     use crate::cost::estimate::tests::{MS, run};
     use crate::desc::spanned::parse;

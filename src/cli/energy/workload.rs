@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
-use crate::cli::jobs::Job;
-use crate::cli::run::{InputArgs, check_pruned, select};
-use crate::cli::{Context, inputs, simulate};
+use crate::cli::args::input::{InputArgs, check_pruned, select};
+use crate::cli::args::inputs;
+use crate::cli::args::jobs::Job;
+use crate::cli::context::Context;
+use crate::cli::simulate;
 use crate::compile::Compiled;
 use crate::cost::{CostTable, Deployment, Metered, StepMeter, Transport, Ways};
 use crate::desc::target::Target;

@@ -8,13 +8,12 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::number;
 use crate::base::diagnostic::Diagnostic;
 use crate::io::events::{self, Event, EventFormat, Sink, nir_data};
 use crate::io::foreign::hdf5::{self, Group, Item};
 use crate::io::foreign::{self, Imported, Kind, Options, torch};
 use crate::io::text::{MOST_ARRAY, read_bytes};
-use crate::report::inspect::{Findings, Rows};
+use crate::report::inspect::{Findings, Rows, number};
 
 /// A row each: an array, or a text.
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];

@@ -14,8 +14,9 @@ use serde_json::{Value, json};
 
 use self::hardware::{of_baseline, of_chip, of_constants, of_target};
 use self::network::of_network;
-use super::{Answer, Context, common};
 use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::desc::mapping::{MappingFile, PrunedFile};
 use crate::desc::spanned::parse;
@@ -24,7 +25,7 @@ use crate::error::Error;
 use crate::io::events::EventFormat;
 use crate::io::shipped::{self, Origin};
 use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text};
-use crate::report::inspect::{Findings, Rows};
+use crate::report::inspect::{Findings, Rows, number};
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -47,7 +48,7 @@ pub struct Args {
 /// When the file cannot be read, or its kind is not known.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let findings = inspect(&args.file)?;
-    common::print(context.format, || findings.text(&args.file), || findings.json(&args.file), || findings.csv())?;
+    output::print(context.format, || findings.text(&args.file), || findings.json(&args.file), || findings.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -237,11 +238,6 @@ fn of_dataset(manifest: &dataset::Manifest) -> Findings {
 fn range_of(tensor: &Tensor) -> (Option<f64>, Option<f64>, usize) {
     let numbers = || (0..tensor.len()).map(|index| tensor.real(index));
     (numbers().reduce(f64::min), numbers().reduce(f64::max), numbers().filter(|&x| x != 0.0).count())
-}
-
-/// A number as people write it: without a fraction when it has none.
-fn number(x: f64) -> Value {
-    if x.fract() == 0.0 && x.abs() < 9e15 { json!(x as i64) } else { json!(x) }
 }
 
 fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
-use crate::cli::prune::PruneArgs;
-use crate::cli::{Answer, Context, complain};
+use crate::cli::args::prune::PruneArgs;
+use crate::cli::context::{Answer, Context};
+use crate::cli::diagnostics;
 use crate::compile::{self, CompileError, Compiled, Options, Reason, mapping_file, symbolic};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
@@ -117,8 +118,8 @@ impl Refusal {
     /// # Errors
     /// When stdout cannot be written.
     pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer, Error> {
-        complain::say(&report::map::refusal(&self.model, &self.target, &self.reasons));
-        if context.format == crate::cli::Format::Json {
+        diagnostics::say(&report::map::refusal(&self.model, &self.target, &self.reasons));
+        if context.format == crate::cli::context::Format::Json {
             object["model"] = self.model.as_str().into();
             object["target"] = self.target.name().into();
             object["fits"] = false.into();

@@ -1,13 +1,14 @@
-//! What several subcommands share: printing, ranges, progress.
+//! What several commands share: printing, progress, replacing a section of a document.
 
-use std::ops::Range;
-use std::str::FromStr;
+use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::cli::{Context, Format};
+use crate::base::diagnostic::Diagnostic;
+use crate::cli::context::{Context, Format};
 use crate::error::Error;
-use crate::io::write;
+use crate::io;
+use crate::report::text::replaced;
 
 /// Prints a result in the format that is asked for.
 ///
@@ -24,22 +25,7 @@ pub fn print(
         Format::Json => format!("{:#}\n", json()),
         Format::Csv => csv().map_err(|error| Error::Fault(format!("csv: {error}")))?,
     };
-    Ok(write::stdout(&out)?)
-}
-
-/// `A..B` of samples.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SampleRange(pub Range<usize>);
-
-impl FromStr for SampleRange {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("'{text}' is not a range of samples such as 0..20");
-        let (from, to) = text.split_once("..").ok_or_else(wrong)?;
-        let from = if from.is_empty() { 0 } else { from.parse().map_err(|_| wrong())? };
-        let to = if to.is_empty() { usize::MAX } else { to.parse().map_err(|_| wrong())? };
-        if from >= to { Err(wrong()) } else { Ok(SampleRange(from..to)) }
-    }
+    Ok(io::write::stdout(&out)?)
 }
 
 /// A progress bar on stderr that appears after a second, or none.
@@ -62,16 +48,25 @@ pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBa
     bar
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ranges_of_samples_parse() {
-        assert_eq!("0..20".parse(), Ok(SampleRange(0..20)));
-        assert_eq!("5..".parse(), Ok(SampleRange(5..usize::MAX)));
-        for bad in ["", "3", "4..4", "5..2", "a..b"] {
-            assert!(bad.parse::<SampleRange>().is_err(), "{bad}");
-        }
-    }
+/// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section shows.
+///
+/// # Errors
+/// [`Error`] when the document has no such section or cannot be written.
+pub fn update_section(
+    path: &Path,
+    mark: &str,
+    section: &str,
+    picture: &str,
+    svg: &str,
+    context: Context,
+) -> Result<(), Error> {
+    let text = io::text::read_text(path)?;
+    let changed = replaced(text.text(), mark, section).ok_or_else(|| {
+        Diagnostic::new("document.section", format!("there is no section '<!-- {mark} -->'"))
+            .help(format!("put '<!-- {mark} -->' and '<!-- end {mark} -->' on lines of their own"))
+            .in_file(path)
+    })?;
+    let beside = path.parent().unwrap_or(Path::new("")).join(picture);
+    io::write::file(&beside, context.force, |out| out.write_all(svg.as_bytes()))?;
+    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
 }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use serde_json::json;
 
 use crate::base::diagnostic::{Diagnostic, Place, SourceText, Span};
-use crate::cli::Format;
+use crate::cli::context::Format;
 use crate::error::Error;
 use crate::io::write;
 

@@ -1,18 +1,21 @@
 //! `nsim bench pareto`: run time against error.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::bench::Environment;
 use crate::bench::pareto::{ParetoError, Subject, Variant, mark_front};
-use crate::cli::agree::{Conversion, fits};
-use crate::cli::run::{InputArgs, select};
-use crate::cli::{Answer, Context, common, inputs};
+use crate::cli::args::conversion::{Conversion, fits};
+use crate::cli::args::input::{InputArgs, select};
+use crate::cli::args::inputs;
+use crate::cli::args::values;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::compile::{self, symbolic};
 use crate::error::Error;
 use crate::io;
-use crate::report::pareto::{ParetoReport, replaced};
+use crate::report::bench::pareto::ParetoReport;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -36,7 +39,7 @@ pub struct ParetoArgs {
     #[arg(long, value_name = "SOURCE")]
     calibrate: Vec<String>,
     /// Seconds that each variant is measured for, five repeats at least
-    #[arg(long, value_name = "S", default_value = "0.5", value_parser = super::bench::seconds)]
+    #[arg(long, value_name = "S", default_value = "0.5", value_parser = values::seconds)]
     seconds: Duration,
     /// A target file or the name of a shipped target, onto which the network is mapped
     #[arg(long, default_value = "nahuku-32")]
@@ -83,7 +86,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let target = io::target::load_target(&args.target)?;
     let subject = Subject::new(&graph, &fits, &target, samples, args.seconds)?;
     let variants = Variant::all(graph.has_srm());
-    let bar = common::progress(context, variants.len() as u64, "variants");
+    let bar = output::progress(context, variants.len() as u64, "variants");
     let mut rows = Vec::new();
     for variant in variants {
         rows.push(subject.measure(variant)?);
@@ -105,24 +108,15 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     }
     if let Some(path) = &args.update {
         let picture = format!("pareto-{name}.svg");
-        update(path, &format!("pareto {name}"), &report.markdown(&picture), &picture, &report.svg(), context)?;
+        output::update_section(
+            path,
+            &format!("pareto {name}"),
+            &report.markdown(&picture),
+            &picture,
+            &report.svg(),
+            context,
+        )?;
     }
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(if rows.iter().all(|row| row.exact != Some(false)) { Answer::Yes } else { Answer::No })
-}
-
-/// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section shows.
-///
-/// # Errors
-/// [`Error`] when the document has no such section or cannot be written.
-pub fn update(path: &Path, mark: &str, section: &str, picture: &str, svg: &str, context: Context) -> Result<(), Error> {
-    let text = io::text::read_text(path)?;
-    let changed = replaced(text.text(), mark, section).ok_or_else(|| {
-        Diagnostic::new("document.section", format!("there is no section '<!-- {mark} -->'"))
-            .help(format!("put '<!-- {mark} -->' and '<!-- end {mark} -->' on lines of their own"))
-            .in_file(path)
-    })?;
-    let beside = path.parent().unwrap_or(Path::new("")).join(picture);
-    io::write::file(&beside, context.force, |out| out.write_all(svg.as_bytes()))?;
-    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
 }

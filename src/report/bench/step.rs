@@ -70,7 +70,7 @@ impl StepReport<'_> {
         json!({
             "schema": "nsim.bench/1",
             "name": "step",
-            "environment": super::environment(self.environment),
+            "environment": super::environment::json(self.environment),
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -101,13 +101,13 @@ impl StepReport<'_> {
                 rounded(row.bytes_per_synapse).to_string(),
             ])?;
         }
-        super::csv_text(out)
+        crate::report::text::csv_text(out)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = super::table([
+        let mut table = crate::report::text::table([
             "network",
             "threads",
             "skip",

@@ -3,9 +3,9 @@
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use super::plot::{self, Axis, Series};
 use crate::bench::Environment;
 use crate::bench::pareto::Row;
+use crate::report::charts::plot::{self, Axis, Series};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -80,7 +80,7 @@ impl ParetoReport<'_> {
             "input": self.input,
             "seed": self.seed,
             "samples": self.samples,
-            "environment": super::environment(self.environment),
+            "environment": super::environment::json(self.environment),
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -107,7 +107,7 @@ impl ParetoReport<'_> {
             cells[8] = row.on_front.to_string();
             out.write_record(&cells)?;
         }
-        super::csv_text(out)
+        crate::report::text::csv_text(out)
     }
 
     fn what(&self) -> String {
@@ -118,7 +118,7 @@ impl ParetoReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = super::table(HEAD);
+        let mut table = crate::report::text::table(HEAD);
         self.rows.iter().for_each(|row| _ = table.add_row(Self::cells(row)));
         table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
         format!(
@@ -161,15 +161,6 @@ impl ParetoReport<'_> {
     }
 }
 
-/// Puts a section between `<!-- NAME -->` and `<!-- end NAME -->` of a document.
-#[must_use]
-pub fn replaced(document: &str, name: &str, section: &str) -> Option<String> {
-    let (open, close) = (format!("<!-- {name} -->\n"), format!("<!-- end {name} -->"));
-    let from = document.find(&open)? + open.len();
-    let to = from + document[from..].find(&close)?;
-    Some(format!("{}{section}{}", &document[..from], &document[to..]))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -208,12 +199,5 @@ mod tests {
         }
         assert!(report.svg().contains("fast") && report.markdown("p.svg").contains("| fast |"));
         assert!(report.csv().unwrap().contains("fast,1.500"));
-    }
-
-    #[test]
-    fn a_section_is_replaced_between_its_marks() {
-        let document = "a\n<!-- x -->\nold\n<!-- end x -->\nb\n";
-        assert_eq!(replaced(document, "x", "new\n").unwrap(), "a\n<!-- x -->\nnew\n<!-- end x -->\nb\n");
-        assert_eq!(replaced(document, "y", "new"), None);
     }
 }

@@ -3,7 +3,7 @@
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use super::bench::{rounded, significant};
+use super::step::{rounded, significant};
 use crate::bench::Environment;
 use crate::bench::mapping::Mapped;
 use crate::compile::{Objective, Strategy};
@@ -83,7 +83,7 @@ impl MapReport<'_> {
         json!({
             "schema": "nsim.bench/1",
             "name": "map",
-            "environment": super::environment(self.environment),
+            "environment": super::environment::json(self.environment),
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -106,13 +106,13 @@ impl MapReport<'_> {
                 other => other.to_string(),
             }))?;
         }
-        super::csv_text(out)
+        crate::report::text::csv_text(out)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = super::table([
+        let mut table = crate::report::text::table([
             "network",
             "strategy",
             "placed",

@@ -1,15 +1,20 @@
 //! `nsim bench`: measures.
 
+pub mod early;
+pub mod pareto;
+
 use std::cell::OnceCell;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
+use self::early::EarlyArgs;
+use self::pareto::ParetoArgs;
 use crate::bench::networks::{Bench, Standard};
 use crate::bench::suite::{self, Case};
 use crate::bench::{Budget, Environment, mapping, measure};
-use crate::cli::early::{self, EarlyArgs};
-use crate::cli::pareto::ParetoArgs;
-use crate::cli::{Answer, Context, common, pareto};
+use crate::cli::args::values;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::compile::{CompileError, Options, compile_quantised};
 use crate::error::Error;
 use crate::io;
@@ -17,8 +22,8 @@ use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
 use crate::machine::{Image, Machine, Settings};
-use crate::report::bench::{StepReport, StepRow};
-use crate::report::bench_map::MapReport;
+use crate::report::bench::mapping::MapReport;
+use crate::report::bench::step::{StepReport, StepRow};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -78,7 +83,7 @@ pub struct StepArgs {
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = standard)]
     network: Vec<Standard>,
     /// Seconds that each row is measured for, set-up not included
-    #[arg(long, value_name = "S", default_value = "1", value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value = "1", value_parser = values::seconds)]
     seconds: Duration,
     /// Instead: exactly so many steps, once, without warm-up, for counting instructions
     #[arg(long, value_name = "N", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
@@ -90,17 +95,6 @@ fn standard(name: &str) -> Result<Standard, String> {
         let names: Vec<&str> = Standard::ALL.iter().map(|standard| standard.name()).collect();
         format!("standard networks are: {}", names.join(", "))
     })
-}
-
-/// Seconds as an argument.
-///
-/// # Errors
-/// What seconds are.
-pub fn seconds(text: &str) -> Result<Duration, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if (0.0..=3600.0).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
-        _ => Err("seconds are between 0 and 3600".to_string()),
-    }
 }
 
 /// The command.
@@ -127,7 +121,7 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
         tracing::warn!("this nsim was built without --release; its times mean nothing");
     }
     let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
-    let bar = common::progress(context, (cases.len() * ways) as u64, "mappings");
+    let bar = output::progress(context, (cases.len() * ways) as u64, "mappings");
     let mut rows = Vec::new();
     for case in &cases {
         let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
@@ -141,7 +135,7 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     }
     bar.finish_and_clear();
     let report = MapReport { environment: &environment, rows: &rows };
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -156,7 +150,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         tracing::warn!("this nsim was built without --release; its times mean nothing");
     }
     let budget = args.steps.map_or(Budget::Time(args.seconds), Budget::Steps);
-    let bar = common::progress(context, networks.len() as u64, "networks");
+    let bar = output::progress(context, networks.len() as u64, "networks");
     let mut rows = Vec::new();
     // Networks of the same program are mapped and flattened once.
     for same in networks.chunk_by(|a, b| a.program_of() == b.program_of()) {
@@ -172,7 +166,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     }
     bar.finish_and_clear();
     let report = StepReport { environment: &environment, rows: &rows };
-    common::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 

@@ -6,17 +6,18 @@ use serde_json::Value;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::units::Picoseconds;
+use crate::cli::args::input::InputArgs;
+use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::context::{Answer, Context};
 use crate::cli::energy::options::{DeploymentArg, deployment, tables, with_preset};
 use crate::cli::energy::workload::Workload;
-use crate::cli::jobs::{self, JobArgs, Prepared, Wanted};
-use crate::cli::run::InputArgs;
-use crate::cli::{Answer, Context, common};
+use crate::cli::output;
 use crate::cost::Transport;
 use crate::cost::estimate::{Case, Convention, spent_by_step_uj};
 use crate::desc::baseline::Mode;
 use crate::error::Error;
 use crate::io;
-use crate::report::early::{EarlyReport, Group, Trial};
+use crate::report::bench::early::{EarlyReport, Group, Trial};
 use crate::train::loss::class_of;
 
 const EXAMPLES: &str = "\
@@ -171,7 +172,7 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
         io::write::check_free(path, context.force)?;
     }
     let members = members(args)?;
-    let bar = common::progress(context, members.len() as u64, "models");
+    let bar = output::progress(context, members.len() as u64, "models");
     let mut groups: Vec<Group> = Vec::new();
     for member in &members {
         let Some(trial) = trial(args, member, Context { progress: false, ..context })? else { return Ok(Answer::No) };
@@ -187,6 +188,6 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
     for (path, text) in paths.iter().zip(texts) {
         io::write::text(path, context.force, &text)?;
     }
-    common::print(context.format, || report.text(), || report.json(), || Ok(report.csv()))?;
+    output::print(context.format, || report.text(), || report.json(), || Ok(report.csv()))?;
     Ok(Answer::Yes)
 }

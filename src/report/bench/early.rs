@@ -3,8 +3,8 @@
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use super::plot::{Axis, Series, chart};
-use super::train::mean_sd;
+use crate::report::charts::plot::{Axis, Series, chart};
+use crate::report::train::mean_sd;
 
 /// One model on its samples.
 #[derive(Debug, Clone, PartialEq)]
@@ -160,7 +160,7 @@ impl EarlyReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = super::table([
+        let mut table = crate::report::text::table([
             "models",
             "number",
             "accuracy",

@@ -20,9 +20,9 @@ use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
-use super::ladder::{Cause, Ladder, Rung};
-use super::metrics::{TAU, Tally};
-use super::trace::{Comparison, Layer, Trace};
+use crate::agree::ladder::{Cause, Ladder, Rung};
+use crate::agree::metrics::{TAU, Tally};
+use crate::agree::trace::{Comparison, Layer, Trace};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{Decay, Refractory};
 use crate::compile::frontend::analytic::{self, Fit};

@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use super::plot::{Axis, BOTTOM, COLOURS, HEIGHT, LEFT, RIGHT, Scale, TOP, WIDTH, frame, legend, word};
+use crate::report::charts::plot::{Axis, BOTTOM, COLOURS, HEIGHT, LEFT, RIGHT, Scale, TOP, WIDTH, frame, legend, word};
 
 /// The spikes of one sense.
 #[derive(Debug, Clone, PartialEq)]

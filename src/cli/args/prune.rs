@@ -1,7 +1,7 @@
 //! `--prune none|static|INPUT` -> what to leave out of a network before it is mapped.
 
 use crate::base::id::PopulationId;
-use crate::cli::inputs;
+use crate::cli::args::inputs;
 use crate::compile::frontend::prune::Plan;
 use crate::error::Error;
 use crate::ir::quantised::Quantised;

@@ -1,0 +1,55 @@
+//! `--input` and what goes with it: which samples a run takes.
+
+use crate::cli::args::values::SampleRange;
+use crate::compile::frontend::prune::check_stimulus;
+use crate::error::Error;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
+
+/// Where the spikes of a run come from.
+#[derive(Debug, Clone, clap::Args)]
+pub struct InputArgs {
+    /// Spikes: POPULATION=SOURCE, or SOURCE when it is clear for which [default: the model's scene]
+    #[arg(long, value_name = "SOURCE")]
+    pub input: Vec<String>,
+    /// Only these samples, such as 0..20
+    #[arg(long, value_name = "A..B")]
+    pub samples: Option<SampleRange>,
+    /// Run everything so many times; nothing is remembered
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub repeat: u32,
+    /// Seed of a synthetic scene
+    #[arg(long)]
+    pub seed: Option<u64>,
+}
+
+impl InputArgs {
+    /// All samples of these sources, once.
+    #[must_use]
+    pub fn of(sources: &[String]) -> Self {
+        InputArgs { input: sources.to_vec(), samples: None, repeat: 1, seed: None }
+    }
+}
+
+/// Takes the samples that a run asks for, as often as it asks.
+///
+/// # Errors
+/// [`Error::Usage`] when the range holds no sample.
+pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sample>, Error> {
+    let range = args.samples.as_ref().map_or(0..usize::MAX, |range| range.0.clone());
+    let end = range.end.min(samples.len());
+    let chosen = samples.get(range.start..end).filter(|chosen| !chosen.is_empty());
+    let chosen = chosen
+        .ok_or_else(|| Error::Usage(format!("--samples {}..: there are {} samples", range.start, samples.len())))?;
+    Ok((0..args.repeat).flat_map(|_| chosen.iter()).collect())
+}
+
+/// Refuses samples that fire what the network was pruned of; samples are numbered as the input has them.
+///
+/// # Errors
+/// `input.pruned`.
+pub fn check_pruned(network: &Quantised, samples: &[&Sample], args: &InputArgs) -> Result<(), Error> {
+    let first = args.samples.as_ref().map_or(0, |range| range.0.start);
+    let once = samples.len() / args.repeat as usize;
+    Ok(check_stimulus(network, &samples[..once], first)?)
+}

@@ -1,0 +1,8 @@
+//! Arguments that several commands share, and what they stand for.
+
+pub mod conversion;
+pub mod input;
+pub mod inputs;
+pub mod jobs;
+pub mod prune;
+pub mod values;

@@ -1,0 +1,54 @@
+//! Values that are typed: a switch, a range of samples, a duration.
+
+use std::ops::Range;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// On or off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Switch {
+    /// Yes.
+    On,
+    /// No.
+    Off,
+}
+
+/// `A..B` of samples.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SampleRange(pub Range<usize>);
+
+impl FromStr for SampleRange {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("'{text}' is not a range of samples such as 0..20");
+        let (from, to) = text.split_once("..").ok_or_else(wrong)?;
+        let from = if from.is_empty() { 0 } else { from.parse().map_err(|_| wrong())? };
+        let to = if to.is_empty() { usize::MAX } else { to.parse().map_err(|_| wrong())? };
+        if from >= to { Err(wrong()) } else { Ok(SampleRange(from..to)) }
+    }
+}
+
+/// Seconds as an argument.
+///
+/// # Errors
+/// What seconds are.
+pub fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if (0.0..=3600.0).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("seconds are between 0 and 3600".to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_of_samples_parse() {
+        assert_eq!("0..20".parse(), Ok(SampleRange(0..20)));
+        assert_eq!("5..".parse(), Ok(SampleRange(5..usize::MAX)));
+        for bad in ["", "3", "4..4", "5..2", "a..b"] {
+            assert!(bad.parse::<SampleRange>().is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,3 @@
+//! Networks in real numbers -> integers, searched on samples.
+
+pub mod search;

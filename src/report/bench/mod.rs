@@ -1,0 +1,7 @@
+//! Results of `nsim bench`.
+
+pub mod early;
+pub mod environment;
+pub mod mapping;
+pub mod pareto;
+pub mod step;
