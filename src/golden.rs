@@ -31,7 +31,7 @@ struct Synapse {
     source: SpikeSource,
     /// Steps from a spike to the update that it enters: equation (2).
     way: u32,
-    /// What a spike adds: equation (1).
+    /// What a binary spike adds: equation (1).
     adds: i64,
 }
 
@@ -57,6 +57,8 @@ struct Outcome {
 struct Compartment {
     neuron: Neuron,
     start_step: u32,
+    /// What its spikes multiply weights by.
+    payload: i64,
     incoming: Vec<Synapse>,
     state: State,
 }
@@ -67,16 +69,17 @@ pub struct Golden {
     semantics: Semantics,
     threshold: ThresholdTest,
     reset: Option<Reset>,
-    channels: usize,
     compartments: IdVec<CompartmentId, Compartment>,
     /// Steps done, hence the number of the next.
     done: u32,
     /// Steps of the sample.
     steps: u32,
-    /// Which channels spiked, the latest step first.
-    channel_history: VecDeque<Vec<bool>>,
-    /// Which compartments spiked, the latest step first.
-    compartment_history: VecDeque<Vec<bool>>,
+    /// What a spike of each channel multiplies its weights by.
+    channel_payloads: Vec<i64>,
+    /// What the spike of each channel carried, if it spiked; the latest step first.
+    channel_history: VecDeque<Vec<Option<i64>>>,
+    /// What the spike of each compartment carried, if it spiked; the latest step first.
+    compartment_history: VecDeque<Vec<Option<i64>>>,
     spikes: Vec<CompartmentId>,
     totals: Totals,
     overflow: Overflow,
@@ -86,17 +89,22 @@ impl Golden {
     /// An interpreter of this network, with nothing in flight.
     #[must_use]
     pub fn new(network: &Quantised) -> Golden {
-        let mut compartments = IdVec::new();
+        let (mut compartments, mut channel_payloads) = (IdVec::new(), Vec::new());
         for population in network.populations() {
+            // A binary spike adds each weight once.
+            let payload = population.payload.map_or(1, |payload| i64::from(payload.get()));
             if let Units::Loihi { neurons, start_step, .. } = &population.units {
                 for index in 0..population.shape.len() {
                     compartments.push(Compartment {
                         neuron: neurons.get(index),
                         start_step: *start_step,
+                        payload,
                         incoming: Vec::new(),
                         state: State::default(),
                     });
                 }
+            } else {
+                channel_payloads.extend((0..population.shape.len()).map(|_| payload));
             }
         }
         for (target, synapse) in synapses(network) {
@@ -107,10 +115,10 @@ impl Golden {
             semantics: parts.semantics,
             threshold: parts.threshold,
             reset: parts.reset,
-            channels: network.channels() as usize,
             compartments,
             done: 0,
             steps: 0,
+            channel_payloads,
             channel_history: VecDeque::new(),
             compartment_history: VecDeque::new(),
             spikes: Vec::new(),
@@ -119,13 +127,13 @@ impl Golden {
         }
     }
 
-    /// Whether the source spiked this many steps before the step that is being computed.
-    fn spiked(&self, source: SpikeSource, ago: u32) -> bool {
+    /// What the source's spike of this many steps before the one that is being computed carried, if it spiked then.
+    fn carried(&self, source: SpikeSource, ago: u32) -> Option<i64> {
         let (history, index) = match source {
             SpikeSource::Channel(channel) => (&self.channel_history, channel.index()),
             SpikeSource::Compartment(compartment) => (&self.compartment_history, compartment.index()),
         };
-        history.get(ago as usize).is_some_and(|step| step[index])
+        history.get(ago as usize)?[index]
     }
 
     /// Events of spikes that are still on their way and arrive before the sample's end; none once it is over.
@@ -141,7 +149,7 @@ impl Golden {
         for synapse in self.compartments.iter().flat_map(|compartment| &compartment.incoming) {
             // The latest step is the first row of the histories.
             for ago in 0..self.done.min(synapse.way + 1) {
-                events += u64::from(arrives(synapse, ago) && self.spiked(synapse.source, ago));
+                events += u64::from(arrives(synapse, ago) && self.carried(synapse.source, ago).is_some());
             }
         }
         events
@@ -151,8 +159,8 @@ impl Golden {
     fn arrivals(&self, compartment: CompartmentId) -> (i64, u64) {
         let (mut sum, mut events) = (0, 0);
         for synapse in &self.compartments[compartment].incoming {
-            if self.spiked(synapse.source, synapse.way) {
-                sum += synapse.adds;
+            if let Some(payload) = self.carried(synapse.source, synapse.way) {
+                sum += synapse.adds * payload;
                 events += 1;
             }
         }
@@ -219,19 +227,19 @@ impl Engine for Golden {
     fn step(&mut self, channels: &[ChannelId]) {
         let step = self.done;
         self.totals.spikes_in += channels.len() as u64;
-        let mut inputs = vec![false; self.channels];
+        let mut inputs = vec![None; self.channel_payloads.len()];
         for &channel in channels {
-            inputs[channel.index()] = true;
+            inputs[channel.index()] = Some(self.channel_payloads[channel.index()]);
         }
         self.channel_history.push_front(inputs);
         // Nothing of this step's own row is read: a compartment's spike is on its way for a step at least.
-        self.compartment_history.push_front(vec![false; self.compartments.len()]);
+        self.compartment_history.push_front(vec![None; self.compartments.len()]);
         self.channel_history.truncate(LONGEST_WAY + 1);
         self.compartment_history.truncate(LONGEST_WAY + 1);
 
         let spikes: Vec<CompartmentId> = self.compartments.ids().filter(|&id| self.update(id, step)).collect();
         for &id in &spikes {
-            self.compartment_history[0][id.index()] = true;
+            self.compartment_history[0][id.index()] = Some(self.compartments[id].payload);
         }
         self.totals.spikes += spikes.len() as u64;
         self.spikes = spikes;

@@ -190,6 +190,7 @@ impl Ladder {
             graph.projections().zip(rounded.projections().iter().zip(calibrated.projections()))
         {
             let (sources, targets) = (populations[source.index()].count, populations[target.index()].count);
+            let payload = graph.population(source).spike_factor();
             let factor = match units[target.index()] {
                 Some(scale) => scale,
                 None => {
@@ -206,9 +207,9 @@ impl Ladder {
                 source: source.index(),
                 target: target.index(),
                 delay: projection.delay.get().into(),
-                real: Synapses::new(projection, sources, targets, factor),
-                rounded: integer(whole, sources, rescale),
-                calibrated: integer(chosen, sources, 1.0),
+                real: Synapses::new(projection, sources, targets, factor * payload),
+                rounded: integer(whole, sources, rescale * payload),
+                calibrated: integer(chosen, sources, payload),
             });
         }
         let slots = links.iter().map(|link| link.delay as usize + 2).max().unwrap_or(1);

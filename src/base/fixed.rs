@@ -107,6 +107,11 @@ ranged!(
     WeightBits(u8) in 1..=8, "weight bits"
 );
 
+ranged!(
+    /// The integer that a graded spike carries, 24 bits signed; what it adds is the scaled weight times this.
+    Payload(i32) in -8_388_608..=8_388_607, "payload"
+);
+
 /// Width of the dendritic accumulator without its sign (nengo-loihi: `Q_BITS`).
 pub const Q_BITS: u32 = 21;
 /// Width of the current and voltage registers without their sign.

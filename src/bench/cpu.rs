@@ -137,9 +137,10 @@ impl Dense {
             let mut incoming = Vec::new();
             for projection in network.projections().iter().filter(|p| p.target == target) {
                 let mut weights = Array2::zeros((size(projection.source) as usize, size(target) as usize));
+                let factor = network.populations()[projection.source].spike_factor() as f32;
                 for from in 0..size(projection.source) {
                     projection.connectivity.for_each_from(from, |to, weight| {
-                        weights[[from as usize, to as usize]] += projection.format.scaled(weight) as f32;
+                        weights[[from as usize, to as usize]] += projection.format.scaled(weight) as f32 * factor;
                     });
                 }
                 let input = network.populations()[projection.source].first_compartment().is_none();

@@ -155,7 +155,12 @@ impl Builder {
     pub(super) fn input(&mut self, name: &str, channels: u32) -> PopulationId {
         let units = Units::Input(ChannelId(self.channels));
         self.channels += channels;
-        self.parts.populations.push(Population { name: name.to_string(), shape: Shape::Line(channels), units })
+        self.parts.populations.push(Population {
+            name: name.to_string(),
+            shape: Shape::Line(channels),
+            units,
+            payload: None,
+        })
     }
 
     /// Gives the last population a shape over space with as many units.
@@ -186,7 +191,7 @@ impl Builder {
         };
         let units = Units::Loihi { first: CompartmentId(self.compartments), neurons, start_step: 0 };
         self.compartments += compartments;
-        let population = Population { name: name.to_string(), shape: Shape::Line(compartments), units };
+        let population = Population { name: name.to_string(), shape: Shape::Line(compartments), units, payload: None };
         self.parts.output = self.parts.populations.push(population);
         Ok(self.parts.output)
     }

@@ -102,7 +102,7 @@ impl Builder {
     pub fn input_shape(&mut self, name: &str, shape: Shape) -> PopulationId {
         let units = Units::Input(ChannelId(self.channels));
         self.channels += shape.len();
-        self.parts.populations.push(Population { name: name.to_string(), shape, units })
+        self.parts.populations.push(Population { name: name.to_string(), shape, units, payload: None })
     }
 
     /// An input of so many channels.
@@ -114,7 +114,8 @@ impl Builder {
     pub fn loihi_with(&mut self, name: &str, shape: Shape, neurons: Neurons) -> PopulationId {
         let units = Units::Loihi { first: CompartmentId(self.compartments), neurons, start_step: 0 };
         self.compartments += shape.len();
-        self.parts.output = self.parts.populations.push(Population { name: name.to_string(), shape, units });
+        self.parts.output =
+            self.parts.populations.push(Population { name: name.to_string(), shape, units, payload: None });
         self.parts.output
     }
 

@@ -156,6 +156,8 @@ pub enum PopulationDesc {
         name: Spanned<String>,
         /// `[n]` or `[channels, height, width]`.
         shape: Spanned<Vec<u64>>,
+        /// The integer that each of its spikes carries; none by default, a binary spike.
+        payload: Option<Spanned<i64>>,
     },
     /// Compartments of a Loihi core.
     Loihi(Box<LoihiDesc>),
@@ -211,6 +213,8 @@ pub struct LoihiDesc {
     pub refractory: Option<Parameter>,
     /// The timestep before which the population is held at zero; default 0.
     pub start_step: Option<Spanned<i64>>,
+    /// The integer that each of its spikes carries; none by default, a binary spike.
+    pub payload: Option<Spanned<i64>>,
     /// Exponent of the lower clip of v; default 23.
     pub vmin_exp: Option<Parameter>,
     /// Exponent of the upper clip of v; default 7.
@@ -598,6 +602,16 @@ impl PopulationDesc {
             PopulationDesc::Input { name, .. } => name,
             PopulationDesc::Loihi(desc) => &desc.name,
             PopulationDesc::Srm(desc) => &desc.name,
+        }
+    }
+
+    /// The integer that each of its spikes carries, if any.
+    #[must_use]
+    pub fn payload(&self) -> Option<&Spanned<i64>> {
+        match self {
+            PopulationDesc::Input { payload, .. } => payload.as_ref(),
+            PopulationDesc::Loihi(desc) => desc.payload.as_ref(),
+            PopulationDesc::Srm(_) => None,
         }
     }
 

@@ -230,13 +230,17 @@ impl Draft {
     /// The draft of a model, with its arrays in full.
     ///
     /// # Errors
-    /// `export.unsupported` for arrays that a seed stands for.
+    /// `export.unsupported` for arrays that a seed stands for, and for spikes with a payload.
     pub fn of(network: &Network) -> Result<Draft, Diagnostic> {
         let file = network.file();
         let mut draft = Draft::new(&file.name, file.timestep_ms.value);
         for population in &file.populations {
             let desc = &population.value;
             let (name, shape) = (&desc.name().value, desc.shape().value.clone());
+            if desc.payload().is_some() {
+                let message = format!("population '{name}' has spikes with a payload, which cannot be exported");
+                return Err(Diagnostic::new("export.unsupported", message));
+            }
             draft.populations.push(match desc {
                 PopulationDesc::Input { .. } => DraftPopulation::input(name, shape),
                 PopulationDesc::Srm(srm) => {

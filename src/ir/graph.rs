@@ -10,7 +10,7 @@ use std::sync::Arc;
 use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
 
 use crate::base::diagnostic::{SourceText, Span};
-use crate::base::fixed::{Delay, SignMode};
+use crate::base::fixed::{Delay, Payload, SignMode};
 use crate::desc::network::{ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::Tensor;
@@ -199,6 +199,16 @@ pub struct Population {
     pub shape: Shape,
     /// What it is made of.
     pub kind: PopulationKind,
+    /// The integer that each of its spikes carries; `None` for binary spikes.
+    pub payload: Option<Payload>,
+}
+
+impl Population {
+    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary spikes.
+    #[must_use]
+    pub fn spike_factor(&self) -> f64 {
+        self.payload.map_or(1.0, |payload| payload.get().into())
+    }
 }
 
 /// A window sliding over a `[C, H, W]` population; pairs are (y, x).

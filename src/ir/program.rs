@@ -7,11 +7,12 @@
 //! is reached by two sources, and every stored list is selected.
 //! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
-use crate::base::fixed::Delay;
+use crate::base::fixed::{Delay, Payload};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::partition::Seat;
@@ -328,7 +329,7 @@ impl Stored {
     /// Whether every axon selects a list, each list of a discrete axon is selected by it alone, each axon's atom is in the
     /// table of its population, and slots are below a number.
     fn is_closed(&self, slots: usize) -> bool {
-        let most = |lists: std::ops::Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
+        let most = |lists: Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
         if self.plain as usize > self.lists.len() {
             return false;
         }
@@ -387,6 +388,15 @@ pub struct CoreImage {
     pub axons_out: Lists<AxonTarget>,
 }
 
+/// Consecutive sources whose spikes all carry the same integer. Sources are numbered channels first, then compartments.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Graded {
+    /// The sources.
+    pub sources: Range<u32>,
+    /// What each of their spikes carries.
+    pub payload: Payload,
+}
+
 /// What the parts of a [`Program`] are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Parts {
@@ -400,6 +410,8 @@ pub struct Parts {
     pub seats: IdVec<CompartmentId, Seat>,
     /// First compartment and number of compartments of each population; `None` for inputs.
     pub populations: IdVec<PopulationId, Option<(CompartmentId, u32)>>,
+    /// Sources of graded spikes, ascending; all others send binary spikes.
+    pub graded: Vec<Graded>,
     /// The population whose spikes decide.
     pub output: PopulationId,
     /// Which arithmetic.
@@ -496,6 +508,12 @@ impl Program {
         let seated: usize = parts.cores.iter().map(|image| image.compartments.len()).sum();
         if seated != parts.seats.len() {
             return Err(NotClosed("a compartment has no seat".to_string()));
+        }
+        let ends = parts.graded.iter().map(|graded| graded.sources.end);
+        let begins = parts.graded.iter().map(|graded| graded.sources.start);
+        let sources = (parts.channels.len() + parts.seats.len()) as u32;
+        if std::iter::once(0).chain(ends).zip(begins.chain([sources])).any(|(end, begin)| begin < end) {
+            return Err(NotClosed("a payload has no source, or a source has two".to_string()));
         }
         if parts.populations.get(parts.output).copied().flatten().is_none() {
             return Err(NotClosed("the output is not a population of compartments".to_string()));

@@ -7,8 +7,8 @@
 use std::sync::Arc;
 
 use crate::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
-    WeightBits, WeightExponent, scaled_weight,
+    BiasExponent, BiasMantissa, Decay, Delay, Payload, Refractory, SignMode, ThresholdMantissa, VmaxExponent,
+    VminExponent, WeightBits, WeightExponent, scaled_weight,
 };
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
 use crate::base::rng;
@@ -100,6 +100,8 @@ pub struct Population {
     pub shape: Shape,
     /// What it is made of.
     pub units: Units,
+    /// The integer that each of its spikes carries; `None` for binary spikes.
+    pub payload: Option<Payload>,
 }
 
 impl Population {
@@ -110,6 +112,12 @@ impl Population {
             Units::Input(_) => None,
             Units::Loihi { first, .. } => Some(first),
         }
+    }
+
+    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary spikes.
+    #[must_use]
+    pub fn spike_factor(&self) -> i32 {
+        self.payload.map_or(1, Payload::get)
     }
 
     /// The first channel, when it is an input.

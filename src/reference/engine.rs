@@ -110,7 +110,7 @@ impl<F: Real> Model<F> {
                     projection,
                     populations[source.index()].count,
                     populations[target.index()].count,
-                    weight_unit(graph, target, projection),
+                    weight_unit(graph, target, projection) * graph.population(source).spike_factor(),
                 ),
             });
         }

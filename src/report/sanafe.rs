@@ -134,6 +134,9 @@ impl Export<'_> {
         if parts.threshold == ThresholdTest::Inclusive {
             return Err(refused("that a compartment spikes when it reaches its threshold (threshold: Inclusive)"));
         }
+        if !parts.graded.is_empty() {
+            return Err(refused("spikes with a payload"));
+        }
         if parts.reset.is_some() {
             return Err(refused("that a network is reset within a sample"));
         }

@@ -85,8 +85,12 @@ impl Plan {
             vmax: each(of, |p| VmaxExponent::new(p.vmax.into()))?,
         };
         let count = self.neurons.len() as u32;
-        let population =
-            |name: &str, count, units| Population { name: name.to_string(), shape: Shape::Line(count), units };
+        let population = |name: &str, count, units| Population {
+            name: name.to_string(),
+            shape: Shape::Line(count),
+            units,
+            payload: None,
+        };
         let units = Units::Loihi { first: CompartmentId(0), neurons, start_step: 0 };
         let projection = |link: &Link| {
             Ok::<_, OutOfRange>(Projection {

@@ -196,7 +196,7 @@ impl Net {
 
     fn add(&mut self, shape: Shape, units: Units) -> PopulationId {
         let name = format!("p{}", self.parts.populations.len());
-        self.parts.populations.push(Population { name, shape, units })
+        self.parts.populations.push(Population { name, shape, units, payload: None })
     }
 
     /// Connects two populations.

@@ -10,7 +10,8 @@
 //!    The format is exponent, sign mode and bits; so the scaled weights are equal too.
 //! 3. *Nothing else.* Every input axon of P is the end of exactly one message. (`Program::new` holds programs to it; with
 //!    2 it follows that no synapse of P is reached by a source that N does not have.)
-//! 4. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
+//! 4. *Payloads.* A spike of a source carries in P what it carries in N.
+//! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
 //!
 //! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing of the stages between.
 //! Sources are compared a piece at a time, `PIECE_SYNAPSES` of the network on average; memory is that of a piece for each
@@ -23,7 +24,7 @@ use rayon::prelude::*;
 use crate::base::fixed::{Delay, SignMode};
 use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::ir::program::{AxonTarget, Compartment, Program};
-use crate::ir::quantised::{Projection, Quantised, SynapseFormat, Units};
+use crate::ir::quantised::{Population, Projection, Quantised, SynapseFormat, Units};
 
 /// Synapses of the sources that are decoded together, on average: they should stay in a processor's cache.
 const PIECE_SYNAPSES: u64 = 1 << 18;
@@ -117,6 +118,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
         (program.channels() == network.channels(), "number of input channels"),
         (program.compartments() == network.compartments(), "number of compartments"),
         (told.populations.iter().copied().eq(populations), "list of populations"),
+        (network.populations().iter().all(|p| carries_the_same(network, p, program)), "payload of a population"),
         (told.output == meant.output, "output population"),
         (told.semantics == meant.semantics, "semantics"),
         (told.threshold == meant.threshold, "threshold test"),
@@ -126,6 +128,17 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
         Some((_, what)) => Err(Difference::Frame(what)),
         None => Ok(()),
     }
+}
+
+fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
+    let first = match population.units {
+        Units::Input(first) => first.0,
+        Units::Loihi { first, .. } => network.channels() + first.0,
+    };
+    (first..first + population.shape.len()).all(|source| {
+        let graded = program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
+        graded.map(|graded| graded.payload) == population.payload
+    })
 }
 
 fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Difference> {

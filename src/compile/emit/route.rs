@@ -23,9 +23,10 @@ use crate::desc::target::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::program::{
-    AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Program, Stored, Synapse,
+    AxonTarget, Compartment, CoreFormat, CoreImage, Graded, InputAxon, Lists, Parts, PopulationAxon, Program, Stored,
+    Synapse,
 };
-use crate::ir::quantised::{Quantised, Units};
+use crate::ir::quantised::{Population, Quantised, Units};
 
 /// Sources whose messages are sorted by one task.
 const PIECE: u32 = 1 << 14;
@@ -90,12 +91,27 @@ pub fn route(
         channels: messages.channels,
         seats: partition.seats().clone(),
         populations,
+        graded: graded(network),
         output: parts.output,
         semantics: parts.semantics,
         threshold: parts.threshold,
         reset: parts.reset,
     })
     .map_err(|error| error.to_string())
+}
+
+/// The populations of graded spikes, channels first.
+fn graded(network: &Quantised) -> Vec<Graded> {
+    let of = |population: &Population| {
+        let first = match population.units {
+            Units::Input(first) => first.0,
+            Units::Loihi { first, .. } => network.channels() + first.0,
+        };
+        Some(Graded { sources: first..first + population.shape.len(), payload: population.payload? })
+    };
+    let mut graded: Vec<Graded> = network.populations().iter().filter_map(of).collect();
+    graded.sort_unstable_by_key(|graded| graded.sources.start);
+    graded
 }
 
 /// Parameters of compartments in slot order.

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::base::diagnostic::{Diagnostic, Span};
-use crate::base::fixed::{Delay, SignMode};
+use crate::base::fixed::{Delay, Payload, SignMode};
 use crate::base::rng;
 use crate::desc::network::{
     Conv2dDesc, DenseDesc, LoihiDesc, Network, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
@@ -138,7 +138,11 @@ impl Lowering<'_> {
             }
             PopulationDesc::Srm(srm) => PopulationKind::Srm(self.srm(srm)?),
         };
-        Ok(Population { name: name.value.clone(), span: desc.span, shape, kind })
+        let payload = desc.value.payload().map(|payload| {
+            Payload::new(payload.value)
+                .map_err(|e| self.error("model.payload", format!("population '{}': {e}", name.value), payload.span))
+        });
+        Ok(Population { name: name.value.clone(), span: desc.span, shape, kind, payload: payload.transpose()? })
     }
 
     fn shape(&self, shape: &Spanned<Vec<u64>>) -> Result<Shape, Diagnostic> {

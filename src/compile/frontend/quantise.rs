@@ -56,7 +56,8 @@ pub fn quantise(graph: &Graph) -> Result<Quantised, Diagnostic> {
             }
             PopulationKind::Srm(_) => return Err(stage.real_neurons(population)),
         };
-        populations.push(Population { name: population.name.clone(), shape: population.shape, units });
+        let (name, payload) = (population.name.clone(), population.payload);
+        populations.push(Population { name, shape: population.shape, units, payload });
     }
     let projections = graph
         .projections()

@@ -210,6 +210,7 @@ mod tests {
             channels,
             seats: seats.into(),
             populations: vec![Some((CompartmentId(0), compartments as u32))].into(),
+            graded: Vec::new(),
             output: PopulationId(0),
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,

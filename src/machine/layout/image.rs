@@ -37,6 +37,9 @@ pub enum ImageError {
     /// Too many synapses.
     #[error("{0} synapses on one share of the cores, at most 2^32 - 1 can be indexed; use more threads")]
     TooMany(usize),
+    /// Spikes that carry an integer.
+    #[error("spikes with a payload are run by the golden engine only")]
+    Graded,
 }
 
 /// What the sources of one kind reach over synapses of one delay.
@@ -171,6 +174,9 @@ impl<'p> Image<'p> {
     /// [`ImageError`] when sums could not be exact or an index would overflow.
     pub fn new(program: &'p Program, shares: usize) -> Result<Self, ImageError> {
         let parts = program.parts();
+        if !parts.graded.is_empty() {
+            return Err(ImageError::Graded);
+        }
         let tally = Tally::new(program);
         let mut image = Image {
             program,

@@ -2,7 +2,7 @@
 //!
 //! In comes what can fire at all; out goes which compartments can. A synapse delivers at most one spike a step, whatever
 //! its delay, so what arrives in a step lies between the sum L of a compartment's negative scaled weights and the sum H of
-//! its positive ones, counted over the sources that can fire. Equation numbers refer to `docs/semantics.md`.
+//! its positive ones, each times the payload of its source's spikes, counted over the sources that can fire. Equation numbers refer to `docs/semantics.md`.
 //!
 //! *Registers.* Decay (3) is monotone and odd. From u = 0 (at the start, after a reset, while held) and with arrivals of at
 //! most H >= 0, u never exceeds any X >= 0 with `decay(X) + H <= X`: if u <= X, the next u is at most decay(X) + H <= X. The
@@ -42,9 +42,8 @@ pub struct Arrivals {
 
 impl Arrivals {
     /// With one more synapse.
-    fn add(&mut self, scaled: i32) {
-        let side = if scaled < 0 { &mut self.low } else { &mut self.high };
-        *side += i64::from(scaled);
+    fn add(&mut self, added: i64) {
+        *if added < 0 { &mut self.low } else { &mut self.high } += added;
     }
 }
 
@@ -151,13 +150,14 @@ pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<Com
     let mut fires: IdVec<CompartmentId, bool> = vec![false; count].into();
     // What a new source reaches, so that the caller may look at it again.
     let connect = |population: PopulationId, index: u32, arrivals: &mut [Arrivals], reached: &mut Vec<usize>| {
+        let factor = i64::from(parts.populations[population].spike_factor());
         for &id in network.outgoing(population) {
             let projection = &parts.projections[id];
             let Some(first) = parts.populations[projection.target].first_compartment() else { continue };
             projection.connectivity.for_each_from(index, |target, weight| {
-                let scaled = projection.format.scaled(weight);
-                if scaled != 0 {
-                    arrivals[first.index() + target as usize].add(scaled);
+                let added = i64::from(projection.format.scaled(weight)) * factor;
+                if added != 0 {
+                    arrivals[first.index() + target as usize].add(added);
                     reached.push(first.index() + target as usize);
                 }
             });

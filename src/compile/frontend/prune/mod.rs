@@ -306,7 +306,7 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
         let neurons = if all { neurons.clone() } else { of_these(neurons, &indices) };
         let units = Units::Loihi { first: CompartmentId(compartments), neurons, start_step: *start_step };
         compartments += shape.len();
-        populations.push(Population { name: population.name.clone(), shape, units });
+        populations.push(Population { shape, units, ..population.clone() });
         kept.push((!all).then_some(indices));
     }
     let projections = before.projections.iter().filter_map(|projection| {
