@@ -47,11 +47,11 @@ fn tactile() -> Option<Scene> {
         return None;
     }
     let network = model("container-tactile");
-    let sample = |spikes: io::stimulus::PopulationSpikes| {
+    let sample = |spikes: io::spikes::PopulationSpikes| {
         let events: Vec<_> = spikes.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
         Sample::new(spikes.steps, &events, spikes.label).unwrap()
     };
-    let read = io::stimulus::read_source(&folder, u64::from(network.channels())).unwrap();
+    let read = io::spikes::read_source(&folder, u64::from(network.channels())).unwrap();
     Some(Scene { name: "tactile", network, samples: read.into_iter().map(sample).collect() })
 }
 

@@ -16,12 +16,14 @@ use std::path::{Path, PathBuf};
 use nsim::base::fixed::SignMode;
 use nsim::base::rng;
 use nsim::desc::network::{ResetDesc, Semantics, ThresholdTest};
-use nsim::io::draft::{Draft, DraftKind, DraftPopulation, DraftProjection, Value, tensor};
-use nsim::io::events::{self, Event, EventFormat, EventOptions, Expected, Sink};
 use nsim::io::foreign::hdf5::{self, Item, Numbers};
-use nsim::io::foreign::{self, Options, drill, nir_export};
+use nsim::io::foreign::{self, Options, nir_export};
+use nsim::io::fuzz_entry;
 use nsim::io::model::load_model;
-use nsim::io::stimulus::{read_events, read_source};
+use nsim::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
+use nsim::io::spikes::events::event::{Event, Sink};
+use nsim::io::spikes::events::{nir_data, read as events};
+use nsim::io::spikes::{EventFormat, EventOptions, Expected, read_source, read_spikes};
 use proptest::prelude::*;
 
 /// What any file may take: 96 MiB and 32 times its size.
@@ -34,11 +36,11 @@ fn corpus() -> PathBuf {
 
 type Target = fn(&[u8]);
 const TARGETS: [(&str, Target); 5] = [
-    ("hdf5", drill::hdf5),
-    ("checkpoint", drill::checkpoint),
-    ("yaml", drill::yaml),
-    ("events", drill::events),
-    ("arrays", drill::arrays),
+    ("hdf5", fuzz_entry::hdf5),
+    ("checkpoint", fuzz_entry::checkpoint),
+    ("yaml", fuzz_entry::yaml),
+    ("events", fuzz_entry::events),
+    ("arrays", fuzz_entry::arrays),
 ];
 
 fn files(target: &str) -> Vec<(String, Vec<u8>)> {
@@ -110,14 +112,14 @@ fn a_small_file_that_claims_much_is_refused_before_it_is_unpacked() {
         tree = tree.with(&i.to_string(), zeros.clone());
     }
     let bytes = hdf5::write(&tree).unwrap();
-    assert!(foreign::of_bytes(&path, bytes, &Options::default()).is_err());
+    assert!(foreign::from_bytes(&path, bytes, &Options::default()).is_err());
     // Shapes without numbers behind them.
     let layer = hdf5::Group::default()
         .with("type", "dense")
         .with("shape", Numbers::i64(&[3], &[1 << 20, 1 << 20, 1 << 20]))
         .with("weight", Numbers::f32(&[1, 1], &[2.0]));
     let root = hdf5::Group::default().with("layer", hdf5::Group::default().with("0", layer));
-    let error = foreign::of_bytes(&path, hdf5::write(&root).unwrap(), &Options::default()).unwrap_err();
+    let error = foreign::from_bytes(&path, hdf5::write(&root).unwrap(), &Options::default()).unwrap_err();
     assert!(error.code.starts_with("import."), "{error}");
     let grown = memory::peak_kib().unwrap() - before;
     assert!(grown < FIXED_KIB, "{grown} KiB");
@@ -195,7 +197,7 @@ fn crop_pool_bins_and_polarities_follow_their_definition() {
     let read = |expected: Expected, query: &[(&str, &str)]| {
         let pairs: Vec<_> = query.iter().map(|(k, v)| ((*k).to_string(), (*v).to_string())).collect();
         let options = EventOptions::parse(&pairs).unwrap();
-        events::of_input(&mut &bytes[1..], "x", EventFormat::Aedat4, &expected, &options)
+        events::read_input(&mut &bytes[1..], "x", EventFormat::Aedat4, &expected, &options)
     };
     let expected = |units| Expected { units, volume: None, dt_ms: 1.0 };
     let first = recorded[0].0;
@@ -257,7 +259,7 @@ fn a_million_events_take_the_memory_of_their_spikes() {
     let expected = Expected { units: 32, volume: Some((2, 4, 4)), dt_ms: 1.0 };
     let mut input = std::io::BufReader::new(Endless(0));
     let options = EventOptions { steps: Some(1), ..EventOptions::default() };
-    let (spikes, counts) = events::of_input(&mut input, "x", EventFormat::Bs2, &expected, &options).unwrap();
+    let (spikes, counts) = events::read_input(&mut input, "x", EventFormat::Bs2, &expected, &options).unwrap();
     assert_eq!((spikes.events.len(), counts.events, counts.merged), (16, 2_000_000, 1_999_984));
     assert!(counts.disordered > 1_900_000, "{counts:?}");
     let grown = memory::peak_kib().unwrap() - before;
@@ -271,7 +273,7 @@ fn twenty_recordings_of_nmnist() {
         let path = data.join(format!("nmnist/{sample}.bs2"));
         let events = std::fs::metadata(&path).unwrap().len() / 5;
         let expected = Expected { units: 2312, volume: Some((2, 34, 34)), dt_ms: 1.0 };
-        let (spikes, counts) = events::read(&path, EventFormat::Bs2, &expected, &EventOptions::default()).unwrap();
+        let (spikes, counts) = events::read_file(&path, EventFormat::Bs2, &expected, &EventOptions::default()).unwrap();
         assert_eq!((counts.events, counts.dropped), (events, 0), "{sample}");
         assert!((250..=400).contains(&spikes.steps), "{sample}: {} steps", spikes.steps);
         assert_eq!(read_source(&path, 2312).unwrap()[0].events, spikes.events);
@@ -285,13 +287,13 @@ fn nir_data_is_read_in_both_kinds_and_written_back() {
         let path = folder.path().join("d.nir");
         std::fs::copy(corpus().join("hdf5").join(name), &path).unwrap();
         let expected = Expected { units: 3, volume: None, dt_ms: 1.0 };
-        let samples = read_events(&path, "in", &expected, &EventOptions::default()).unwrap();
+        let samples = read_spikes(&path, "in", &expected, &EventOptions::default()).unwrap();
         let events: Vec<_> = samples.iter().map(|s| (s.steps, s.events.clone())).collect();
         assert_eq!(events, [(10, vec![(1, 2), (4, 0)]), (10, vec![(9, 1)])], "{name}");
-        let ours = events::nir_data::events(&[events[0].1.clone(), events[1].1.clone()], 3, 10, 1e-3);
-        let bytes = hdf5::write(&events::nir_data::file("in", "spikes", ours)).unwrap();
+        let ours = nir_data::events(&[events[0].1.clone(), events[1].1.clone()], 3, 10, 1e-3);
+        let bytes = hdf5::write(&nir_data::file("in", "spikes", ours)).unwrap();
         std::fs::write(&path, bytes).unwrap();
-        let again = read_events(&path, "in", &expected, &EventOptions::default()).unwrap();
+        let again = read_spikes(&path, "in", &expected, &EventOptions::default()).unwrap();
         assert_eq!(again[0].events, events[0].1);
         assert_eq!(again[1].events, events[1].1);
     }
@@ -360,33 +362,34 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
         nsim::compile::frontend::quantise::quantise(&graph).unwrap_or_else(|error| panic!("{name}: {error}"));
     }
     let imported = foreign::read(&folder.path().join("nir_recurrent.net"), &options).unwrap();
-    let draft = imported.draft;
-    assert!((draft.timestep_ms - 0.1).abs() < 1e-12);
+    let model = imported.model;
+    assert!((model.timestep_ms - 0.1).abs() < 1e-12);
     // dt / tau_syn = 1/4 and dt / tau_mem = 1/16 of 4096; the delay of three steps; 'w_in' and 'r' undo the scaling.
-    let population = draft.population("l").unwrap();
-    assert_eq!(population.parameter("du"), Some(&Value::Same(1024.0)));
-    assert_eq!(population.parameter("dv"), Some(&Value::Same(256.0)));
-    assert_eq!(draft.projections.iter().find(|p| p.to == "q").unwrap().delay, 3);
+    let population = model.population("l").unwrap();
+    assert_eq!(population.parameter("du"), Some(&Parameter::Same(1024.0)));
+    assert_eq!(population.parameter("dv"), Some(&Parameter::Same(256.0)));
+    assert_eq!(model.projections.iter().find(|p| p.to == "q").unwrap().delay, 3);
     for (name, dt) in [("nir_nested", Some(0.1)), ("nir_conv1d", None)] {
         let bytes = std::fs::read(corpus().join("hdf5").join(name)).unwrap();
         let options = Options { dt_ms: dt, ..Options::default() };
-        let imported = foreign::of_bytes(Path::new("x.nir"), bytes, &options).unwrap_or_else(|e| panic!("{name}: {e}"));
-        let network = imported.draft.network(Path::new("x.nir")).unwrap();
+        let imported =
+            foreign::from_bytes(Path::new("x.nir"), bytes, &options).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let network = imported.model.build(Path::new("x.nir")).unwrap();
         nsim::compile::frontend::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
     }
 }
 
-/// Models of every kind of population and projection that a draft holds.
-fn drafts() -> impl Strategy<Value = Draft> {
+/// Models of every kind of population and projection that a model holds.
+fn models() -> impl Strategy<Value = ModelBuilder> {
     let real = || prop_oneof![Just(0.0), -1e3..1e3f64, Just(1.0 / 3.0), Just(-1e-300)];
     let whole = |low: i64, high: i64| (low..=high).prop_map(|x| x as f64);
     let each = move |n: usize| {
         (
             prop_oneof![
-                whole(0, 4096).prop_map(Value::Same),
-                prop::collection::vec(whole(0, 4096), n).prop_map(Value::Each)
+                whole(0, 4096).prop_map(Parameter::Same),
+                prop::collection::vec(whole(0, 4096), n).prop_map(Parameter::Each)
             ],
-            whole(0, 4096).prop_map(Value::Same),
+            whole(0, 4096).prop_map(Parameter::Same),
             prop::option::of(whole(-4095, 4095)),
             0u32..4,
             1i64..63,
@@ -400,52 +403,55 @@ fn drafts() -> impl Strategy<Value = Draft> {
         (-8i64..=7, 0u32..63, prop::option::of(1u64..100), "[a-zA-Z \"\\\\µ\n]{0,12}"),
     )
         .prop_map(|((first, second, inclusive, lava), kernel, dense, synapses, (exponent, delay, reset, text))| {
-            let mut draft = Draft::new(&text, 0.1);
-            let parameters = |(du, dv, bias, _, refractory): (Value, Value, Option<f64>, u32, i64)| {
-                let mut list = vec![("du", du), ("dv", dv), ("vth_mant", Value::Same(80.0))];
+            let mut model = ModelBuilder::new(&text, 0.1);
+            let parameters = |(du, dv, bias, _, refractory): (Parameter, Parameter, Option<f64>, u32, i64)| {
+                let mut list = vec![("du", du), ("dv", dv), ("vth_mant", Parameter::Same(80.0))];
                 if let Some(bias) = bias {
-                    list.push(("bias_mant", Value::Same(bias)));
-                    list.push(("bias_exp", Value::Same(3.0)));
+                    list.push(("bias_mant", Parameter::Same(bias)));
+                    list.push(("bias_exp", Parameter::Same(3.0)));
                 }
-                list.push(("refractory", Value::Same(refractory as f64)));
+                list.push(("refractory", Parameter::Same(refractory as f64)));
                 list
             };
-            draft.populations = vec![
-                DraftPopulation::input("in", vec![2, 3, 3]),
-                DraftPopulation {
+            model.populations = vec![
+                PopulationBuilder::input("in", vec![2, 3, 3]),
+                PopulationBuilder {
                     start_step: first.3,
-                    ..DraftPopulation::loihi("a", vec![3, 2, 2], parameters(first))
+                    ..PopulationBuilder::loihi("a", vec![3, 2, 2], parameters(first))
                 },
-                DraftPopulation { start_step: second.3, ..DraftPopulation::loihi("b", vec![20], parameters(second)) },
+                PopulationBuilder {
+                    start_step: second.3,
+                    ..PopulationBuilder::loihi("b", vec![20], parameters(second))
+                },
             ];
-            let conv = DraftKind::Conv2d {
+            let conv = ProjectionKind::Conv2d {
                 weights: tensor(vec![3, 2, 2, 2], kernel[..24].to_vec()),
                 stride: (1, 1),
                 padding: (0, 0),
                 dilation: (1, 1),
                 groups: 1,
             };
-            let joined = DraftProjection {
+            let joined = ProjectionBuilder {
                 from: vec!["in".into(), "a".into()],
                 delay,
                 weight_exp: exponent,
                 sign: SignMode::Mixed,
-                ..DraftProjection::new("", "b", DraftKind::Dense(tensor(vec![20, 30], dense)))
+                ..ProjectionBuilder::new("", "b", ProjectionKind::Dense(tensor(vec![20, 30], dense)))
             };
-            draft.projections = vec![
-                DraftProjection { weight_scale: Some(2.5), ..DraftProjection::new("in", "a", conv) },
+            model.projections = vec![
+                ProjectionBuilder { weight_scale: Some(2.5), ..ProjectionBuilder::new("in", "a", conv) },
                 joined,
-                DraftProjection {
+                ProjectionBuilder {
                     weight_scale: Some(1.0),
-                    ..DraftProjection::new("b", "b", DraftKind::Sparse(synapses))
+                    ..ProjectionBuilder::new("b", "b", ProjectionKind::Sparse(synapses))
                 },
             ];
-            draft.output = "b".to_string();
-            draft.reset = reset.map(|interval| ResetDesc { interval, offset: 2 });
-            draft.threshold = if inclusive { ThresholdTest::Inclusive } else { ThresholdTest::Strict };
-            draft.semantics = if lava { Semantics::Lava } else { Semantics::Hardware };
-            draft.provenance = Some(text);
-            draft
+            model.output = "b".to_string();
+            model.reset = reset.map(|interval| ResetDesc { interval, offset: 2 });
+            model.threshold = if inclusive { ThresholdTest::Inclusive } else { ThresholdTest::Strict };
+            model.semantics = if lava { Semantics::Lava } else { Semantics::Hardware };
+            model.provenance = Some(text);
+            model
         })
 }
 
@@ -453,44 +459,45 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn a_model_is_written_and_read_without_loss(draft in drafts()) {
+    fn a_model_is_written_and_read_without_loss(model in models()) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.ron");
-        draft.write(&path, false).unwrap();
-        let back = Draft::of(&load_model(path.to_str().unwrap()).unwrap()).unwrap();
-        prop_assert_eq!(&back, &draft);
+        model.write(&path, false).unwrap();
+        let back = ModelBuilder::from_network(&load_model(path.to_str().unwrap()).unwrap()).unwrap();
+        prop_assert_eq!(&back, &model);
     }
 
     #[test]
-    fn a_model_is_exported_to_nir_and_read_back_without_loss(draft in drafts()) {
-        let (tree, _) = nir_export::export(&draft).unwrap();
+    fn a_model_is_exported_to_nir_and_read_back_without_loss(model in models()) {
+        let (tree, _) = nir_export::export(&model).unwrap();
         let bytes = hdf5::write(&tree).unwrap();
-        let back = foreign::of_bytes(Path::new("m.nir"), bytes, &Options::default()).unwrap();
-        prop_assert_eq!(&back.draft, &draft);
+        let back = foreign::from_bytes(Path::new("m.nir"), bytes, &Options::default()).unwrap();
+        prop_assert_eq!(&back.model, &model);
     }
 }
 
 #[test]
 fn an_exported_file_that_was_changed_is_not_restored() {
-    let mut draft = Draft::new("m", 0.5);
-    let parameters = vec![("du", Value::Same(1024.0)), ("dv", Value::Same(0.0)), ("vth_mant", Value::Same(64.0))];
-    draft.populations =
-        vec![DraftPopulation::input("in", vec![2]), DraftPopulation::loihi("out", vec![1], parameters.clone())];
-    let weights = DraftKind::Dense(tensor(vec![1, 2], vec![2.0, -4.0]));
-    draft.projections = vec![DraftProjection::new("in", "out", weights)];
-    draft.output = "out".to_string();
-    let (mut tree, _) = nir_export::export(&draft).unwrap();
+    let mut model = ModelBuilder::new("m", 0.5);
+    let parameters =
+        vec![("du", Parameter::Same(1024.0)), ("dv", Parameter::Same(0.0)), ("vth_mant", Parameter::Same(64.0))];
+    model.populations =
+        vec![PopulationBuilder::input("in", vec![2]), PopulationBuilder::loihi("out", vec![1], parameters.clone())];
+    let weights = ProjectionKind::Dense(tensor(vec![1, 2], vec![2.0, -4.0]));
+    model.projections = vec![ProjectionBuilder::new("in", "out", weights)];
+    model.output = "out".to_string();
+    let (mut tree, _) = nir_export::export(&model).unwrap();
     let Some(Item::Group(node)) = tree.items.get_mut("node") else { panic!() };
     let Some(Item::Group(nodes)) = node.items.get_mut("nodes") else { panic!() };
     let linear = nodes.group("w0_0").unwrap().clone().with("weight", Numbers::f64(&[1, 2], &[6.0, -4.0]));
     nodes.items.insert("w0_0".to_string(), linear.into());
-    let read = foreign::of_bytes(Path::new("m.nir"), hdf5::write(&tree).unwrap(), &Options::default()).unwrap();
+    let read = foreign::from_bytes(Path::new("m.nir"), hdf5::write(&tree).unwrap(), &Options::default()).unwrap();
     assert!(read.notes[0].contains("are not those"), "{:?}", read.notes);
-    let out = read.draft.population("out").unwrap();
+    let out = read.model.population("out").unwrap();
     // The same neuron by way of its equations, with the weight that somebody wrote.
-    assert_eq!(out.parameter("du"), Some(&Value::Same(1024.0)));
-    assert_eq!(out.parameter("dv"), Some(&Value::Same(0.0)));
-    assert_eq!(out.parameter("vth"), Some(&Value::Same(64.0)));
-    assert_eq!(read.draft.projections[0].kind, DraftKind::Dense(tensor(vec![1, 2], vec![6.0, -4.0])));
-    assert_eq!(read.draft.timestep_ms, 0.5);
+    assert_eq!(out.parameter("du"), Some(&Parameter::Same(1024.0)));
+    assert_eq!(out.parameter("dv"), Some(&Parameter::Same(0.0)));
+    assert_eq!(out.parameter("vth"), Some(&Parameter::Same(64.0)));
+    assert_eq!(read.model.projections[0].kind, ProjectionKind::Dense(tensor(vec![1, 2], vec![6.0, -4.0])));
+    assert_eq!(read.model.timestep_ms, 0.5);
 }

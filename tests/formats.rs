@@ -10,7 +10,8 @@ use nsim::compile::frontend::{lower::lower, quantise::quantise};
 use nsim::desc::mapping::MappingFile;
 use nsim::desc::spanned::parse;
 use nsim::io::shipped::Origin;
-use nsim::io::{dataset, event_csv, model, target};
+use nsim::io::spikes::{self, manifest};
+use nsim::io::{model, target};
 
 /// The fenced blocks of a language, under the line that they begin at.
 fn blocks(language: &str) -> Vec<(SourceText, String)> {
@@ -37,7 +38,7 @@ fn every_ron_example_is_read() {
             "Target" => target::target(&source, Origin::File).map(drop),
             "Chip" => target::parse_chip(&source).map(drop),
             "Mapping" => parse::<MappingFile>(&source, "mapping.syntax").map(drop),
-            "DataSet" => dataset::manifest(source).map(drop),
+            "DataSet" => manifest::from_source(source).map(drop),
             other => panic!("nothing reads {other}"),
         };
         result.unwrap_or_else(|problem| panic!("{problem}"));
@@ -55,7 +56,7 @@ fn the_csv_example_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("e.csv");
     std::fs::write(&path, text).unwrap();
-    let samples = event_csv::read(&path, 150).unwrap();
+    let samples = spikes::csv::read(&path, 150).unwrap();
     assert_eq!((samples[0].steps, samples[0].events.clone()), (150, vec![(3, 17), (3, 18), (149, 0)]));
 }
 

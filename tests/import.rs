@@ -47,7 +47,7 @@ fn import(path: &Path, options: &Options) -> Network {
     let folder = tempfile::tempdir().unwrap();
     let model = folder.path().join("model.ron");
     let imported = foreign::read(path, options).unwrap();
-    imported.draft.write(&model, false).unwrap();
+    imported.model.write(&model, false).unwrap();
     let direct = foreign::network(path, options).unwrap();
     let written = load_model(model.to_str().unwrap()).unwrap();
     assert_eq!(direct.source().text().replace("\"arrays\"", "\"model.safetensors\""), **written.source().text());
@@ -147,8 +147,8 @@ fn the_oxford_checkpoint_of_slayer_gives_its_recorded_spikes() {
     for (layer, file) in [("fc1", "weights_1.npy"), ("fc2", "weights_2.npy")] {
         let theirs = npy::read(&data.join(file)).unwrap();
         let imported = foreign::read(&data.join("oxfordNet.pt"), &options).unwrap();
-        let ours = imported.draft.projections.iter().find(|projection| projection.to == layer).unwrap();
-        assert_eq!(ours.kind, nsim::io::draft::DraftKind::Dense(theirs));
+        let ours = imported.model.projections.iter().find(|projection| projection.to == layer).unwrap();
+        assert_eq!(ours.kind, nsim::io::model_builder::ProjectionKind::Dense(theirs));
     }
 }
 

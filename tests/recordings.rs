@@ -6,8 +6,8 @@
 mod common;
 
 use nsim::desc::tensor::Numbers;
-use nsim::io::stimulus::{PopulationSpikes, read_source};
-use nsim::io::{npy, stimulus};
+use nsim::io::npy;
+use nsim::io::spikes::{PopulationSpikes, list_folder, read_source};
 
 fn spikes(samples: &[PopulationSpikes]) -> usize {
     samples.iter().map(|sample| sample.events.len()).sum()
@@ -33,7 +33,7 @@ fn three_hundred_container_recordings() {
     let density = spikes(&all) as f64 / (300.0 * 78.0 * 325.0);
     assert!((density - 0.101).abs() < 5e-4, "{density}");
     // In order of the numbers, not of the names: sample 2 comes before sample 10.
-    let listed = stimulus::list_folder(&data.join("test")).unwrap();
+    let listed = list_folder(&data.join("test")).unwrap();
     assert_eq!(listed.iter().map(|entry| entry.0).collect::<Vec<_>>(), (0..60).collect::<Vec<_>>());
     let error = read_source(&data, 78).unwrap_err();
     assert!(error.help.unwrap().contains("test, train"));

@@ -120,6 +120,12 @@ impl Diagnostic {
         self
     }
 
+    /// In a file, unless it has a place already.
+    #[must_use]
+    pub fn or_in_file(self, path: &Path) -> Self {
+        if self.place.is_some() { self } else { self.in_file(path) }
+    }
+
     /// The file, if one is to blame.
     #[must_use]
     pub fn file(&self) -> Option<&Path> {

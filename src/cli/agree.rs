@@ -22,7 +22,7 @@ use crate::desc::stimulus::{InputArg, InputSource};
 use crate::error::Error;
 use crate::golden::Golden;
 use crate::io;
-use crate::io::stimulus::{PopulationSpikes, read_source};
+use crate::io::spikes::{PopulationSpikes, read_source};
 use crate::ir::graph::{Graph, PopulationKind, ThresholdParameter};
 use crate::ir::quantised::{Quantised, Units};
 use crate::ir::spikes::Sample;

@@ -10,8 +10,8 @@ use serde_json::json;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::error::Error;
-use crate::io::draft::Draft;
 use crate::io::foreign::{hdf5, nir_export};
+use crate::io::model_builder::ModelBuilder;
 use crate::io::{model, write};
 use crate::report::inspect::Findings;
 
@@ -37,8 +37,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(format!("-o {}: models are exported as .nir", args.output.display())));
     }
     write::check_free(&args.output, context.force)?;
-    let draft = Draft::of(&model::load_model(&args.model)?)?;
-    let (tree, notes) = nir_export::export(&draft)?;
+    let model = ModelBuilder::from_network(&model::load_model(&args.model)?)?;
+    let (tree, notes) = nir_export::export(&model)?;
     let bytes = hdf5::write(&tree)?;
     write::file(&args.output, context.force, |out| out.write_all(&bytes))?;
     for note in &notes {

@@ -13,8 +13,8 @@ use crate::cli::output;
 use crate::compile::frontend::lower::lower;
 use crate::desc::network::ThresholdTest;
 use crate::error::Error;
-use crate::io::draft::{Draft, DraftKind};
 use crate::io::foreign::{self, Imported, Options, ResetMode};
+use crate::io::model_builder::{ModelBuilder, ProjectionKind};
 use crate::report::inspect::{Findings, Rows};
 
 /// When a compartment spikes.
@@ -113,9 +113,9 @@ impl Args {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let imported = foreign::read(&args.file, &args.options()?)?;
     let shown = args.output.as_deref().unwrap_or(&args.file);
-    lower(&imported.draft.network(shown)?).map_err(in_the_file(&args.file))?;
+    lower(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;
     let files = match &args.output {
-        Some(path) => imported.draft.write(path, context.force)?,
+        Some(path) => imported.model.write(path, context.force)?,
         None => Vec::new(),
     };
     let found = findings(&imported, &files);
@@ -128,7 +128,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// A problem of the draft, told of the foreign file: its text is not one that the user wrote.
+/// A problem of the model, told of the foreign file: its text is not one that the user wrote.
 fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
     move |mut problem| {
         problem.place = None;
@@ -138,14 +138,14 @@ fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
 
 /// What was imported, for people and scripts.
 fn findings(imported: &Imported, files: &[String]) -> Findings {
-    let Draft { name, timestep_ms, populations, projections, output, reset, threshold, semantics, .. } =
-        &imported.draft;
+    let ModelBuilder { name, timestep_ms, populations, projections, output, reset, threshold, semantics, .. } =
+        &imported.model;
     let reset = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
     let populations = populations.iter().map(|population| {
         let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
         let parameters = population.loihi.iter().flatten().map(|(key, value)| match value {
-            crate::io::draft::Value::Same(value) => format!("{key} {value}"),
-            crate::io::draft::Value::Each(_) => format!("{key} each"),
+            crate::io::model_builder::Parameter::Same(value) => format!("{key} {value}"),
+            crate::io::model_builder::Parameter::Each(_) => format!("{key} each"),
         });
         let kind = match (&population.loihi, population.srm) {
             (Some(_), _) => "loihi",
@@ -162,10 +162,10 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
     });
     let projections = projections.iter().map(|projection| {
         let (kind, weights) = match &projection.kind {
-            DraftKind::Dense(weights) => ("dense", weights.shape().to_vec()),
-            DraftKind::Sparse(synapses) => ("sparse", vec![synapses.len()]),
-            DraftKind::Conv2d { weights, .. } => ("conv2d", weights.shape().to_vec()),
-            DraftKind::SumPool2d { kernel, .. } => ("sumpool2d", vec![kernel.0 as usize, kernel.1 as usize]),
+            ProjectionKind::Dense(weights) => ("dense", weights.shape().to_vec()),
+            ProjectionKind::Sparse(synapses) => ("sparse", vec![synapses.len()]),
+            ProjectionKind::Conv2d { weights, .. } => ("conv2d", weights.shape().to_vec()),
+            ProjectionKind::SumPool2d { kernel, .. } => ("sumpool2d", vec![kernel.0 as usize, kernel.1 as usize]),
         };
         vec![
             json!(projection.from.join(" + ")),

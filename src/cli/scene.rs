@@ -13,7 +13,7 @@ use crate::desc::dataset::{DataSet, SampleEntry};
 use crate::desc::spanned::Spanned;
 use crate::desc::stimulus::SceneArg;
 use crate::error::Error;
-use crate::io::{mapping, npy, stimulus, write};
+use crate::io::{mapping, npy, spikes, write};
 use crate::report::charts::raster::{Panel, Raster};
 use crate::report::scene::{Class, SceneReport};
 use crate::scene::wire::Carried;
@@ -159,7 +159,7 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
     let written: BTreeSet<PathBuf> =
         entries.iter().flat_map(|entry| entry.files.values()).map(|file| folder.join(&file.value)).collect();
     for population in [TOUCH.0, VISION.0].map(|name| folder.join(name)) {
-        let Ok(listed) = stimulus::list_folder(&population) else { continue };
+        let Ok(listed) = spikes::list_folder(&population) else { continue };
         let others: Vec<PathBuf> =
             listed.into_iter().map(|(_, _, file)| file).filter(|file| !written.contains(file)).collect();
         if let Some(first) = others.first() {

@@ -7,15 +7,13 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use half::f16;
 use npyz::{DType, Endianness, NpyFile, NpyHeader, Order, TypeChar, WriterBuilder};
 
-use super::half::binary16;
-use super::text::{MOST_ARRAY, read_bytes};
+use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::tensor::{Numbers, Tensor};
 
-/// What every file begins with.
-pub const MAGIC: &[u8] = b"\x93NUMPY";
 /// The longest header that is read; NumPy's own reader stops at 10,000 bytes unless told otherwise.
 const MOST_HEADER: usize = 64 << 10;
 /// The deepest brackets of a header: a structured type within a structured type.
@@ -52,7 +50,7 @@ enum Element {
 }
 
 impl Element {
-    fn of(dtype: &DType) -> Option<Element> {
+    fn from_dtype(dtype: &DType) -> Option<Element> {
         let DType::Plain(plain) = dtype else { return None };
         Some(match (plain.type_char(), plain.size_field()) {
             (TypeChar::Bool, 1) => Element::Bool,
@@ -116,7 +114,7 @@ fn kind_of(dtype: &DType) -> &'static str {
 /// is checked by the parser behind it, which recurses, allocates and multiplies as it is told.
 fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
     let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
-    if !bytes.starts_with(MAGIC) {
+    if !bytes.starts_with(NPY_MAGIC) {
         return match Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY")
             .in_file(path)
         {
@@ -210,7 +208,7 @@ impl Array {
             Diagnostic::new("npy.format", format!("the header cannot be read: {error}")).in_file(path)
         })?;
         let dtype = header.dtype();
-        let Some(element) = Element::of(&dtype) else {
+        let Some(element) = Element::from_dtype(&dtype) else {
             return Err(Diagnostic::new(
                 "npy.dtype",
                 format!("the array's type {} holds {}, which are not read", dtype_name(&dtype), kind_of(&dtype)),
@@ -320,15 +318,7 @@ impl Array {
         match self.element {
             Element::F4 => self.each::<f32>(|index, x| finite(index, f64::from(x))),
             Element::F8 => self.each::<f64>(finite),
-            _ => {
-                let place = self.c_order();
-                let big = matches!(self.header.dtype(), DType::Plain(plain) if plain.endianness() == Endianness::Big);
-                for (index, pair) in self.bytes[self.data..].chunks_exact(2).enumerate() {
-                    let bits = if big { [pair[1], pair[0]] } else { [pair[0], pair[1]] };
-                    finite(place(index), binary16(u16::from_le_bytes(bits)))?;
-                }
-                Ok(())
-            }
+            _ => self.each::<f16>(|index, x| finite(index, x.to_f64())),
         }
     }
 
@@ -415,7 +405,7 @@ impl Array {
         let real = |x: f64| if x.is_finite() { Ok(x != 0.0) } else { Err(self.wrong(index, x, "not a finite number")) };
         let wide = |fits: bool, value: String| if fits { Ok(true) } else { Err(self.wrong(index, value, WIDE)) };
         match self.element {
-            Element::F2 => real(binary16(bits as u16)),
+            Element::F2 => real(f16::from_bits(bits as u16).to_f64()),
             Element::F4 => real(f64::from(f32::from_bits(bits as u32))),
             Element::F8 => real(f64::from_bits(bits)),
             Element::U4 | Element::U8 => wide(i32::try_from(bits).is_ok(), bits.to_string()),
@@ -455,13 +445,13 @@ pub fn write_bytes(out: &mut dyn Write, shape: &[u64], bytes: &[u8]) -> std::io:
     }
     let axes: String = shape.iter().map(|axis| format!("{axis},")).collect();
     let mut header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({axes}), }}");
-    let before = MAGIC.len() + 4;
+    let before = NPY_MAGIC.len() + 4;
     while !(before + header.len() + 1).is_multiple_of(64) {
         header.push(' ');
     }
     header.push('\n');
     let length = u16::try_from(header.len()).map_err(std::io::Error::other)?;
-    out.write_all(MAGIC)?;
+    out.write_all(NPY_MAGIC)?;
     out.write_all(&[1, 0])?;
     out.write_all(&length.to_le_bytes())?;
     out.write_all(header.as_bytes())?;

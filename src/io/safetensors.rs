@@ -4,10 +4,10 @@
 
 use std::path::{Path, PathBuf};
 
+use half::{bf16, f16};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
-use super::half::{bfloat16, binary16};
 use super::text::{MOST_ARRAY, read_bytes};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::tensor::{Numbers, Tensor};
@@ -113,8 +113,8 @@ impl TensorFile {
             Dtype::U32 => Numbers::Integers(fallible(each(data, |b| i128::from(u32::from_le_bytes(b))), narrow)?),
             Dtype::I64 => Numbers::Integers(fallible(each(data, |b| i128::from(i64::from_le_bytes(b))), narrow)?),
             Dtype::U64 => Numbers::Integers(fallible(each(data, |b| i128::from(u64::from_le_bytes(b))), narrow)?),
-            Dtype::F16 => Numbers::Reals(fallible(each(data, |b| binary16(u16::from_le_bytes(b))), finite)?),
-            Dtype::BF16 => Numbers::Reals(fallible(each(data, |b| bfloat16(u16::from_le_bytes(b))), finite)?),
+            Dtype::F16 => Numbers::Reals(fallible(each(data, |b| f16::from_le_bytes(b).to_f64()), finite)?),
+            Dtype::BF16 => Numbers::Reals(fallible(each(data, |b| bf16::from_le_bytes(b).to_f64()), finite)?),
             Dtype::F32 => Numbers::Reals(fallible(each(data, |b| f64::from(f32::from_le_bytes(b))), finite)?),
             Dtype::F64 => Numbers::Reals(fallible(each(data, f64::from_le_bytes), finite)?),
             other => {

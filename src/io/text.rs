@@ -17,6 +17,8 @@ pub const MOST_EVENT_TEXT: u64 = 256 << 20;
 /// The most bytes of an array file.
 pub const MOST_ARRAY: u64 = 1 << 30;
 
+/// What every `.npy` file begins with.
+pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
 /// What a Git-LFS pointer starts with (git-lfs `docs/spec.md`).
 const LFS: &[u8] = b"version https://git-lfs";
 
@@ -103,7 +105,7 @@ pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText, Diagnostic> {
             let mut diagnostic = Diagnostic::new("io.utf8", format!("byte 0x{byte:02x} at offset {good} is not UTF-8"))
                 .at(&SourceText::new(name, text), Span { start: good, end: good });
             diagnostic.help = Some(
-                if bytes.starts_with(super::npy::MAGIC) {
+                if bytes.starts_with(NPY_MAGIC) {
                     "this is a NumPy array; a text file is expected here"
                 } else if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
                     "this looks like UTF-16; save the file as UTF-8"

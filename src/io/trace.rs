@@ -6,8 +6,8 @@
 
 use std::path::Path;
 
-use super::events::nir_data;
 use super::foreign::hdf5;
+use super::spikes::events::nir_data;
 use super::write;
 use crate::base::diagnostic::Diagnostic;
 
@@ -152,8 +152,7 @@ impl Trace<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::io::events::{EventOptions, Expected};
-    use crate::io::stimulus::{read_events, read_source};
+    use crate::io::spikes::{EventOptions, Expected, read_source, read_spikes};
 
     #[test]
     fn spikes_that_are_written_are_read_back() {
@@ -168,7 +167,7 @@ mod tests {
         let nir = folder.path().join("s.nir");
         trace.nir(&nir, false, numbers.iter().copied()).unwrap();
         let expected = Expected { units: 3, volume: None, dt_ms: 2.0 };
-        let again = read_events(&nir, "out", &expected, &EventOptions::default()).unwrap();
+        let again = read_spikes(&nir, "out", &expected, &EventOptions::default()).unwrap();
         for (sample, events) in events.iter().enumerate() {
             let mut from_csv = back[sample].events.clone();
             from_csv.sort_unstable();

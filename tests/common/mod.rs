@@ -18,7 +18,7 @@ use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::compile::{Options, compile_quantised};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::golden::Golden;
-use nsim::io::stimulus::read_source;
+use nsim::io::spikes::read_source;
 use nsim::io::target::load_target;
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::program::Program;

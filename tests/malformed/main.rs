@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use cases::{Case, Through, cases};
 use nsim::base::diagnostic::Diagnostic;
 use nsim::compile::frontend::{lower::lower, quantise::quantise};
-use nsim::io::{model::load_model, stimulus::read_source, target::load_target};
+use nsim::io::{model::load_model, spikes::read_source, target::load_target};
 
 /// Channels of the population that spike files are read for.
 const UNITS: u64 = 4;

@@ -9,9 +9,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
-use crate::io::dataset::{self, Manifest};
-use crate::io::events::{EventOptions, Expected};
-use crate::io::stimulus::{PopulationSpikes, read_spikes};
+use crate::io::spikes::{EventOptions, Expected, Manifest, PopulationSpikes, SpikeFormat, read_manifest, read_spikes};
 use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Sample, Stimulus};
 use crate::scene;
@@ -46,9 +44,10 @@ pub fn stimulus(
                 return Err(Error::Usage("a scene drives all input populations and stands alone".to_string()));
             }
         };
+        let is_manifest = SpikeFormat::from_name(path) == Some(SpikeFormat::Manifest);
         let wanted: Vec<usize> = match &argument.population {
             Some(name) => vec![inputs.iter().position(|p| &p.name == name).ok_or_else(|| unknown(name, &inputs))?],
-            None if path.extension().is_some_and(|e| e == "ron") => (0..inputs.len()).collect(),
+            None if is_manifest => (0..inputs.len()).collect(),
             None if inputs.len() == 1 => vec![0],
             None => {
                 let names: Vec<&str> = inputs.iter().map(|p| p.name.as_str()).collect();
@@ -59,8 +58,8 @@ pub fn stimulus(
                 )));
             }
         };
-        let (manifest, options) = match path.extension().is_some_and(|e| e == "ron") {
-            true => (Some(Part::of(dataset::read_manifest(path)?, pairs)?), EventOptions::default()),
+        let (manifest, options) = match is_manifest {
+            true => (Some(Part::of(read_manifest(path)?, pairs)?), EventOptions::default()),
             false => (None, EventOptions::parse(pairs)?),
         };
         for index in wanted {

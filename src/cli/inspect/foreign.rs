@@ -9,9 +9,11 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::base::diagnostic::Diagnostic;
-use crate::io::events::{self, Event, EventFormat, Sink, nir_data};
 use crate::io::foreign::hdf5::{self, Group, Item};
 use crate::io::foreign::{self, Imported, Kind, Options, torch};
+use crate::io::spikes::EventFormat;
+use crate::io::spikes::events::event::{Event, Sink};
+use crate::io::spikes::events::{nir_data, read};
 use crate::io::text::{MOST_ARRAY, read_bytes};
 use crate::report::inspect::{Findings, Rows, number};
 
@@ -30,9 +32,9 @@ const MOST_NUMBERS: usize = 1 << 28;
 /// `inspect.kind` for what is neither, those of [`foreign::read`] for what cannot be opened at all.
 pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
     let bytes = read_bytes(path, MOST_ARRAY)?;
-    let in_file = |problem: Diagnostic| if problem.place.is_some() { problem } else { problem.in_file(path) };
+    let in_file = |problem: Diagnostic| problem.or_in_file(path);
     let kind = foreign::kind_of(&bytes);
-    let importable = import_of(&foreign::of_bytes(path, bytes.clone(), &Options::default()));
+    let importable = import_of(&foreign::from_bytes(path, bytes.clone(), &Options::default()));
     let mut rows = Vec::new();
     let kind = match kind {
         Kind::Hdf5 => {
@@ -86,11 +88,11 @@ fn found(kind: &'static str, importable: Option<String>, rows: Vec<Vec<Value>>) 
 /// Whether a file becomes a model as it is, in words.
 fn import_of(imported: &Result<Imported, Diagnostic>) -> String {
     match imported {
-        Ok(Imported { draft, .. }) => format!(
+        Ok(Imported { model, .. }) => format!(
             "as it is: {} populations, {} projections, timestep {} ms",
-            draft.populations.len(),
-            draft.projections.len(),
-            draft.timestep_ms
+            model.populations.len(),
+            model.projections.len(),
+            model.timestep_ms
         ),
         Err(problem) => {
             let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
@@ -168,7 +170,7 @@ impl Sink for Extent {
 /// As [`recording`].
 pub(super) fn events(path: &Path, format: EventFormat) -> Result<u64, Diagnostic> {
     let mut extent = Extent::default();
-    events::each(path, format, &mut extent)?;
+    read::decode_file(path, format, &mut extent)?;
     Ok(extent.events)
 }
 
@@ -178,7 +180,7 @@ pub(super) fn events(path: &Path, format: EventFormat) -> Result<u64, Diagnostic
 /// `input.events` for what is malformed, `io.*`.
 pub(super) fn recording(path: &Path, format: EventFormat) -> Result<Findings, Diagnostic> {
     let mut extent = Extent::default();
-    events::each(path, format, &mut extent)?;
+    read::decode_file(path, format, &mut extent)?;
     let there = extent.events > 0;
     let duration = extent.times.map(|(earliest, latest, _)| (latest - earliest) as f64 / 1e3);
     Ok(Findings {

@@ -22,9 +22,9 @@ use crate::desc::mapping::{MappingFile, PrunedFile};
 use crate::desc::spanned::parse;
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
-use crate::io::events::EventFormat;
 use crate::io::shipped::{self, Origin};
-use crate::io::{dataset, event_csv, model, npy, safetensors, stimulus, target, text};
+use crate::io::spikes::{self, SpikeFormat, manifest};
+use crate::io::{model, npy, safetensors, target, text};
 use crate::report::inspect::{Findings, Rows, number};
 
 /// What was typed.
@@ -60,17 +60,16 @@ fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
     if path.is_dir() {
         return inspect_folder(path);
     }
-    let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-    match extension.as_deref() {
-        Some("npy") => inspect_npy(path),
-        Some("safetensors") => inspect_safetensors(path),
-        Some("csv") => inspect_csv(path),
-        Some("ron") => inspect_ron(text::read_text(path)?, Origin::File),
-        None if text::is_standard_stream(path) => inspect_ron(text::read_text(path)?, Origin::File),
-        _ => match EventFormat::of(path) {
-            Some(format) => foreign::recording(path, format),
-            None => foreign::model(path),
-        },
+    match SpikeFormat::from_name(path) {
+        Some(SpikeFormat::Array) => inspect_npy(path),
+        Some(SpikeFormat::Csv) => inspect_csv(path),
+        // Models, targets and other descriptions are .ron files too: the text says which.
+        Some(SpikeFormat::Manifest | SpikeFormat::Pipe) => inspect_ron(text::read_text(path)?, Origin::File),
+        Some(SpikeFormat::Events(format)) => foreign::recording(path, format),
+        _ if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("safetensors")) => {
+            inspect_safetensors(path)
+        }
+        _ => foreign::model(path),
     }
 }
 
@@ -122,7 +121,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
         "Constants" => Ok(of_constants(&target::parse_constants(&source)?)),
         "Baseline" => Ok(of_baseline(&Baseline::parse(&source)?)),
         "Mapping" => Ok(of_mapping(&parse(&source, "mapping.syntax")?)),
-        "DataSet" => Ok(of_dataset(&dataset::manifest(source)?)),
+        "DataSet" => Ok(of_dataset(&manifest::from_source(source)?)),
         other => Err(Diagnostic::new(
             "inspect.kind",
             if other.is_empty() {
@@ -213,7 +212,7 @@ fn labels_table(labels: impl Iterator<Item = Option<u32>>, names: &[String]) -> 
     Rows { key: "labels", columns: &["label", "class", "samples"], rows }
 }
 
-fn of_dataset(manifest: &dataset::Manifest) -> Findings {
+fn of_dataset(manifest: &spikes::Manifest) -> Findings {
     let set = manifest.set();
     let folds: Vec<usize> = set.folds.iter().map(|fold| fold.value.len()).collect();
     Findings {
@@ -271,7 +270,7 @@ fn inspect_safetensors(path: &Path) -> Result<Findings, Diagnostic> {
 }
 
 fn inspect_csv(path: &Path) -> Result<Findings, Diagnostic> {
-    let samples = event_csv::read(path, 1 << 32)?;
+    let samples = spikes::csv::read(path, 1 << 32)?;
     let events = || samples.iter().flat_map(|sample| &sample.events);
     Ok(Findings {
         kind: "events",
@@ -287,12 +286,12 @@ fn inspect_csv(path: &Path) -> Result<Findings, Diagnostic> {
 }
 
 fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
-    let listed = stimulus::list_folder(path)?;
+    let listed = spikes::list_folder(path)?;
     let (mut spikes, mut places, mut events) = (0u64, 0u64, 0u64);
     let mut shapes: Vec<Vec<usize>> = Vec::new();
     for (_, _, file) in &listed {
         // How many spikes a recording of events has is for the options of a run to say.
-        if let Some(format) = EventFormat::of(file) {
+        if let Some(SpikeFormat::Events(format)) = SpikeFormat::from_name(file) {
             events += foreign::events(file, format)?;
             continue;
         }

@@ -1,13 +1,13 @@
-//! Models that other tools wrote, as drafts of nsim's own.
+//! Models that other tools wrote, as models of nsim's own.
 //!
-//! Comes in: a file and [`Options`]. Goes out: an [`Imported`] model, which is a [`Draft`] and the notes that say by which
+//! Comes in: a file and [`Options`]. Goes out: an [`Imported`] model, which is a [`ModelBuilder`] and the notes that say by which
 //! conventions it was read and what was changed. The kind of a file is told by its content, never by its name alone; what
 //! is known but cannot be read is named (a Git-LFS pointer, SANA-FE's text netlist, a pickled module, an HDF5 file that is
 //! no network). Nothing in a file is executed. `docs/import.md` has the conventions and limits of each format.
 
-pub mod drill;
 pub mod encode;
 pub mod hdf5;
+pub mod imported;
 pub mod netx;
 pub mod nir;
 pub mod nir_export;
@@ -16,62 +16,13 @@ pub mod slayer;
 pub mod torch;
 pub mod window;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::draft::Draft;
-use super::npy;
-use super::text::{MOST_ARRAY, read_bytes};
+use self::imported::listed;
+pub use self::imported::{Imported, Options, ResetMode};
+use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
 use crate::base::diagnostic::Diagnostic;
-use crate::base::fixed::{Delay, ThresholdMantissa};
-use crate::desc::network::{Network, ThresholdTest};
-
-/// The greatest threshold mantissa: what a compartment gets that should not spike.
-const NEVER: f64 = ThresholdMantissa::MAX.get() as f64;
-/// The greatest delay field.
-const LONGEST_DELAY: f64 = Delay::MAX.get() as f64;
-
-/// What a file does not say, and its user may.
-#[derive(Debug, Clone, Default)]
-pub struct Options {
-    /// Milliseconds that a timestep stands for.
-    pub dt_ms: Option<f64>,
-    /// A file with the neuron's parameters (SLAYER's YAML).
-    pub neuron: Option<PathBuf>,
-    /// What a neuron does to its voltage when it spikes (NIR).
-    pub reset: Option<ResetMode>,
-    /// When a compartment spikes, if not strictly above its threshold.
-    pub threshold: Option<ThresholdTest>,
-    /// An image to drive the input layer's bias.
-    pub image: Option<PathBuf>,
-    /// The step at which layer 0 starts, layer k starting k steps later.
-    pub first_step: Option<u32>,
-    /// Timesteps between two resets of every layer.
-    pub reset_interval: Option<u32>,
-    /// The first reset, counted from a layer's start.
-    pub reset_offset: u32,
-    /// Channels, height, width of the input of a network that begins with a convolution.
-    pub input_shape: Option<Vec<u64>>,
-}
-
-/// What a neuron does to its voltage when it spikes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ResetMode {
-    /// It returns to zero, as on the chip.
-    Zero,
-    /// The threshold is subtracted.
-    Subtract,
-}
-
-/// A model that was read from a foreign file.
-#[derive(Debug, Clone)]
-pub struct Imported {
-    /// What the file is, in words.
-    pub kind: &'static str,
-    /// The model.
-    pub draft: Draft,
-    /// By which conventions it was read, and what was changed.
-    pub notes: Vec<String>,
-}
+use crate::desc::network::Network;
 
 /// The kinds of foreign files, by their content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,7 +45,7 @@ pub fn kind_of(bytes: &[u8]) -> Kind {
         _ if bytes.starts_with(torch::ZIP) || bytes.starts_with(torch::LEGACY) => Kind::Torch,
         // A pickle of another protocol, or of something else: its reader says which.
         [0x80, 2..=5, ..] => Kind::Torch,
-        _ if bytes.starts_with(npy::MAGIC) => Kind::Npy,
+        _ if bytes.starts_with(NPY_MAGIC) => Kind::Npy,
         _ => Kind::Unknown,
     }
 }
@@ -118,26 +69,26 @@ pub fn is_foreign(path: &Path) -> bool {
 /// # Errors
 /// `import.*` for what the file holds, `hdf5.*` and `io.*` for the file itself.
 pub fn read(path: &Path, options: &Options) -> Result<Imported, Diagnostic> {
-    of_bytes(path, read_bytes(path, MOST_ARRAY)?, options)
+    from_bytes(path, read_bytes(path, MOST_ARRAY)?, options)
 }
 
 /// Reads a foreign model from the bytes of its file; the path is for messages and names.
 ///
 /// # Errors
 /// As [`read`].
-pub fn of_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, Diagnostic> {
     let imported = match kind_of(&bytes) {
-        Kind::Hdf5 => of_hdf5(path, bytes, options),
-        Kind::Torch => slayer::read_checkpoint(bytes, &name_of(path), options),
+        Kind::Hdf5 => read_hdf5(path, bytes, options),
+        Kind::Torch => slayer::read_checkpoint(bytes, &network_name(path), options),
         Kind::Npy => slayer::read_set(path, options),
         Kind::Unknown => Err(unknown(path, &bytes)),
     };
-    imported.map_err(|problem| if problem.place.is_some() { problem } else { problem.in_file(path) })
+    imported.map_err(|problem| problem.or_in_file(path))
 }
 
-fn of_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, Diagnostic> {
+fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, Diagnostic> {
     let root = hdf5::tree(path, bytes)?;
-    let name = name_of(path);
+    let name = network_name(path);
     if root.group("layer").is_some() {
         netx::read(&root, &name, options)
     } else if root.group("node").is_some() {
@@ -150,13 +101,8 @@ fn of_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, D
     }
 }
 
-/// Names for messages.
-fn listed(names: &[&str]) -> String {
-    if names.is_empty() { "no members".to_string() } else { names.join(", ") }
-}
-
 /// The name of a network, from its file.
-fn name_of(path: &Path) -> String {
+fn network_name(path: &Path) -> String {
     let stem = path.file_stem().map_or_else(|| "network".into(), |stem| stem.to_string_lossy().into_owned());
     // network.net says nothing; its folder does.
     let folder = path.parent().and_then(Path::file_name).map(|folder| folder.to_string_lossy().into_owned());
@@ -196,7 +142,7 @@ fn unknown(path: &Path, bytes: &[u8]) -> Diagnostic {
 /// A foreign model as a network.
 ///
 /// # Errors
-/// As [`read`], and `model.*` when the draft is not a model.
+/// As [`read`], and `model.*` when the model is not a model.
 pub fn network(path: &Path, options: &Options) -> Result<Network, Diagnostic> {
-    read(path, options)?.draft.network(path)
+    read(path, options)?.model.build(path)
 }

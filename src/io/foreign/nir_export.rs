@@ -1,6 +1,6 @@
 //! A model as a NIR file, and back without loss.
 //!
-//! Comes in: a draft. Goes out: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons with time
+//! Comes in: a model. Goes out: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons with time
 //! constants `4096 dt / du` in seconds, weights, thresholds and biases in units of the register divided by 64 for models in
 //! integers and in their own units for models in real numbers, `w_in` and `r` such that a weight counts 1. What NIR has no
 //! word for (weight exponents, refractory periods, clips, resets, semantics) stands in the graph's metadata, as the whole
@@ -11,7 +11,7 @@ use super::hdf5::{Group, Item, Numbers};
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::desc::network::{ArrayRef, Network, NetworkFile};
 use crate::desc::tensor::{self, Tensor};
-use crate::io::draft::{Draft, DraftKind, DraftPopulation, DraftProjection, Value};
+use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind};
 
 /// The version of NIR whose layout is written.
 const VERSION: &str = "1.0.8";
@@ -32,20 +32,20 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 ///
 /// # Errors
 /// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses beyond 2^24 places.
-pub fn export(draft: &Draft) -> Result<(Group, Vec<String>), Diagnostic> {
+pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>), Diagnostic> {
     let mut graph =
-        Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt: draft.timestep_ms / 1e3 };
-    for population in &draft.populations {
+        Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt: model.timestep_ms / 1e3 };
+    for population in &model.populations {
         graph.population(population)?;
     }
-    for (index, projection) in draft.projections.iter().enumerate() {
-        graph.projection(draft, projection, index)?;
+    for (index, projection) in model.projections.iter().enumerate() {
+        graph.projection(model, projection, index)?;
     }
-    let output = draft.population(&draft.output).ok_or_else(|| unsupported("the model has no output"))?;
+    let output = model.population(&model.output).ok_or_else(|| unsupported("the model has no output"))?;
     let name = graph.free("output");
     graph.nodes = graph.nodes.with(&name, node("Output").with("shape", shape(&output.shape)));
-    graph.edges.push((draft.output.clone(), name));
-    let (text, arrays) = draft.ron(ARRAYS);
+    graph.edges.push((model.output.clone(), name));
+    let (text, arrays) = model.ron(ARRAYS);
     let mut stored = Group::default();
     for (index, (key, tensor)) in arrays.iter().enumerate() {
         let entry = Group::default().with("key", key.as_str()).with("numbers", array(tensor));
@@ -62,17 +62,17 @@ pub fn export(draft: &Draft) -> Result<(Group, Vec<String>), Diagnostic> {
 
 /// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not write it.
 #[must_use]
-pub fn restore(root: &Group) -> Option<Result<Draft, String>> {
+pub fn restore(root: &Group) -> Option<Result<ModelBuilder, String>> {
     let metadata = root.group("node/metadata")?;
     let text = metadata.text(TEXT)?;
-    Some(restored(metadata, text).and_then(|draft| match export(&draft) {
-        Ok((again, _)) if again.group("node") == root.group("node") => Ok(draft),
+    Some(restored(metadata, text).and_then(|model| match export(&model) {
+        Ok((again, _)) if again.group("node") == root.group("node") => Ok(model),
         Ok(_) => Err("its nodes are not those that it was written with".to_string()),
         Err(problem) => Err(problem.to_string()),
     }))
 }
 
-fn restored(metadata: &Group, text: &str) -> Result<Draft, String> {
+fn restored(metadata: &Group, text: &str) -> Result<ModelBuilder, String> {
     let source = SourceText::new("metadata", text);
     let file = NetworkFile::parse(&source).map_err(|problem| problem.to_string())?;
     let mut arrays = std::collections::BTreeMap::new();
@@ -93,7 +93,7 @@ fn restored(metadata: &Group, text: &str) -> Result<Draft, String> {
         arrays.insert(ArrayRef::Safetensors(ARRAYS.to_string(), key.to_string()), tensor);
     }
     let network = Network::new(file, source, arrays).map_err(|problem| problem.to_string())?;
-    Draft::of(&network).map_err(|problem| problem.to_string())
+    ModelBuilder::from_network(&network).map_err(|problem| problem.to_string())
 }
 
 /// A node of a type.
@@ -135,7 +135,7 @@ impl Graph {
         free
     }
 
-    fn population(&mut self, population: &DraftPopulation) -> Result<(), Diagnostic> {
+    fn population(&mut self, population: &PopulationBuilder) -> Result<(), Diagnostic> {
         let axes: Vec<usize> = population.shape.iter().map(|&axis| axis as usize).collect();
         let units = population.units() as usize;
         let name = &population.name;
@@ -153,18 +153,18 @@ impl Graph {
         let dt = self.dt;
         let get = |key: &str| population.parameter(key);
         // dt / tau of each compartment.
-        let fraction = |decay: &str, tau: &str| -> Value {
+        let fraction = |decay: &str, tau: &str| -> Parameter {
             match (get(decay), get(tau)) {
                 (Some(decay), _) => decay.map(|d| d / 4096.0),
                 (None, Some(tau)) => tau.map(|tau| -(-dt * 1e3 / tau).exp_m1()),
-                (None, None) => Value::Same(1.0),
+                (None, None) => Parameter::Same(1.0),
             }
         };
         let (synapse, membrane) = (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms"));
         let threshold = match (get("vth_mant"), get("vth")) {
             (Some(mantissa), _) => mantissa.clone(),
             (None, Some(real)) => real.clone(),
-            (None, None) => Value::Same(NOTHING),
+            (None, None) => Parameter::Same(NOTHING),
         };
         let bias = |unit: usize| match (get("bias_mant"), get("bias")) {
             (Some(mantissa), _) => mantissa.get(unit) * get("bias_exp").map_or(0.0, |e| e.get(unit)).exp2() / 64.0,
@@ -172,7 +172,7 @@ impl Graph {
             (None, None) => 0.0,
         };
         let each = |f: &dyn Fn(usize) -> f64| Numbers::f64(&axes, &(0..units).map(f).collect::<Vec<_>>());
-        let tau = |fraction: &Value, unit: usize| {
+        let tau = |fraction: &Parameter, unit: usize| {
             let fraction = fraction.get(unit);
             if fraction > 0.0 { dt / fraction } else { dt * ENDLESS }
         };
@@ -188,9 +188,9 @@ impl Graph {
         let lost: Vec<&str> = parameters
             .iter()
             .filter(|(key, value)| match *key {
-                "refractory" => *value != Value::Same(1.0),
-                "vmin_exp" => *value != Value::Same(23.0),
-                "vmax_exp" => *value != Value::Same(7.0),
+                "refractory" => *value != Parameter::Same(1.0),
+                "vmin_exp" => *value != Parameter::Same(23.0),
+                "vmax_exp" => *value != Parameter::Same(7.0),
                 _ => false,
             })
             .map(|(key, _)| *key)
@@ -202,9 +202,14 @@ impl Graph {
         Ok(())
     }
 
-    fn projection(&mut self, draft: &Draft, projection: &DraftProjection, index: usize) -> Result<(), Diagnostic> {
+    fn projection(
+        &mut self,
+        model: &ModelBuilder,
+        projection: &ProjectionBuilder,
+        index: usize,
+    ) -> Result<(), Diagnostic> {
         let find = |name: &str| {
-            draft.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
+            model.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
         };
         let target = find(&projection.to)?;
         let real = target.parameter("vth").is_some();
@@ -235,8 +240,8 @@ impl Graph {
     /// The nodes from a source to a target, in order.
     fn weights(
         &self,
-        projection: &DraftProjection,
-        (source, target): (&DraftPopulation, &DraftPopulation),
+        projection: &ProjectionBuilder,
+        (source, target): (&PopulationBuilder, &PopulationBuilder),
         (first, together): (u64, u64),
         unit: f64,
     ) -> Result<Vec<Group>, Diagnostic> {
@@ -254,14 +259,14 @@ impl Graph {
             node("Linear").with("weight", Numbers::f64(&[rows as usize, columns as usize], &weights))
         };
         match &projection.kind {
-            DraftKind::Dense(weights) => {
+            ProjectionKind::Dense(weights) => {
                 if source.shape.len() > 1 {
                     chain.push(flatten());
                 }
                 let slice = (0..rows).flat_map(|row| (0..columns).map(move |c| (row * together + first + c) as usize));
                 chain.push(matrix(slice.map(|at| weights.real(at)).collect()));
             }
-            DraftKind::Sparse(synapses) => {
+            ProjectionKind::Sparse(synapses) => {
                 if rows.checked_mul(columns).is_none_or(|all| all > MOST_MATRIX) {
                     return Err(unsupported(format!(
                         "the listed synapses to '{}' are a matrix of {rows} x {columns} in NIR, more than {MOST_MATRIX} numbers",
@@ -279,7 +284,7 @@ impl Graph {
                 }
                 chain.push(matrix(weights));
             }
-            DraftKind::Conv2d { weights, stride, padding, dilation, groups } => {
+            ProjectionKind::Conv2d { weights, stride, padding, dilation, groups } => {
                 let scaled: Vec<f64> = (0..weights.len()).map(|i| weights.real(i) * unit).collect();
                 let channels = weights.shape().first().copied().unwrap_or(0);
                 let plane = source.shape.get(1..).unwrap_or_default();
@@ -294,7 +299,7 @@ impl Graph {
                         .with("input_shape", shape(plane)),
                 );
             }
-            DraftKind::SumPool2d { kernel, stride, padding, weight } => {
+            ProjectionKind::SumPool2d { kernel, stride, padding, weight } => {
                 chain.push(
                     node("SumPool2d")
                         .with("kernel_size", pair(*kernel))

@@ -1,7 +1,7 @@
 //! Weights that SLAYER trained for Loihi neurons, and the YAML that describes those neurons.
 //!
 //! Comes in: matrices by name, from a state dict or from `.npy` files as VT_SNN writes them, and a YAML network config.
-//! Goes out: a draft of dense layers, in the order of the file, or the three layers of a network with a tactile and a
+//! Goes out: a model of dense layers, in the order of the file, or the three layers of a network with a tactile and a
 //! visual encoder. Weights become `round(w / 2) * 2`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There
 //! is one step between layers, as on the chip and as `delayShift` does in training. The kernels `srmKernel` and
 //! `refKernel` that checkpoints carry are of the training only.
@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{Imported, Options, encode};
+use super::encode;
+use super::imported::{Imported, Options};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
-use crate::io::draft::{Draft, DraftKind, DraftPopulation, DraftProjection, Value, tensor};
+use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use crate::io::text::{decode, read_bytes};
 use crate::io::{foreign::torch, npy};
 
@@ -277,8 +278,8 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
     if matrices.is_empty() {
         return Err(slayer("there is no '.weight' of a dense layer"));
     }
-    let mut draft = Draft::new(name, options.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
-    draft.threshold = options.threshold.unwrap_or_default();
+    let mut model = ModelBuilder::new(name, options.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
+    model.threshold = options.threshold.unwrap_or_default();
     let (described, rounded) = match &neuron.kind {
         NeuronKind::Loihi { vth_mant, dv, du, refractory, weight_exp } => (
             format!("du {du}, dv {dv}, vth_mant {vth_mant}, refractory {refractory}, weight_exp {weight_exp}"),
@@ -293,29 +294,29 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
     let neurons = |name: &str, units: usize| match neuron.kind {
         NeuronKind::Loihi { vth_mant, dv, du, refractory, .. } => {
             let parameters = [("du", du), ("dv", dv), ("vth_mant", vth_mant), ("refractory", refractory)];
-            let parameters = parameters.into_iter().map(|(key, value)| (key, Value::Same(value))).collect();
-            DraftPopulation::loihi(name, vec![units as u64], parameters)
+            let parameters = parameters.into_iter().map(|(key, value)| (key, Parameter::Same(value))).collect();
+            PopulationBuilder::loihi(name, vec![units as u64], parameters)
         }
         NeuronKind::SrmAlpha { theta, tau_sr_ms, tau_ref_ms, scale_ref } => {
             let parameters =
                 [("tau_sr_ms", tau_sr_ms), ("tau_ref_ms", tau_ref_ms), ("scale_ref", scale_ref), ("theta", theta)];
-            DraftPopulation { srm: Some(parameters), ..DraftPopulation::input(name, vec![units as u64]) }
+            PopulationBuilder { srm: Some(parameters), ..PopulationBuilder::input(name, vec![units as u64]) }
         }
     };
-    let input = |name: &str, units: usize| DraftPopulation::input(name, vec![units as u64]);
+    let input = |name: &str, units: usize| PopulationBuilder::input(name, vec![units as u64]);
     // Which populations each layer hears.
     let joined = matrices.len() == 3 && matrices[2].sources == matrices[0].targets + matrices[1].targets;
     let chained = |k: usize| k == 0 || matrices[k].sources == matrices[k - 1].targets;
     let sources: Vec<Vec<String>> = if joined && !(chained(1) && chained(2)) {
-        draft.populations.push(input("tactile", matrices[0].sources));
-        draft.populations.push(input("vision", matrices[1].sources));
+        model.populations.push(input("tactile", matrices[0].sources));
+        model.populations.push(input("vision", matrices[1].sources));
         notes.push(format!(
             "'{}' hears '{}' and '{}', in this order",
             matrices[2].name, matrices[0].name, matrices[1].name
         ));
         vec![vec!["tactile".into()], vec!["vision".into()], vec![matrices[0].name.clone(), matrices[1].name.clone()]]
     } else if (0..matrices.len()).all(chained) {
-        draft.populations.push(input("input", matrices[0].sources));
+        model.populations.push(input("input", matrices[0].sources));
         (0..matrices.len()).map(|k| vec![if k == 0 { "input".into() } else { matrices[k - 1].name.clone() }]).collect()
     } else {
         let shapes: Vec<String> =
@@ -323,11 +324,11 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
         return Err(slayer(format!("the layers do not follow each other: {}", shapes.join(", "))));
     };
     for (matrix, from) in matrices.into_iter().zip(sources) {
-        draft.populations.push(neurons(&matrix.name, matrix.targets));
+        model.populations.push(neurons(&matrix.name, matrix.targets));
         if matches!(neuron.kind, NeuronKind::SrmAlpha { .. }) {
-            let kind = DraftKind::Dense(tensor(vec![matrix.targets, matrix.sources], matrix.weights));
-            draft.projections.push(DraftProjection { from, ..DraftProjection::new("", &matrix.name, kind) });
-            draft.output = matrix.name;
+            let kind = ProjectionKind::Dense(tensor(vec![matrix.targets, matrix.sources], matrix.weights));
+            model.projections.push(ProjectionBuilder { from, ..ProjectionBuilder::new("", &matrix.name, kind) });
+            model.output = matrix.name;
             continue;
         }
         let total = matrix.weights.len();
@@ -340,16 +341,16 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
             ));
         }
         let weights = tensor(vec![matrix.targets, matrix.sources], encoded.weights);
-        draft.projections.push(DraftProjection {
+        model.projections.push(ProjectionBuilder {
             from,
             weight_exp: encoded.exponent,
             sign: encoded.sign,
-            ..DraftProjection::new("", &matrix.name, DraftKind::Dense(weights))
+            ..ProjectionBuilder::new("", &matrix.name, ProjectionKind::Dense(weights))
         });
-        draft.output = matrix.name;
+        model.output = matrix.name;
     }
-    draft.provenance = Some(format!("imported from {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, draft, notes })
+    model.provenance = Some(format!("imported from {kind}; {}", notes.join("; ")));
+    Ok(Imported { kind, model, notes })
 }
 
 #[cfg(test)]

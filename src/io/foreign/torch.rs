@@ -7,11 +7,11 @@
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
 
+use half::{bf16, f16};
 use zip::ZipArchive;
 
 use super::pickle::{self, Arena, PickleError, Value, ValueId};
 use crate::base::diagnostic::Diagnostic;
-use crate::io::half::{bfloat16, binary16};
 
 /// What a zip archive begins with.
 pub const ZIP: &[u8] = b"PK\x03\x04";
@@ -68,8 +68,8 @@ impl Element {
         match self {
             Element::F64 => f64::from_le_bytes(fixed(b)),
             Element::F32 => f64::from(f32::from_le_bytes(fixed(b))),
-            Element::F16 => binary16(u16::from_le_bytes(fixed(b))),
-            Element::Bf16 => bfloat16(u16::from_le_bytes(fixed(b))),
+            Element::F16 => f16::from_le_bytes(fixed(b)).to_f64(),
+            Element::Bf16 => bf16::from_le_bytes(fixed(b)).to_f64(),
             Element::I64 => i64::from_le_bytes(fixed(b)) as f64,
             Element::I32 => f64::from(i32::from_le_bytes(fixed(b))),
             Element::I16 => f64::from(i16::from_le_bytes(fixed(b))),

@@ -5,11 +5,11 @@
 
 use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
 use super::neuron::integrator;
-use super::{Last, Reader, units};
+use super::reader::{Last, Reader, units};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::SignMode;
-use crate::io::draft::{DraftKind, tensor};
 use crate::io::foreign::window::MOST_LISTED;
+use crate::io::model_builder::{ProjectionKind, tensor};
 
 impl Reader<'_> {
     pub(super) fn dense(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
@@ -33,7 +33,7 @@ impl Reader<'_> {
         let parameters = self.parameters(layer, &shape)?;
         self.push(&name, shape.clone(), Some(parameters));
         let matrix = vec![shape[0] as usize, source.units() as usize];
-        self.project(layer, &source, &name, "weight", |weights| Ok(DraftKind::Dense(tensor(matrix, weights))))?;
+        self.project(layer, &source, &name, "weight", |weights| Ok(ProjectionKind::Dense(tensor(matrix, weights))))?;
         if layer.kind == "dense_rec" {
             let recurrent = self.last.clone().ok_or_else(|| layer.wrong("no layer"))?;
             let square = vec![shape[0] as usize; 2];
@@ -44,7 +44,7 @@ impl Reader<'_> {
             // layer's own delay is for what follows it.
             let undelayed = Last { delays: Vec::new(), ..recurrent };
             self.project(layer, &undelayed, &name, "weight_rec", |weights| {
-                Ok(DraftKind::Dense(tensor(square, weights)))
+                Ok(ProjectionKind::Dense(tensor(square, weights)))
             })?;
         }
         self.delays(layer)
@@ -73,7 +73,7 @@ impl Reader<'_> {
         let axes: Vec<usize> = kernel.iter().map(|&axis| axis as usize).collect();
         let Geometry { stride, padding, dilation } = geometry;
         self.project(layer, &source, &name, "weight", |weights| {
-            Ok(DraftKind::Conv2d { weights: tensor(axes, weights), stride, padding, dilation, groups })
+            Ok(ProjectionKind::Conv2d { weights: tensor(axes, weights), stride, padding, dilation, groups })
         })?;
         self.delays(layer)
     }
@@ -99,14 +99,14 @@ impl Reader<'_> {
         self.project(layer, &source, &name, "weight", |weights| {
             let first = weights.first().copied().unwrap_or(0.0);
             if weights.iter().all(|&weight| weight == first) && !weights.is_empty() && dilation == (1, 1) {
-                return Ok(DraftKind::SumPool2d { kernel, stride, padding, weight: first });
+                return Ok(ProjectionKind::SumPool2d { kernel, stride, padding, weight: first });
             }
             if count != places && Some(count) != places.checked_mul(channels) {
                 return Err(layer.wrong(format!("{count} weights for a window of {places}")));
             }
             let expanded: Vec<f64> = weights.iter().copied().cycle().take((places * channels) as usize).collect();
             let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
-            Ok(DraftKind::Conv2d { weights: tensor(axes, expanded), stride, padding, dilation, groups: channels })
+            Ok(ProjectionKind::Conv2d { weights: tensor(axes, expanded), stride, padding, dilation, groups: channels })
         })?;
         self.delays(layer)
     }
@@ -180,7 +180,7 @@ impl Reader<'_> {
                     }
                 }
             }
-            Ok(DraftKind::Sparse(synapses))
+            Ok(ProjectionKind::Sparse(synapses))
         })?;
         self.delays(layer)
     }
@@ -201,6 +201,6 @@ impl Reader<'_> {
         self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0)));
         let size = source.units() / outputs;
         let synapses = (0..source.units()).map(|unit| (unit, unit / size, 2.0)).collect();
-        self.connect(layer, &source, &name, DraftKind::Sparse(synapses), 0, SignMode::Mixed)
+        self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), 0, SignMode::Mixed)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Comes in: the group of a layer. Goes out: finite numbers, pairs, shapes, the geometry of a window; errors that name the layer.
 
-use super::wrong;
+use super::reader::wrong;
 use crate::base::diagnostic::Diagnostic;
 use crate::io::foreign::hdf5::{Group, Numbers};
 

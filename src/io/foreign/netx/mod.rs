@@ -1,6 +1,6 @@
 //! Networks that lava-dl exports for its netx (`.net`, HDF5).
 //!
-//! Comes in: the tree of a file. Goes out: a draft with one population a layer. Layers are taken in the order of their
+//! Comes in: the tree of a file. Goes out: a model with one population a layer. Layers are taken in the order of their
 //! numbers. `iDecay` is the effective decay of the current, the threshold is `vThMant` times 64, a bias is a mantissa
 //! with exponent 6 (lava-dl d825ac5, `netx/hdf5.py`, `netx/blocks/models.py`). Kernels are cross-correlated as stored;
 //! what is flattened is flattened in the order C, H, W. A network of chip time has one step between layers; one with the
@@ -12,22 +12,19 @@ mod kinds;
 mod layer;
 mod neuron;
 mod projection;
+mod reader;
 
 use std::cell::Cell;
 
 use super::hdf5::Group;
-use super::{Imported, Options, listed};
+use super::imported::{Imported, Options, listed};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::network::{ResetDesc, ThresholdTest};
-use crate::io::draft::{Draft, DraftPopulation, Value};
+use crate::io::model_builder::ModelBuilder;
 use crate::io::npy;
 use layer::Layer;
 use neuron::set_bias;
-
-/// Parameters that are given for each channel are expanded to at most so many numbers, all layers together.
-const MOST_EXPANDED: u64 = 1 << 22;
-/// The exponent of a bias (netx, `bias_exp`).
-const BIAS_EXP: f64 = 6.0;
+use reader::{Reader, wrong};
 
 /// Reads the tree of a file.
 ///
@@ -39,7 +36,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Dia
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
     let mut reader = Reader {
         options,
-        draft: Draft::new(name, dt_ms),
+        model: ModelBuilder::new(name, dt_ms),
         notes: Vec::new(),
         last: None,
         expanded: Cell::new(0),
@@ -73,41 +70,6 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>, Diagnostic> {
         ))),
         None => Ok(layers),
     }
-}
-
-fn wrong(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new("import.netx", message)
-}
-
-/// What spikes reach the next layer.
-#[derive(Debug, Clone)]
-struct Last {
-    /// The population.
-    name: String,
-    shape: Vec<u64>,
-    /// Delay field of each of its units; empty for none.
-    delays: Vec<u32>,
-}
-
-impl Last {
-    fn units(&self) -> u64 {
-        units(&self.shape).unwrap_or(u64::MAX)
-    }
-}
-
-fn units(shape: &[u64]) -> Option<u64> {
-    shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
-}
-
-struct Reader<'a> {
-    options: &'a Options,
-    draft: Draft,
-    notes: Vec<String>,
-    last: Option<Last>,
-    expanded: Cell<u64>,
-    slayer_time: bool,
-    /// Populations of compartments so far, which decides when the next one starts.
-    depth: u32,
 }
 
 impl Reader<'_> {
@@ -186,25 +148,6 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Adds a population and makes it the last.
-    fn push(&mut self, name: &str, shape: Vec<u64>, loihi: Option<Vec<(&'static str, Value)>>) {
-        let start_step = match &loihi {
-            Some(_) => {
-                self.depth += 1;
-                self.depth - 1
-            }
-            None => 0,
-        };
-        self.draft.populations.push(DraftPopulation {
-            name: name.to_string(),
-            shape: shape.clone(),
-            loihi,
-            srm: None,
-            start_step,
-        });
-        self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });
-    }
-
     fn flatten(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
         // Populations are flattened in the order C, H, W by whatever dense layer follows.
         match &self.last {
@@ -213,25 +156,16 @@ impl Reader<'_> {
         }
     }
 
-    /// The layer before, or an input of this shape when there is none.
-    fn source(&mut self, shape: impl FnOnce() -> Result<Vec<u64>, Diagnostic>) -> Result<Last, Diagnostic> {
-        if self.last.is_none() {
-            let shape = shape()?;
-            self.push("input", shape, None);
-        }
-        self.last.clone().ok_or_else(|| wrong("no layer"))
-    }
-
     fn finish(mut self) -> Result<Imported, Diagnostic> {
         let Some(last) = self.last.take().filter(|_| self.depth > 0) else {
             return Err(wrong("it has no layer of neurons"));
         };
-        self.draft.output = last.name;
+        self.model.output = last.name;
         if !last.delays.is_empty() && last.delays.iter().any(|&delay| delay != 0) {
             self.notes.push("the delay of the last layer's spikes has no reader and is left out".to_string());
         }
-        self.draft.threshold = self.options.threshold.unwrap_or_default();
-        if self.draft.threshold == ThresholdTest::Inclusive {
+        self.model.threshold = self.options.threshold.unwrap_or_default();
+        if self.model.threshold == ThresholdTest::Inclusive {
             self.notes.push("a neuron spikes at v >= threshold, as in SLAYER 2; the chip compares with >".to_string());
         }
         // Layer k hears layer k - 1 a step later; in SLAYER's time all begin together at step 1.
@@ -241,23 +175,23 @@ impl Reader<'_> {
         });
         match first {
             Some(first) => {
-                for population in self.draft.populations.iter_mut().filter(|p| p.loihi.is_some()) {
+                for population in self.model.populations.iter_mut().filter(|p| p.loihi.is_some()) {
                     population.start_step += first;
                 }
                 self.notes
                     .push(format!("layer k of compartments starts at step k + {first}, its bias and resets with it"));
             }
             None => {
-                self.draft.populations.iter_mut().for_each(|population| population.start_step = 0);
+                self.model.populations.iter_mut().for_each(|population| population.start_step = 0);
                 self.notes
                     .push("chip time: every layer runs from step 0, one step of delay between layers".to_string());
             }
         }
         if let Some(interval) = self.options.reset_interval {
-            self.draft.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });
+            self.model.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });
         }
-        self.draft.provenance = Some(format!("imported from a lava-dl netx file; {}", self.notes.join("; ")));
-        Ok(Imported { kind: "lava-dl netx", draft: self.draft, notes: self.notes })
+        self.model.provenance = Some(format!("imported from a lava-dl netx file; {}", self.notes.join("; ")));
+        Ok(Imported { kind: "lava-dl netx", model: self.model, notes: self.notes })
     }
 }
 

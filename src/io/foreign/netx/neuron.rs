@@ -3,10 +3,10 @@
 //! Comes in: a layer with a group `neuron`, or none. Goes out: decays, thresholds and biases, one for all or one a unit.
 
 use super::layer::Layer;
-use super::{BIAS_EXP, MOST_EXPANDED, Reader, units};
+use super::reader::{BIAS_EXP, MOST_EXPANDED, Reader, units};
 use crate::base::diagnostic::Diagnostic;
-use crate::io::draft::Value;
-use crate::io::foreign::NEVER;
+use crate::io::foreign::imported::NEVER;
+use crate::io::model_builder::Parameter;
 
 impl Reader<'_> {
     /// Neuron parameters of a layer of compartments, its bias included.
@@ -14,7 +14,7 @@ impl Reader<'_> {
         &mut self,
         layer: &Layer<'_>,
         shape: &[u64],
-    ) -> Result<Vec<(&'static str, Value)>, Diagnostic> {
+    ) -> Result<Vec<(&'static str, Parameter)>, Diagnostic> {
         let mut parameters = match layer.group.group("neuron") {
             Some(_) => self.neuron(layer, shape)?,
             None => {
@@ -34,9 +34,9 @@ impl Reader<'_> {
             }
             let biases = self.each(layer, "bias", whole, shape)?;
             match biases {
-                Value::Same(0.0) => {}
-                Value::Same(bias) => set_bias(&mut parameters, vec![bias]),
-                Value::Each(biases) => set_bias(&mut parameters, biases),
+                Parameter::Same(0.0) => {}
+                Parameter::Same(bias) => set_bias(&mut parameters, vec![bias]),
+                Parameter::Each(biases) => set_bias(&mut parameters, biases),
             }
         }
         Ok(parameters)
@@ -49,14 +49,14 @@ impl Reader<'_> {
         key: &str,
         numbers: Vec<f64>,
         shape: &[u64],
-    ) -> Result<Value, Diagnostic> {
+    ) -> Result<Parameter, Diagnostic> {
         let count = numbers.len() as u64;
         let all = units(shape).unwrap_or(u64::MAX);
-        let value = Value::of(numbers);
+        let value = Parameter::from_values(numbers);
         match value {
-            Value::Same(_) if count >= 1 && (count == 1 || count == shape[0] || count == all) => Ok(value),
-            Value::Each(numbers) if count == all => Ok(Value::Each(numbers)),
-            Value::Each(numbers) if count == shape[0] => {
+            Parameter::Same(_) if count >= 1 && (count == 1 || count == shape[0] || count == all) => Ok(value),
+            Parameter::Each(numbers) if count == all => Ok(Parameter::Each(numbers)),
+            Parameter::Each(numbers) if count == shape[0] => {
                 let expanded = self.expanded.get().saturating_add(all);
                 self.expanded.set(expanded);
                 if expanded > MOST_EXPANDED {
@@ -66,7 +66,7 @@ impl Reader<'_> {
                     ));
                 }
                 let per_channel = (all / shape[0]) as usize;
-                Ok(Value::Each(numbers.into_iter().flat_map(|x| std::iter::repeat_n(x, per_channel)).collect()))
+                Ok(Parameter::Each(numbers.into_iter().flat_map(|x| std::iter::repeat_n(x, per_channel)).collect()))
             }
             _ => Err(layer.wrong(format!("'{key}' has {count} numbers for the shape {shape:?}"))),
         }
@@ -76,7 +76,7 @@ impl Reader<'_> {
         &mut self,
         layer: &Layer<'_>,
         shape: &[u64],
-    ) -> Result<Vec<(&'static str, Value)>, Diagnostic> {
+    ) -> Result<Vec<(&'static str, Parameter)>, Diagnostic> {
         let Some(kind) = layer.group.text("neuron/type") else {
             return Err(layer.wrong("its neuron does not say its type"));
         };
@@ -118,7 +118,7 @@ impl Reader<'_> {
                 return Err(layer.wrong(format!("{theirs} is {x}, outside {} to {}", range.start(), range.end())));
             }
             let value = self.each(layer, theirs, numbers, shape)?;
-            if ours != "refractory" || value != Value::Same(1.0) {
+            if ours != "refractory" || value != Parameter::Same(1.0) {
                 parameters.push((ours, value));
             }
         }
@@ -127,11 +127,11 @@ impl Reader<'_> {
 }
 
 /// Compartments that sum and never spike.
-pub(super) fn integrator(du: f64, dv: f64) -> Vec<(&'static str, Value)> {
-    vec![("du", Value::Same(du)), ("dv", Value::Same(dv)), ("vth_mant", Value::Same(NEVER))]
+pub(super) fn integrator(du: f64, dv: f64) -> Vec<(&'static str, Parameter)> {
+    vec![("du", Parameter::Same(du)), ("dv", Parameter::Same(dv)), ("vth_mant", Parameter::Same(NEVER))]
 }
 
-pub(super) fn set_bias(parameters: &mut Vec<(&'static str, Value)>, biases: Vec<f64>) {
-    parameters.push(("bias_mant", Value::of(biases)));
-    parameters.push(("bias_exp", Value::Same(BIAS_EXP)));
+pub(super) fn set_bias(parameters: &mut Vec<(&'static str, Parameter)>, biases: Vec<f64>) {
+    parameters.push(("bias_mant", Parameter::from_values(biases)));
+    parameters.push(("bias_exp", Parameter::Same(BIAS_EXP)));
 }

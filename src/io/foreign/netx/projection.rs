@@ -6,13 +6,14 @@
 use std::collections::BTreeMap;
 
 use super::layer::{Geometry, Layer};
-use super::{Last, Reader};
+use super::reader::{Last, Reader};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::SignMode;
 use crate::desc::tensor::Tensor;
-use crate::io::draft::{Draft, DraftKind, DraftProjection, Value, tensor};
+use crate::io::foreign::encode;
+use crate::io::foreign::imported::LONGEST_DELAY;
 use crate::io::foreign::window::{MOST_LISTED, Sliding};
-use crate::io::foreign::{LONGEST_DELAY, encode};
+use crate::io::model_builder::{ModelBuilder, Parameter, ProjectionBuilder, ProjectionKind, tensor};
 
 impl Reader<'_> {
     /// The projection from the layer before, with its weights in a format that holds them.
@@ -22,7 +23,7 @@ impl Reader<'_> {
         source: &Last,
         to: &str,
         key: &str,
-        kind: impl FnOnce(Vec<f64>) -> Result<DraftKind, Diagnostic>,
+        kind: impl FnOnce(Vec<f64>) -> Result<ProjectionKind, Diagnostic>,
     ) -> Result<(), Diagnostic> {
         // netx reads weights as integers, toward zero.
         let given = layer.reals(key)?;
@@ -58,23 +59,23 @@ impl Reader<'_> {
         layer: &Layer<'_>,
         source: &Last,
         to: &str,
-        kind: DraftKind,
+        kind: ProjectionKind,
         weight_exp: i64,
         sign: SignMode,
     ) -> Result<(), Diagnostic> {
-        let add = |draft: &mut Draft, kind, delay| {
+        let add = |model: &mut ModelBuilder, kind, delay| {
             let projection =
-                DraftProjection { delay, weight_exp, sign, ..DraftProjection::new(&source.name, to, kind) };
-            draft.projections.push(projection);
+                ProjectionBuilder { delay, weight_exp, sign, ..ProjectionBuilder::new(&source.name, to, kind) };
+            model.projections.push(projection);
         };
         let first = source.delays.first().copied().unwrap_or(0);
         let synaptic = self.synaptic_delays(layer, source)?;
         if synaptic.is_none() && source.delays.iter().all(|&delay| delay == first) {
-            add(&mut self.draft, kind, first);
+            add(&mut self.model, kind, first);
             return Ok(());
         }
         let synapses =
-            list(&kind, source, self.draft.population(to).map_or(&[][..], |p| &p.shape)).ok_or_else(|| {
+            list(&kind, source, self.model.population(to).map_or(&[][..], |p| &p.shape)).ok_or_else(|| {
                 layer.unsupported(
                     format!(
                         "its delays differ, so its synapses are listed one by one, and it has more than {MOST_LISTED}"
@@ -95,7 +96,7 @@ impl Reader<'_> {
             return Err(layer.unsupported(format!("a delay of {longest} steps"), "the delay field holds 0 to 62"));
         }
         for (delay, synapses) in by_delay {
-            add(&mut self.draft, DraftKind::Sparse(synapses), delay);
+            add(&mut self.model, ProjectionKind::Sparse(synapses), delay);
         }
         Ok(())
     }
@@ -146,8 +147,8 @@ impl Reader<'_> {
         }
         let expanded =
             match self.each(layer, "delay", delays.iter().map(|&d| f64::from(d)).collect(), &self.last_shape())? {
-                Value::Same(delay) => vec![delay as u32],
-                Value::Each(delays) => delays.into_iter().map(|delay| delay as u32).collect(),
+                Parameter::Same(delay) => vec![delay as u32],
+                Parameter::Each(delays) => delays.into_iter().map(|delay| delay as u32).collect(),
             };
         if let Some(last) = &mut self.last {
             last.delays = expanded;
@@ -161,21 +162,21 @@ impl Reader<'_> {
 }
 
 /// The synapses of a projection one by one, unless there are too many.
-fn list(kind: &DraftKind, source: &Last, target: &[u64]) -> Option<Vec<(u64, u64, f64)>> {
+fn list(kind: &ProjectionKind, source: &Last, target: &[u64]) -> Option<Vec<(u64, u64, f64)>> {
     let within = |many: Option<u64>| many.is_some_and(|many| many <= MOST_LISTED as u64);
     match kind {
-        DraftKind::Sparse(synapses) => Some(synapses.clone()),
-        DraftKind::Dense(weights) => {
+        ProjectionKind::Sparse(synapses) => Some(synapses.clone()),
+        ProjectionKind::Dense(weights) => {
             let sources = source.units();
             let all = weights.len() as u64;
             within(Some(all))
                 .then(|| (0..all).map(|at| (at % sources, at / sources, weights.real(at as usize))).collect())
         }
-        DraftKind::Conv2d { weights, stride, padding, dilation, groups } => {
+        ProjectionKind::Conv2d { weights, stride, padding, dilation, groups } => {
             let geometry = Geometry { stride: *stride, padding: *padding, dilation: *dilation };
             windowed(weights, geometry, *groups, &source.shape, target)
         }
-        DraftKind::SumPool2d { kernel, stride, padding, weight } => {
+        ProjectionKind::SumPool2d { kernel, stride, padding, weight } => {
             let geometry = Geometry { stride: *stride, padding: *padding, dilation: (1, 1) };
             let channels = *source.shape.first()?;
             let places = channels.checked_mul(kernel.0)?.checked_mul(kernel.1)?;

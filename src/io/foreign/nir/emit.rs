@@ -1,16 +1,16 @@
-//! Ways and neurons as projections and populations of a draft.
+//! Paths and neurons as projections and populations of a model.
 //!
-//! Comes in: ways that end at a population. Goes out: its projections, biases, and the population that decides.
+//! Comes in: paths that end at a population. Goes out: its projections, biases, and the population that decides.
 
 use std::collections::BTreeMap;
 
-use super::linear::{Linear, Way, at, scaled};
+use super::linear::{Connection, Linear, at, scaled};
 use super::neuron::{Discrete, all};
-use super::{Reader, product, unsupported, wrong};
+use super::reader::{Reader, product, unsupported, wrong};
 use crate::base::diagnostic::Diagnostic;
-use crate::io::draft::{DraftKind, DraftPopulation, DraftProjection, Value, tensor};
-use crate::io::foreign::NEVER;
+use crate::io::foreign::imported::NEVER;
 use crate::io::foreign::window::MOST_LISTED;
+use crate::io::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 
 impl Reader<'_> {
     /// Everything that a population hears: projections, and its bias.
@@ -21,8 +21,8 @@ impl Reader<'_> {
         let mut current = vec![0.0; 0];
         let memory = !all(&neuron.du, |du| du == 4096.0);
         let mut projections = Vec::new();
-        for way in self.paths(name)? {
-            let arrived = self.walk(&self.shapes[&way[0]].clone(), &way[1..])?;
+        for path in self.paths(name)? {
+            let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
             if product(&arrived.shape) != Some(units) {
                 return Err(wrong(format!(
                     "{:?} arrives at '{name}', which has {shape:?}: its shape differs from that of its parameters",
@@ -37,13 +37,13 @@ impl Reader<'_> {
                     bias.iter_mut().zip(added).enumerate().for_each(|(i, (sum, b))| *sum += b * neuron.gain.get(i));
                 }
             }
-            projections.extend(self.projections(&way[0], name, arrived, &neuron.gain)?);
+            projections.extend(self.projections(&path[0], name, arrived, &neuron.gain)?);
         }
         if current.iter().any(|&b| b != 0.0) {
             let weights: Vec<f64> = current.iter().enumerate().map(|(i, b)| b * neuron.gain.get(i)).collect();
             let source = self.always();
-            let kind = DraftKind::Dense(tensor(vec![units, 1], weights));
-            projections.push(DraftProjection::new(&source, &self.names[name], kind));
+            let kind = ProjectionKind::Dense(tensor(vec![units, 1], weights));
+            projections.push(ProjectionBuilder::new(&source, &self.names[name], kind));
             self.notes.push(format!(
                 "'{name}': its current keeps a bias, which '{source}', a compartment that spikes in every step, brings from step 1 on"
             ));
@@ -64,18 +64,18 @@ impl Reader<'_> {
                         || unsupported(format!("the bias of '{name}' is beyond its weights"), "scale it down"),
                     )?;
                 let mantissas = register.iter().map(|b| (b / f64::from(1 << exponent)).round_ties_even()).collect();
-                parameters.push(("bias_mant", Value::of(mantissas)));
-                parameters.push(("bias_exp", Value::Same(f64::from(exponent))));
+                parameters.push(("bias_mant", Parameter::from_values(mantissas)));
+                parameters.push(("bias_exp", Parameter::Same(f64::from(exponent))));
             }
             self.notes.push(format!("'{name}' never spikes: its v counts {} for a unit", scale * 64.0));
         } else if bias.iter().any(|&b| b != 0.0) {
-            parameters.push(("bias", Value::of(bias)));
+            parameters.push(("bias", Parameter::from_values(bias)));
         }
-        let population = self.draft.populations.iter_mut().find(|population| population.name == to);
+        let population = self.model.populations.iter_mut().find(|population| population.name == to);
         if let Some(loihi) = population.and_then(|population| population.loihi.as_mut()) {
             loihi.extend(parameters);
         }
-        self.draft.projections.extend(projections);
+        self.model.projections.extend(projections);
         Ok(())
     }
 
@@ -85,12 +85,12 @@ impl Reader<'_> {
         while self.names.values().any(|taken| *taken == name) {
             name.push('_');
         }
-        if self.draft.population(&name).is_none() {
+        if self.model.population(&name).is_none() {
             let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 0.0), ("bias_mant", 1.0), ("bias_exp", 0.0)];
-            self.draft.populations.push(DraftPopulation {
+            self.model.populations.push(PopulationBuilder {
                 name: name.clone(),
                 shape: vec![1],
-                loihi: Some(parameters.into_iter().map(|(key, value)| (key, Value::Same(value))).collect()),
+                loihi: Some(parameters.into_iter().map(|(key, value)| (key, Parameter::Same(value))).collect()),
                 srm: None,
                 start_step: 0,
             });
@@ -98,22 +98,22 @@ impl Reader<'_> {
         name
     }
 
-    /// A way as projections: one, or one for each delay.
+    /// A connection as projections: one, or one for each delay.
     pub(super) fn projections(
         &mut self,
         from: &str,
         to: &str,
-        way: Way,
-        gain: &Value,
-    ) -> Result<Vec<DraftProjection>, Diagnostic> {
+        connection: Connection,
+        gain: &Parameter,
+    ) -> Result<Vec<ProjectionBuilder>, Diagnostic> {
         let target = self.shapes[to].clone();
         let source_units = product(&self.shapes[from]).unwrap_or(0);
         let units = product(&target).unwrap_or(0);
         let gains = match gain {
-            Value::Same(gain) => vec![*gain],
-            Value::Each(gains) => gains.clone(),
+            Parameter::Same(gain) => vec![*gain],
+            Parameter::Each(gains) => gains.clone(),
         };
-        let linear = scaled(way.linear, &gains, &way.shape).ok_or_else(|| self.too_many(to))?;
+        let linear = scaled(connection.linear, &gains, &connection.shape).ok_or_else(|| self.too_many(to))?;
         let (from_name, to_name) = (self.names[from].clone(), self.names[to].clone());
         let source_volume = self.shapes[from].len() == 3;
         let kind = match linear {
@@ -126,13 +126,13 @@ impl Reader<'_> {
                     }
                     weights = wide;
                 }
-                DraftKind::Dense(tensor(vec![units, source_units], weights))
+                ProjectionKind::Dense(tensor(vec![units, source_units], weights))
             }
             Linear::Window(window) if target == window.sliding.target && source_volume => {
                 let pair = |(y, x): (usize, usize)| (y as u64, x as u64);
                 let per_group = window.sliding.per_group();
                 match window.kernel {
-                    Ok(kernel) => DraftKind::Conv2d {
+                    Ok(kernel) => ProjectionKind::Conv2d {
                         weights: tensor(
                             vec![window.sliding.target[0], per_group, window.sliding.size.0, window.sliding.size.1],
                             kernel,
@@ -142,7 +142,7 @@ impl Reader<'_> {
                         dilation: pair(window.sliding.dilation),
                         groups: window.sliding.groups as u64,
                     },
-                    Err(weight) => DraftKind::SumPool2d {
+                    Err(weight) => ProjectionKind::SumPool2d {
                         kernel: pair(window.sliding.size),
                         stride: pair(window.sliding.stride),
                         padding: pair(window.sliding.padding),
@@ -152,22 +152,22 @@ impl Reader<'_> {
             }
             Linear::Diagonal(scale) => {
                 self.count(units)?;
-                DraftKind::Sparse((0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect())
+                ProjectionKind::Sparse((0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect())
             }
-            other => DraftKind::Sparse(self.listed(other, to)?),
+            other => ProjectionKind::Sparse(self.listed(other, to)?),
         };
-        if let DraftKind::Sparse(synapses) = &kind {
+        if let ProjectionKind::Sparse(synapses) = &kind {
             self.count(synapses.len())?;
         }
-        let delays = way.delay.unwrap_or_default();
+        let delays = connection.delay.unwrap_or_default();
         let first = delays.first().copied().unwrap_or(0);
-        let mut projection = DraftProjection { delay: first, ..DraftProjection::new(&from_name, &to_name, kind) };
+        let mut projection = ProjectionBuilder { delay: first, ..ProjectionBuilder::new(&from_name, &to_name, kind) };
         if delays.iter().all(|&delay| delay == first) {
             return Ok(vec![projection]);
         }
         let synapses: Vec<(u64, u64, f64)> = match projection.kind {
-            DraftKind::Sparse(synapses) => synapses,
-            DraftKind::Dense(weights) => {
+            ProjectionKind::Sparse(synapses) => synapses,
+            ProjectionKind::Dense(weights) => {
                 self.count(weights.len())?;
                 let sources = source_units as u64;
                 (0..weights.len() as u64).map(|i| (i % sources, i / sources, weights.real(i as usize))).collect()
@@ -183,10 +183,14 @@ impl Reader<'_> {
         for synapse in synapses {
             by_delay.entry(delays[synapse.1 as usize]).or_default().push(synapse);
         }
-        projection.kind = DraftKind::Sparse(Vec::new());
+        projection.kind = ProjectionKind::Sparse(Vec::new());
         Ok(by_delay
             .into_iter()
-            .map(|(delay, synapses)| DraftProjection { delay, kind: DraftKind::Sparse(synapses), ..projection.clone() })
+            .map(|(delay, synapses)| ProjectionBuilder {
+                delay,
+                kind: ProjectionKind::Sparse(synapses),
+                ..projection.clone()
+            })
             .collect())
     }
 
@@ -208,25 +212,25 @@ impl Reader<'_> {
             self.flat.nodes.iter().filter(|(_, node)| node.kind == "Output").map(|(name, _)| name.clone()).collect();
         let mut leading: Vec<(Vec<String>, String)> = Vec::new();
         for output in &outputs {
-            leading.extend(self.paths(output)?.into_iter().map(|way| (way, output.clone())));
+            leading.extend(self.paths(output)?.into_iter().map(|path| (path, output.clone())));
         }
         let neurons = |name: &String| self.flat.nodes[name].kind != "Input";
-        let Some((way, output)) = leading.iter().find(|(way, _)| neurons(&way[0])).or(leading.first()) else {
+        let Some((path, output)) = leading.iter().find(|(path, _)| neurons(&path[0])).or(leading.first()) else {
             let last = order.iter().rev().find(|name| neurons(name)).ok_or_else(|| wrong("it has no neurons"))?;
-            self.draft.output = self.names[last].clone();
-            self.notes.push(format!("no way leads to an output; '{}' is taken for it", self.draft.output));
+            self.model.output = self.names[last].clone();
+            self.notes.push(format!("no way leads to an output; '{}' is taken for it", self.model.output));
             return Ok(());
         };
         if leading.len() > 1 {
-            self.notes.push(format!("{} ways lead to outputs; '{}' is taken", leading.len(), way[0]));
+            self.notes.push(format!("{} ways lead to outputs; '{}' is taken", leading.len(), path[0]));
         }
-        let plain = way[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
-        if plain && neurons(&way[0]) {
-            self.draft.output = self.names[&way[0]].clone();
+        let plain = path[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
+        if plain && neurons(&path[0]) {
+            self.model.output = self.names[&path[0]].clone();
             return Ok(());
         }
         // Weights without a neuron behind them: v shows what they sum in each step.
-        let arrived = self.walk(&self.shapes[&way[0]].clone(), &way[1..])?;
+        let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
         let output = output.clone();
         let mut name = "output".to_string();
         while self.names.values().any(|taken| *taken == name) {
@@ -235,9 +239,12 @@ impl Reader<'_> {
         self.names.insert(output.clone(), name.clone());
         self.shapes.insert(output.clone(), arrived.shape.clone());
         let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();
-        let parameters =
-            vec![("du", Value::Same(4096.0)), ("dv", Value::Same(4096.0)), ("vth_mant", Value::Same(NEVER))];
-        self.draft.populations.push(DraftPopulation {
+        let parameters = vec![
+            ("du", Parameter::Same(4096.0)),
+            ("dv", Parameter::Same(4096.0)),
+            ("vth_mant", Parameter::Same(NEVER)),
+        ];
+        self.model.populations.push(PopulationBuilder {
             name: name.clone(),
             shape,
             loihi: Some(parameters),
@@ -245,27 +252,27 @@ impl Reader<'_> {
             start_step: 0,
         });
         let neuron = Discrete {
-            du: Value::Same(4096.0),
-            dv: Value::Same(4096.0),
-            gain: Value::Same(1.0),
+            du: Parameter::Same(4096.0),
+            dv: Parameter::Same(4096.0),
+            gain: Parameter::Same(1.0),
             threshold: None,
-            bias: Value::Same(0.0),
+            bias: Parameter::Same(0.0),
         };
         self.notes
             .push(format!("weights lead to '{output}' without a neuron: '{name}' shows their sum of each step as v"));
         self.incoming(&output, &neuron)?;
-        self.draft.output = name;
+        self.model.output = name;
         Ok(())
     }
 }
 
 /// The greatest magnitude of a projection's weights.
-pub(super) fn greatest(kind: &DraftKind) -> f64 {
+pub(super) fn greatest(kind: &ProjectionKind) -> f64 {
     match kind {
-        DraftKind::Dense(weights) | DraftKind::Conv2d { weights, .. } => {
+        ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => {
             (0..weights.len()).map(|i| weights.real(i).abs()).fold(0.0, f64::max)
         }
-        DraftKind::Sparse(synapses) => synapses.iter().map(|s| s.2.abs()).fold(0.0, f64::max),
-        DraftKind::SumPool2d { weight, .. } => weight.abs(),
+        ProjectionKind::Sparse(synapses) => synapses.iter().map(|s| s.2.abs()).fold(0.0, f64::max),
+        ProjectionKind::SumPool2d { weight, .. } => weight.abs(),
     }
 }

@@ -1,26 +1,13 @@
-//! The graph of a file: graphs within graphs unfolded, populations named and given shapes, the ways between them.
+//! The graph of a file: graphs within graphs unfolded, populations named and given shapes, the paths between them.
 //!
 //! Comes in: groups of the file. Goes out: nodes and edges without nesting, and what leads from which population to which.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::neuron::reals;
-use super::{DEEPEST, MOST_NODES, MOST_UNITS, MOST_WAYS, Reader, is_population, product, wrong};
+use super::reader::{DEEPEST, Flat, MOST_NODES, MOST_PATHS, MOST_UNITS, Node, Reader, is_population, product, wrong};
 use crate::base::diagnostic::Diagnostic;
 use crate::io::foreign::hdf5::{Group, Item, Numbers};
-
-/// A node with its place in the unfolded graph.
-pub(super) struct Node<'a> {
-    pub(super) kind: String,
-    pub(super) group: &'a Group,
-}
-
-/// The graph without graphs in it.
-#[derive(Default)]
-pub(super) struct Flat<'a> {
-    pub(super) nodes: BTreeMap<String, Node<'a>>,
-    pub(super) edges: BTreeSet<(String, String)>,
-}
 
 /// Adds a graph's nodes under a prefix; edges that end at a graph end at its inputs, those that leave it leave its outputs.
 pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mut Flat<'a>) -> Result<(), Diagnostic> {
@@ -145,9 +132,9 @@ impl Reader<'_> {
                 populations.iter().filter(|name| !self.shapes.contains_key(*name)).cloned().collect();
             let mut changed = false;
             for name in &missing {
-                for way in self.paths(name)? {
-                    if let Some(shape) = self.shapes.get(&way[0]).cloned() {
-                        let shape = self.walk(&shape, &way[1..])?.shape;
+                for path in self.paths(name)? {
+                    if let Some(shape) = self.shapes.get(&path[0]).cloned() {
+                        let shape = self.walk(&shape, &path[1..])?.shape;
                         self.shapes.insert(name.clone(), shape);
                         changed = true;
                         break;
@@ -164,15 +151,15 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Every way that ends at a node: the population that it leaves, then the nodes on it.
+    /// Every path that ends at a node: the population that it leaves, then the nodes on it.
     pub(super) fn paths(&self, to: &str) -> Result<Vec<Vec<String>>, Diagnostic> {
-        let mut ways = Vec::new();
+        let mut paths = Vec::new();
         let mut open: Vec<Vec<String>> = vec![vec![to.to_string()]];
-        while let Some(way) = open.pop() {
-            let last = &way[way.len() - 1];
+        while let Some(path) = open.pop() {
+            let last = &path[path.len() - 1];
             for (from, _) in self.flat.edges.iter().filter(|(_, end)| end == last) {
-                let mut longer = way.clone();
-                if way.contains(from) && !is_population(&self.flat.nodes[from].kind) {
+                let mut longer = path.clone();
+                if path.contains(from) && !is_population(&self.flat.nodes[from].kind) {
                     return Err(wrong(format!("node '{from}' feeds itself without a neuron in between")));
                 }
                 longer.push(from.clone());
@@ -180,17 +167,17 @@ impl Reader<'_> {
                     // Without the end, from the source on.
                     let mut whole = longer[1..].to_vec();
                     whole.reverse();
-                    ways.push(whole);
+                    paths.push(whole);
                 } else {
                     open.push(longer);
                 }
-                if ways.len() + open.len() > MOST_WAYS {
-                    return Err(wrong(format!("more than {MOST_WAYS} ways lead to '{to}'")));
+                if paths.len() + open.len() > MOST_PATHS {
+                    return Err(wrong(format!("more than {MOST_PATHS} ways lead to '{to}'")));
                 }
             }
         }
-        ways.sort();
-        Ok(ways)
+        paths.sort();
+        Ok(paths)
     }
 
     /// Populations in the order in which spikes reach them, inputs first.

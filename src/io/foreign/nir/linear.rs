@@ -3,12 +3,12 @@
 //!
 //! Comes in: the arrays of nodes. Goes out: products and scaled copies; nothing where a product has too many synapses.
 
-use super::product;
+use super::reader::product;
 use crate::io::foreign::window::{MOST_LISTED, Sliding};
 
 /// What one population does to another over the nodes between them.
 #[derive(Clone)]
-pub(super) struct Way {
+pub(super) struct Connection {
     /// The shape that arrives.
     pub(super) shape: Vec<usize>,
     pub(super) linear: Linear,
@@ -18,7 +18,7 @@ pub(super) struct Way {
     pub(super) delay: Option<Vec<u32>>,
 }
 
-/// The linear part of a way.
+/// The linear part of a connection.
 #[derive(Clone)]
 pub(super) enum Linear {
     /// Each unit, scaled by itself or by one number.

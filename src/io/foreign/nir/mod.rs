@@ -1,6 +1,6 @@
 //! Networks in the neuromorphic intermediate representation (`.nir`, HDF5).
 //!
-//! Comes in: the tree of a file. Goes out: a draft with one population for each node that keeps a state. What stands
+//! Comes in: the tree of a file. Goes out: a model with one population for each node that keeps a state. What stands
 //! between two populations (`Linear`, `Affine`, `Scale`, `Conv1d`, `Conv2d`, `SumPool2d`, `AvgPool2d`, `Flatten`,
 //! `Delay`) becomes one projection; graphs within graphs are unfolded; edges may form cycles.
 //!
@@ -14,36 +14,22 @@
 //!
 //! Left out on purpose: reset by subtraction and resets to other values than zero, for which a core has no circuit.
 
+mod connection;
 mod emit;
 mod graph;
 mod linear;
 mod neuron;
-mod ways;
+mod reader;
 
 use std::collections::BTreeMap;
 
 use super::hdf5::Group;
-use super::{Imported, NEVER, Options, ResetMode, nir_export};
+use super::imported::{Imported, NEVER, Options, ResetMode};
+use super::nir_export;
 use crate::base::diagnostic::Diagnostic;
-use crate::io::draft::{Draft, DraftPopulation, Value};
-use graph::{Flat, unfold};
-
-/// Graphs within graphs.
-const DEEPEST: usize = 8;
-/// Nodes and edges of a file.
-const MOST_NODES: usize = 1 << 14;
-/// Ways from one population to another.
-const MOST_WAYS: usize = 1 << 12;
-/// The greatest units of a population.
-const MOST_UNITS: usize = 1 << 22;
-
-fn wrong(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new("import.nir", message)
-}
-
-fn unsupported(message: impl Into<String>, help: &str) -> Diagnostic {
-    Diagnostic::new("import.unsupported", message).help(help)
-}
+use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
+use graph::unfold;
+use reader::{Flat, Reader, is_population, unsupported, wrong};
 
 /// Reads the tree of a file.
 ///
@@ -54,9 +40,9 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Dia
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
     match nir_export::restore(root) {
-        Some(Ok(draft)) => {
+        Some(Ok(model)) => {
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            return Ok(Imported { kind: "NIR", draft, notes });
+            return Ok(Imported { kind: "NIR", model, notes });
         }
         Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
         None => {}
@@ -69,7 +55,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Dia
     let mut reader = Reader {
         flat,
         options,
-        draft: Draft::new(name, 1.0),
+        model: ModelBuilder::new(name, 1.0),
         notes,
         names: BTreeMap::new(),
         shapes: BTreeMap::new(),
@@ -77,32 +63,9 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Dia
         listed: 0,
     };
     reader.network()?;
-    let Reader { mut draft, notes, .. } = reader;
-    draft.provenance = Some(format!("imported from a NIR file; {}", notes.join("; ")));
-    Ok(Imported { kind: "NIR", draft, notes })
-}
-
-fn product(shape: &[usize]) -> Option<usize> {
-    shape.iter().try_fold(1usize, |product, &axis| product.checked_mul(axis)).filter(|&units| units <= MOST_UNITS)
-}
-
-struct Reader<'a> {
-    flat: Flat<'a>,
-    options: &'a Options,
-    draft: Draft,
-    notes: Vec<String>,
-    /// Populations' names by node.
-    names: BTreeMap<String, String>,
-    /// Populations' shapes by node.
-    shapes: BTreeMap<String, Vec<usize>>,
-    /// Seconds of a timestep.
-    dt: f64,
-    listed: usize,
-}
-
-/// Whether a node keeps a state, or is an input.
-fn is_population(kind: &str) -> bool {
-    matches!(kind, "Input" | "CubaLIF" | "LIF" | "IF" | "CubaLI" | "LI" | "I" | "Threshold")
+    let Reader { mut model, notes, .. } = reader;
+    model.provenance = Some(format!("imported from a NIR file; {}", notes.join("; ")));
+    Ok(Imported { kind: "NIR", model, notes })
 }
 
 impl Reader<'_> {
@@ -133,12 +96,12 @@ impl Reader<'_> {
                 let mut parameters = vec![("du", neuron.du.clone()), ("dv", neuron.dv.clone())];
                 match &neuron.threshold {
                     Some(threshold) => parameters.push(("vth", threshold.clone())),
-                    None => parameters.push(("vth_mant", Value::Same(NEVER))),
+                    None => parameters.push(("vth_mant", Parameter::Same(NEVER))),
                 }
                 parameters
             });
             let name = self.names[name].clone();
-            self.draft.populations.push(DraftPopulation { name, shape, loihi, srm: None, start_step: 0 });
+            self.model.populations.push(PopulationBuilder { name, shape, loihi, srm: None, start_step: 0 });
         }
         for name in &order {
             if let Some(neuron) = discrete.remove(name).flatten() {
@@ -153,7 +116,7 @@ impl Reader<'_> {
                     .to_string(),
             );
         }
-        self.draft.timestep_ms = self.dt * 1e3;
+        self.model.timestep_ms = self.dt * 1e3;
         Ok(())
     }
 

@@ -5,21 +5,21 @@
 
 use std::cmp::Ordering;
 
-use super::{Reader, product, unsupported, wrong};
+use super::reader::{Reader, product, unsupported, wrong};
 use crate::base::diagnostic::Diagnostic;
-use crate::io::draft::Value;
 use crate::io::foreign::hdf5::Group;
+use crate::io::model_builder::Parameter;
 
 /// What a neuron is once it is discretised.
 pub(super) struct Discrete {
-    pub(super) du: Value,
-    pub(super) dv: Value,
+    pub(super) du: Parameter,
+    pub(super) dv: Parameter,
     /// What a weight of 1 counts in the units of the threshold.
-    pub(super) gain: Value,
+    pub(super) gain: Parameter,
     /// None for what never spikes.
-    pub(super) threshold: Option<Value>,
+    pub(super) threshold: Option<Parameter>,
     /// Added to v in each step.
-    pub(super) bias: Value,
+    pub(super) bias: Parameter,
 }
 
 /// Finite numbers of a field.
@@ -34,30 +34,32 @@ pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>, Dia
 }
 
 /// A field that may be absent.
-pub(super) fn optional(node: &Group, name: &str, key: &str, default: f64) -> Result<Value, Diagnostic> {
+pub(super) fn optional(node: &Group, name: &str, key: &str, default: f64) -> Result<Parameter, Diagnostic> {
     match node.get(key) {
-        Some(_) => Ok(Value::of(reals(node, name, key)?)),
-        None => Ok(Value::Same(default)),
+        Some(_) => Ok(Parameter::from_values(reals(node, name, key)?)),
+        None => Ok(Parameter::Same(default)),
     }
 }
 
-pub(super) fn parameter(node: &Group, name: &str, key: &str) -> Result<Value, Diagnostic> {
-    Ok(Value::of(reals(node, name, key)?))
+pub(super) fn parameter(node: &Group, name: &str, key: &str) -> Result<Parameter, Diagnostic> {
+    Ok(Parameter::from_values(reals(node, name, key)?))
 }
 
 /// Entry by entry, where one number counts for all.
-pub(super) fn zip(a: &Value, b: &Value, f: impl Fn(f64, f64) -> f64) -> Value {
+pub(super) fn zip(a: &Parameter, b: &Parameter, f: impl Fn(f64, f64) -> f64) -> Parameter {
     match (a, b) {
-        (Value::Same(a), b) => b.map(|b| f(*a, b)),
-        (a, Value::Same(b)) => a.map(|a| f(a, *b)),
-        (Value::Each(a), Value::Each(b)) => Value::of(a.iter().zip(b).map(|(&a, &b)| f(a, b)).collect()),
+        (Parameter::Same(a), b) => b.map(|b| f(*a, b)),
+        (a, Parameter::Same(b)) => a.map(|a| f(a, *b)),
+        (Parameter::Each(a), Parameter::Each(b)) => {
+            Parameter::from_values(a.iter().zip(b).map(|(&a, &b)| f(a, b)).collect())
+        }
     }
 }
 
-pub(super) fn all(value: &Value, f: impl Fn(f64) -> bool) -> bool {
+pub(super) fn all(value: &Parameter, f: impl Fn(f64) -> bool) -> bool {
     match value {
-        Value::Same(x) => f(*x),
-        Value::Each(values) => values.iter().all(|&x| f(x)),
+        Parameter::Same(x) => f(*x),
+        Parameter::Each(values) => values.iter().all(|&x| f(x)),
     }
 }
 
@@ -74,8 +76,8 @@ impl Reader<'_> {
                 let ratio =
                     zip(&parameter(node.group, name, tau)?, &optional(node.group, name, by, 1.0)?, |a, b| a / b);
                 Ok(match ratio {
-                    Value::Same(x) => vec![x],
-                    Value::Each(values) => values,
+                    Parameter::Same(x) => vec![x],
+                    Parameter::Each(values) => values,
                 })
             };
             match node.kind.as_str() {
@@ -131,19 +133,19 @@ impl Reader<'_> {
         let node = &self.flat.nodes[name];
         let (group, dt) = (node.group, self.dt);
         let units = product(&self.shapes[name]).unwrap_or(0);
-        let get = |key: &str, default: Option<f64>| -> Result<Value, Diagnostic> {
+        let get = |key: &str, default: Option<f64>| -> Result<Parameter, Diagnostic> {
             let value = match default {
                 Some(default) => optional(group, name, key, default)?,
                 None => parameter(group, name, key)?,
             };
             match &value {
-                Value::Each(values) if values.len() != units => {
+                Parameter::Each(values) if values.len() != units => {
                     Err(wrong(format!("node '{name}': '{key}' has {} numbers for {units} units", values.len())))
                 }
                 _ => Ok(value),
             }
         };
-        let fraction = |key: &str| -> Result<Value, Diagnostic> {
+        let fraction = |key: &str| -> Result<Parameter, Diagnostic> {
             let tau = get(key, None)?;
             if !all(&tau, |tau| tau > 0.0) {
                 return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
@@ -157,11 +159,11 @@ impl Reader<'_> {
             }
             Ok(tau.map(|tau| (dt / tau).min(1.0)))
         };
-        let decay = |fraction: &Value| fraction.map(|fraction| (4096.0 * fraction).round_ties_even());
+        let decay = |fraction: &Parameter| fraction.map(|fraction| (4096.0 * fraction).round_ties_even());
         // `dt / tau * (tau / dt)`, which exporters write for "no scaling", is 1 but for rounding.
-        let snapped = |gain: Value| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
-        let forget = Value::Same(4096.0);
-        let none = Value::Same(0.0);
+        let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
+        let forget = Parameter::Same(4096.0);
+        let none = Parameter::Same(0.0);
         let spiking = matches!(node.kind.as_str(), "CubaLIF" | "LIF" | "IF");
         if spiking && !all(&get("v_reset", Some(0.0))?, |v| v == 0.0) {
             return Err(unsupported(
@@ -210,12 +212,14 @@ impl Reader<'_> {
                 let gain = if said && !all(&r, |r| r == 1.0) { r.map(|r| r * dt) } else { r };
                 Discrete { du: forget, dv: none.clone(), gain: snapped(gain), bias: none, threshold }
             }
-            "Threshold" => Discrete { du: forget.clone(), dv: forget, gain: Value::Same(1.0), bias: none, threshold },
+            "Threshold" => {
+                Discrete { du: forget.clone(), dv: forget, gain: Parameter::Same(1.0), bias: none, threshold }
+            }
             _ => return Ok(None),
         };
-        let shown = |value: &Value| match value {
-            Value::Same(x) => format!("{x}"),
-            Value::Each(_) => "each its own".to_string(),
+        let shown = |value: &Parameter| match value {
+            Parameter::Same(x) => format!("{x}"),
+            Parameter::Each(_) => "each its own".to_string(),
         };
         self.notes.push(format!(
             "'{name}' ({}): du {}, dv {}, a weight counts {}",

@@ -8,7 +8,7 @@
 use std::io::BufRead;
 
 use super::address::header;
-use super::{Event, Sink, fill, wrong};
+use super::event::{Event, Sink, fill, wrong};
 use crate::base::diagnostic::Diagnostic;
 
 /// A `.raw` file; its header says which encoding it has.

@@ -5,9 +5,9 @@
 
 use std::path::Path;
 
-use super::stimulus::{MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
-use super::text::{MOST_EVENT_TEXT, decode, read_bytes};
+use super::population::{MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::io::text::{MOST_EVENT_TEXT, decode, read_bytes};
 
 /// The most timesteps of all samples together: engines hold a number for each.
 const MOST_STEPS_TOGETHER: u64 = 1 << 27;
@@ -25,7 +25,7 @@ impl Columns {
         2 + usize::from(self.sample.is_some())
     }
 
-    fn of_header(names: &csv::StringRecord) -> Option<Columns> {
+    fn from_header(names: &csv::StringRecord) -> Option<Columns> {
         let find = |wanted: &[&str]| names.iter().position(|name| wanted.contains(&name.to_ascii_lowercase().as_str()));
         Some(Columns {
             step: find(&["timestep", "step", "t"])?,
@@ -41,14 +41,14 @@ impl Columns {
 /// # Errors
 /// `input.csv` with the line, `input.channel`, `input.step`, `input.empty`, `input.too-many`, `io.*`.
 pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
-    of_bytes(path, read_bytes(path, MOST_EVENT_TEXT)?, units)
+    from_bytes(path, read_bytes(path, MOST_EVENT_TEXT)?, units)
 }
 
 /// Reads the bytes of a file.
 ///
 /// # Errors
 /// As [`read`].
-pub(super) fn of_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
     let source = decode(path, bytes)?;
     let comments = Comments::read(&source)?;
     let mut reader = csv::ReaderBuilder::new()
@@ -72,7 +72,7 @@ pub(super) fn of_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Po
         }
         let at = row.position().map_or(0, |position| position.byte() as usize);
         if std::mem::take(&mut first) && row.iter().any(|field| field.parse::<f64>().is_err()) {
-            columns = Columns::of_header(&row).ok_or_else(|| {
+            columns = Columns::from_header(&row).ok_or_else(|| {
                 let header = row.iter().collect::<Vec<_>>().join(",");
                 row_problem(&source, at, "input.csv", format!("the header '{}' is not known", shortened(&header)))
                     .help("columns are timestep,channel or sample,timestep,channel, in any order")
@@ -112,7 +112,7 @@ pub(super) fn of_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Po
             samples.resize_with(sample + 1, Vec::new);
         }
         if samples[sample].len() == MOST_EVENTS {
-            return Err(too_many(path));
+            return Err(too_many().in_file(path));
         }
         samples[sample].push((step, channel));
     }

@@ -5,10 +5,11 @@
 
 use std::path::Path;
 
-use super::{Options, of_bytes};
 use crate::base::diagnostic::SourceText;
 use crate::desc::network::ThresholdTest;
-use crate::io::events::{EventFormat, EventOptions, Expected, nir_data};
+use crate::io::foreign::{Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
+use crate::io::spikes::events::{nir_data, read};
+use crate::io::spikes::{EventFormat, EventOptions, Expected};
 
 /// Imports a model and writes it as text.
 fn import(path: &str, data: &[u8]) {
@@ -23,8 +24,8 @@ fn import(path: &str, data: &[u8]) {
         },
     ];
     for options in options {
-        if let Ok(imported) = of_bytes(Path::new(path), data.to_vec(), &options) {
-            let _ = imported.draft.network(Path::new(path));
+        if let Ok(imported) = from_bytes(Path::new(path), data.to_vec(), &options) {
+            let _ = imported.model.build(Path::new(path));
         }
     }
 }
@@ -32,7 +33,7 @@ fn import(path: &str, data: &[u8]) {
 /// HDF5: netx, NIR, NIR data, and what is none of them.
 pub fn hdf5(data: &[u8]) {
     import("fuzz.net", data);
-    if let Ok(tree) = super::hdf5::tree(Path::new("fuzz.nir"), data.to_vec()) {
+    if let Ok(tree) = hdf5_file::tree(Path::new("fuzz.nir"), data.to_vec()) {
         let expected = Expected { units: 3, volume: None, dt_ms: 1.0 };
         let _ = nir_data::read(&tree, Path::new("fuzz.nir"), "in", &expected, &EventOptions::default());
     }
@@ -40,7 +41,7 @@ pub fn hdf5(data: &[u8]) {
 
 /// PyTorch checkpoints.
 pub fn checkpoint(data: &[u8]) {
-    if let Ok(mut checkpoint) = super::torch::open(data.to_vec()) {
+    if let Ok(mut checkpoint) = torch::open(data.to_vec()) {
         let names: Vec<String> = checkpoint.entries().map(|(name, _)| name.to_string()).take(64).collect();
         for name in names {
             let _ = checkpoint.tensor(&name);
@@ -52,7 +53,7 @@ pub fn checkpoint(data: &[u8]) {
 /// Network configs of SLAYER.
 pub fn yaml(data: &[u8]) {
     if let Ok(text) = std::str::from_utf8(data) {
-        let _ = super::slayer::config(&SourceText::new("fuzz.yml", text));
+        let _ = slayer::config(&SourceText::new("fuzz.yml", text));
     }
 }
 
@@ -66,7 +67,7 @@ pub fn arrays(data: &[u8]) {
             let _ = file.tensor(&entry.key);
         }
     }
-    let _ = crate::io::event_csv::of_bytes(Path::new("fuzz.csv"), data.to_vec(), 64);
+    let _ = crate::io::spikes::csv::from_bytes(Path::new("fuzz.csv"), data.to_vec(), 64);
 }
 
 /// Event recordings; the first byte chooses the format.
@@ -88,5 +89,5 @@ pub fn events(data: &[u8]) {
         steps: (first & 0x40 == 0).then_some(64),
         ..EventOptions::default()
     };
-    let _ = crate::io::events::of_input(&mut rest, "fuzz", format, &expected, &options);
+    let _ = read::read_input(&mut rest, "fuzz", format, &expected, &options);
 }

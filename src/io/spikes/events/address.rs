@@ -7,7 +7,7 @@
 
 use std::io::BufRead;
 
-use super::{Event, Sink, fill, wrong};
+use super::event::{Event, Sink, fill, unreadable, wrong};
 use crate::base::diagnostic::Diagnostic;
 
 /// The longest line of a header, and the most lines.
@@ -48,13 +48,13 @@ pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnosti
 pub(super) fn header(input: &mut dyn BufRead) -> Result<Vec<String>, Diagnostic> {
     let mut lines = Vec::new();
     while lines.len() < 256 {
-        let begin = input.fill_buf().map_err(|error| super::unreadable(&error))?;
+        let begin = input.fill_buf().map_err(|error| unreadable(&error))?;
         if begin.first() != Some(&b'%') {
             return Ok(lines);
         }
         let mut line = Vec::new();
         loop {
-            let buffer = input.fill_buf().map_err(|error| super::unreadable(&error))?;
+            let buffer = input.fill_buf().map_err(|error| unreadable(&error))?;
             let end = buffer.iter().position(|&byte| byte == b'\n').map_or(buffer.len(), |end| end + 1);
             line.extend_from_slice(&buffer[..end]);
             let done = buffer.is_empty() || line.last() == Some(&b'\n');

@@ -7,10 +7,11 @@
 
 use std::path::Path;
 
-use super::{EventOptions, Expected, wrong};
+use super::event::wrong;
 use crate::base::diagnostic::Diagnostic;
 use crate::io::foreign::hdf5::{Attribute, Group, Numbers};
-use crate::io::stimulus::{MOST_STEPS, PopulationSpikes};
+use crate::io::spikes::options::EventOptions;
+use crate::io::spikes::population::{Expected, MOST_STEPS, PopulationSpikes};
 
 fn kind(group: &Group) -> Option<&str> {
     match group.attributes.get("__type__")? {

@@ -6,7 +6,7 @@
 
 use std::io::BufRead;
 
-use super::{Event, Sink, wrong};
+use super::event::{Event, Sink, unreadable, wrong};
 use crate::base::diagnostic::Diagnostic;
 
 /// Columns that an event's x may have: a taxel and its polarity.
@@ -24,7 +24,7 @@ pub fn tact(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnost
     loop {
         line.clear();
         let read = std::io::Read::take(&mut *input, MOST_ROW as u64 + 1).read_until(b'\n', &mut line);
-        if read.map_err(|error| super::unreadable(&error))? == 0 {
+        if read.map_err(|error| unreadable(&error))? == 0 {
             return Ok(());
         }
         row += 1;

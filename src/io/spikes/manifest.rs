@@ -10,14 +10,15 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::events::{EventOptions, Expected};
-use super::model::beside;
-use super::stimulus::{PopulationSpikes, one_sample, read_spikes};
-use super::text::read_text;
+use super::options::EventOptions;
+use super::population::{Expected, PopulationSpikes};
+use super::recordings::{read, read_sample};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::desc::dataset::DataSet;
 use crate::desc::spanned::{Spanned, parse};
 use crate::desc::stimulus::pairs;
+use crate::io::model::beside;
+use crate::io::text::read_text;
 
 /// A manifest that agrees with itself.
 #[derive(Debug, Clone)]
@@ -46,14 +47,14 @@ type Listed = (Vec<Split>, BTreeMap<u32, u32>);
 /// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`, `dataset.fold`, `input.option`;
 /// `io.*`.
 pub fn read_manifest(path: &Path) -> Result<Manifest, Diagnostic> {
-    manifest(read_text(path)?)
+    from_source(read_text(path)?)
 }
 
 /// A manifest from its text; recordings are looked for beside the path of `source`.
 ///
 /// # Errors
 /// As [`read_manifest`].
-pub fn manifest(source: SourceText) -> Result<Manifest, Diagnostic> {
+pub fn from_source(source: SourceText) -> Result<Manifest, Diagnostic> {
     let set: DataSet = parse(&source, "dataset.syntax")?;
     let whole = |code, message: String| Diagnostic::new(code, message).in_file(source.path());
     if set.populations.is_empty() {
@@ -229,7 +230,7 @@ impl Manifest {
         };
         let file = &entry.value.files[name];
         let path = beside(self.source.path(), &file.value);
-        let mut spikes = one_sample(&path, population, expected, &self.options_of(name))
+        let mut spikes = read_sample(&path, population, expected, &self.options_of(name))
             .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
         spikes.label = entry.label.or(spikes.label);
         self.hold_to_steps(&mut spikes, file)?;
@@ -255,7 +256,7 @@ impl Manifest {
         let name = self.recording_of(population)?;
         let file = &self.set.recordings[name];
         let path = beside(self.source.path(), &file.value);
-        let mut all = read_spikes(&path, population, expected, &self.options_of(name))
+        let mut all = read(&path, population, expected, &self.options_of(name))
             .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
         for spikes in &mut all {
             self.hold_to_steps(spikes, file)?;
@@ -393,7 +394,7 @@ mod tests {
     }
 
     fn load(text: &str) -> Result<Manifest, Diagnostic> {
-        manifest(SourceText::new("d.ron", text))
+        from_source(SourceText::new("d.ron", text))
     }
 
     #[test]

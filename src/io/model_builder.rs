@@ -1,9 +1,9 @@
-//! A model in the making, and how it becomes a model file.
+//! Builds a model and writes it as a model file.
 //!
-//! Comes in: populations and projections with their arrays, as a reader of foreign files (or any other maker of models)
-//! found them. Goes out: the text of a RON model with one safetensors file beside it, or the [`Network`] that reading
-//! the two would give. There is one way from a draft to a network, through the text, so that a network that was imported
-//! on the fly and one that was written and read again are the same. Whether it makes sense is for `compile::frontend::lower`.
+//! Input: populations and projections with their arrays, from a reader of foreign files or any other maker of models.
+//! Output: the text of a RON model with one safetensors file beside it, or the [`Network`] that reading the two would give.
+//! A network is always built through the text, so that one that was imported on the fly equals one that was written and
+//! read again. Whether it makes sense is for `compile::frontend::lower`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -22,25 +22,25 @@ use crate::desc::network::{
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::{Numbers, Tensor};
 
-/// Lists of at most so many numbers stand in the text.
+/// Lists of at most so many numbers are written into the text, longer ones beside it.
 const IN_PLACE: usize = 16;
 
 /// A parameter's value: one for all, or one for each compartment.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Value {
+pub enum Parameter {
     /// The same for all.
     Same(f64),
     /// One each.
     Each(Vec<f64>),
 }
 
-impl Value {
+impl Parameter {
     /// One for all when all are equal.
     #[must_use]
-    pub fn of(values: Vec<f64>) -> Value {
+    pub fn from_values(values: Vec<f64>) -> Parameter {
         match values.first() {
-            Some(&first) if values.iter().all(|value| value.to_bits() == first.to_bits()) => Value::Same(first),
-            _ => Value::Each(values),
+            Some(&first) if values.iter().all(|value| value.to_bits() == first.to_bits()) => Parameter::Same(first),
+            _ => Parameter::Each(values),
         }
     }
 
@@ -51,47 +51,47 @@ impl Value {
     #[must_use]
     pub fn get(&self, index: usize) -> f64 {
         match self {
-            Value::Same(value) => *value,
-            Value::Each(values) => values[index],
+            Parameter::Same(value) => *value,
+            Parameter::Each(values) => values[index],
         }
     }
 
     /// Changes every value.
     #[must_use]
-    pub fn map(&self, f: impl Fn(f64) -> f64) -> Value {
+    pub fn map(&self, f: impl Fn(f64) -> f64) -> Parameter {
         match self {
-            Value::Same(value) => Value::Same(f(*value)),
-            Value::Each(values) => Value::of(values.iter().map(|&value| f(value)).collect()),
+            Parameter::Same(value) => Parameter::Same(f(*value)),
+            Parameter::Each(values) => Parameter::from_values(values.iter().map(|&value| f(value)).collect()),
         }
     }
 }
 
-/// A population.
+/// A population that is being built.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DraftPopulation {
+pub struct PopulationBuilder {
     /// Its name.
     pub name: String,
     /// `[n]` or `[channels, height, width]`.
     pub shape: Vec<u64>,
     /// Parameters of Loihi compartments by the names that model files use, in order.
-    pub loihi: Option<Vec<(&'static str, Value)>>,
+    pub loihi: Option<Vec<(&'static str, Parameter)>>,
     /// Parameters of spike response neurons by the names that model files use; without either, it is an input.
     pub srm: Option<[(&'static str, f64); 4]>,
     /// The step before which it is held at zero.
     pub start_step: u32,
 }
 
-impl DraftPopulation {
+impl PopulationBuilder {
     /// Channels that a stimulus drives.
     #[must_use]
     pub fn input(name: &str, shape: Vec<u64>) -> Self {
-        DraftPopulation { name: name.to_string(), shape, loihi: None, srm: None, start_step: 0 }
+        PopulationBuilder { name: name.to_string(), shape, loihi: None, srm: None, start_step: 0 }
     }
 
     /// Compartments with these parameters.
     #[must_use]
-    pub fn loihi(name: &str, shape: Vec<u64>, parameters: Vec<(&'static str, Value)>) -> Self {
-        DraftPopulation { loihi: Some(parameters), ..DraftPopulation::input(name, shape) }
+    pub fn loihi(name: &str, shape: Vec<u64>, parameters: Vec<(&'static str, Parameter)>) -> Self {
+        PopulationBuilder { loihi: Some(parameters), ..PopulationBuilder::input(name, shape) }
     }
 
     /// Channels or compartments.
@@ -102,14 +102,14 @@ impl DraftPopulation {
 
     /// A parameter by name.
     #[must_use]
-    pub fn parameter(&self, name: &str) -> Option<&Value> {
+    pub fn parameter(&self, name: &str) -> Option<&Parameter> {
         self.loihi.as_ref()?.iter().find(|(key, _)| *key == name).map(|(_, value)| value)
     }
 }
 
 /// How a projection reaches its targets.
 #[derive(Debug, Clone, PartialEq)]
-pub enum DraftKind {
+pub enum ProjectionKind {
     /// `[target][source]`.
     Dense(Tensor),
     /// (source, target, weight) each.
@@ -140,15 +140,15 @@ pub enum DraftKind {
     },
 }
 
-/// A projection.
+/// A projection that is being built.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DraftProjection {
+pub struct ProjectionBuilder {
     /// Source populations, concatenated.
     pub from: Vec<String>,
     /// Target population.
     pub to: String,
     /// How it reaches its targets.
-    pub kind: DraftKind,
+    pub kind: ProjectionKind,
     /// Delay field.
     pub delay: u32,
     /// Weight exponent.
@@ -161,11 +161,11 @@ pub struct DraftProjection {
     pub weight_scale: Option<f64>,
 }
 
-impl DraftProjection {
+impl ProjectionBuilder {
     /// A projection with the default format of synapses.
     #[must_use]
-    pub fn new(from: &str, to: &str, kind: DraftKind) -> Self {
-        DraftProjection {
+    pub fn new(from: &str, to: &str, kind: ProjectionKind) -> Self {
+        ProjectionBuilder {
             from: vec![from.to_string()],
             to: to.to_string(),
             kind,
@@ -178,17 +178,17 @@ impl DraftProjection {
     }
 }
 
-/// A model in the making.
+/// A model that is being built.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Draft {
+pub struct ModelBuilder {
     /// The network's name.
     pub name: String,
     /// Milliseconds that a timestep stands for.
     pub timestep_ms: f64,
     /// Populations in order.
-    pub populations: Vec<DraftPopulation>,
+    pub populations: Vec<PopulationBuilder>,
     /// Projections in order.
-    pub projections: Vec<DraftProjection>,
+    pub projections: Vec<ProjectionBuilder>,
     /// The population whose spikes decide.
     pub output: String,
     /// Names of the classes.
@@ -207,11 +207,11 @@ pub struct Draft {
     pub provenance: Option<String>,
 }
 
-impl Draft {
+impl ModelBuilder {
     /// A network without populations.
     #[must_use]
     pub fn new(name: &str, timestep_ms: f64) -> Self {
-        Draft {
+        ModelBuilder {
             name: name.to_string(),
             timestep_ms,
             populations: Vec::new(),
@@ -227,13 +227,13 @@ impl Draft {
         }
     }
 
-    /// The draft of a model, with its arrays in full.
+    /// A model that was read, with its arrays in full.
     ///
     /// # Errors
     /// `export.unsupported` for arrays that a seed stands for, and for spikes with a payload.
-    pub fn of(network: &Network) -> Result<Draft, Diagnostic> {
+    pub fn from_network(network: &Network) -> Result<ModelBuilder, Diagnostic> {
         let file = network.file();
-        let mut draft = Draft::new(&file.name, file.timestep_ms.value);
+        let mut model = ModelBuilder::new(&file.name, file.timestep_ms.value);
         for population in &file.populations {
             let desc = &population.value;
             let (name, shape) = (&desc.name().value, desc.shape().value.clone());
@@ -241,8 +241,8 @@ impl Draft {
                 let message = format!("population '{name}' has spikes with a payload, which cannot be exported");
                 return Err(Diagnostic::new("export.unsupported", message));
             }
-            draft.populations.push(match desc {
-                PopulationDesc::Input { .. } => DraftPopulation::input(name, shape),
+            model.populations.push(match desc {
+                PopulationDesc::Input { .. } => PopulationBuilder::input(name, shape),
                 PopulationDesc::Srm(srm) => {
                     let parameters = [
                         ("tau_sr_ms", srm.tau_sr_ms.value),
@@ -250,7 +250,7 @@ impl Draft {
                         ("scale_ref", srm.scale_ref.value),
                         ("theta", srm.theta.value),
                     ];
-                    DraftPopulation { srm: Some(parameters), ..DraftPopulation::input(name, shape) }
+                    PopulationBuilder { srm: Some(parameters), ..PopulationBuilder::input(name, shape) }
                 }
                 PopulationDesc::Loihi(loihi) => {
                     let mut parameters = Vec::new();
@@ -261,7 +261,7 @@ impl Draft {
                     }
                     let start = loihi.start_step.as_ref().map_or(0, |step| step.value);
                     let start_step = u32::try_from(start).map_err(|_| seeded(&format!("start_step {start}")))?;
-                    DraftPopulation { start_step, ..DraftPopulation::loihi(name, shape, parameters) }
+                    PopulationBuilder { start_step, ..PopulationBuilder::loihi(name, shape, parameters) }
                 }
             });
         }
@@ -269,18 +269,18 @@ impl Draft {
             let synapse = projection.value.synapse();
             let pair = |pair: &Option<Spanned<(u64, u64)>>, default| pair.as_ref().map_or(default, |pair| pair.value);
             let kind = match &projection.value {
-                ProjectionDesc::Dense(dense) => DraftKind::Dense(array_of(network, &dense.weights.source)?),
+                ProjectionDesc::Dense(dense) => ProjectionKind::Dense(array_of(network, &dense.weights.source)?),
                 ProjectionDesc::Sparse(sparse) => {
-                    DraftKind::Sparse(sparse.synapses.iter().map(|synapse| synapse.value).collect())
+                    ProjectionKind::Sparse(sparse.synapses.iter().map(|synapse| synapse.value).collect())
                 }
-                ProjectionDesc::Conv2d(conv) => DraftKind::Conv2d {
+                ProjectionDesc::Conv2d(conv) => ProjectionKind::Conv2d {
                     weights: array_of(network, &conv.weights.source)?,
                     stride: pair(&conv.stride, (1, 1)),
                     padding: pair(&conv.padding, (0, 0)),
                     dilation: pair(&conv.dilation, (1, 1)),
                     groups: conv.groups.as_ref().map_or(1, |groups| groups.value),
                 },
-                ProjectionDesc::SumPool2d(pool) => DraftKind::SumPool2d {
+                ProjectionDesc::SumPool2d(pool) => ProjectionKind::SumPool2d {
                     kernel: pool.kernel.value,
                     stride: pair(&pool.stride, pool.kernel.value),
                     padding: pair(&pool.padding, (0, 0)),
@@ -289,30 +289,30 @@ impl Draft {
                 ProjectionDesc::Random(_) => return Err(seeded("a Random projection")),
             };
             let delay = synapse.delay.map_or(0, |delay| delay.value);
-            draft.projections.push(DraftProjection {
+            model.projections.push(ProjectionBuilder {
                 from: synapse.from.iter().map(|name| name.value.clone()).collect(),
                 delay: u32::try_from(delay).map_err(|_| seeded(&format!("a delay of {delay}")))?,
                 weight_exp: synapse.weight_exp.map_or(0, |exponent| exponent.value),
                 sign: synapse.sign.map_or(SignMode::Mixed, |sign| sign.value),
                 weight_bits: synapse.weight_bits.map_or(8, |bits| bits.value),
                 weight_scale: synapse.weight_scale.map(|scale| scale.value),
-                ..DraftProjection::new("", &synapse.to.value, kind)
+                ..ProjectionBuilder::new("", &synapse.to.value, kind)
             });
         }
-        draft.output = file.output.value.clone();
-        draft.classes = file.classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone());
-        draft.reset = file.reset.as_ref().map(|reset| reset.value);
-        draft.threshold = file.threshold;
-        draft.semantics = file.semantics;
-        draft.weight_rounding = file.weight_rounding;
-        draft.scene = file.scene.clone();
-        draft.provenance = file.provenance.clone();
-        Ok(draft)
+        model.output = file.output.value.clone();
+        model.classes = file.classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone());
+        model.reset = file.reset.as_ref().map(|reset| reset.value);
+        model.threshold = file.threshold;
+        model.semantics = file.semantics;
+        model.weight_rounding = file.weight_rounding;
+        model.scene = file.scene.clone();
+        model.provenance = file.provenance.clone();
+        Ok(model)
     }
 
     /// A population by name.
     #[must_use]
-    pub fn population(&self, name: &str) -> Option<&DraftPopulation> {
+    pub fn population(&self, name: &str) -> Option<&PopulationBuilder> {
         self.populations.iter().find(|population| population.name == name)
     }
 
@@ -362,7 +362,7 @@ impl Draft {
     ///
     /// # Errors
     /// `model.*` for a name or number that a model file cannot hold.
-    pub fn network(&self, path: &Path) -> Result<Network, Diagnostic> {
+    pub fn build(&self, path: &Path) -> Result<Network, Diagnostic> {
         let file = "arrays";
         let (text, tensors) = self.ron(file);
         let source = SourceText::new(path, text);
@@ -436,10 +436,10 @@ fn reals_of(tensor: &Tensor) -> Vec<f64> {
     (0..tensor.len()).map(|index| tensor.real(index)).collect()
 }
 
-fn value_of(network: &Network, value: &ParameterValue) -> Result<Value, Diagnostic> {
+fn value_of(network: &Network, value: &ParameterValue) -> Result<Parameter, Diagnostic> {
     match value {
-        ParameterValue::Same(value) => Ok(Value::Same(*value)),
-        ParameterValue::Each(source) => Ok(Value::Each(reals_of(&array_of(network, source)?))),
+        ParameterValue::Same(value) => Ok(Parameter::Same(*value)),
+        ParameterValue::Each(source) => Ok(Parameter::Each(reals_of(&array_of(network, source)?))),
     }
 }
 
@@ -516,7 +516,7 @@ impl Writer<'_> {
         text
     }
 
-    fn population(&mut self, population: &DraftPopulation, out: &mut String) {
+    fn population(&mut self, population: &PopulationBuilder, out: &mut String) {
         if let Some(parameters) = population.srm {
             let _ = write!(out, "        Srm(name: {}, shape: {:?}", quoted(&population.name), population.shape);
             for (key, value) in parameters {
@@ -532,9 +532,9 @@ impl Writer<'_> {
         let _ = write!(out, "        Loihi(name: {}, shape: {:?}", quoted(&population.name), population.shape);
         for (key, value) in parameters {
             let value = match value {
-                Value::Same(value) => number(*value),
-                Value::Each(values) if values.len() <= IN_PLACE => list(values),
-                Value::Each(values) => {
+                Parameter::Same(value) => number(*value),
+                Parameter::Each(values) if values.len() <= IN_PLACE => list(values),
+                Parameter::Each(values) => {
                     let tensor = tensor(vec![values.len()], values.clone());
                     self.array(&format!("{}.{key}", population.name), tensor)
                 }
@@ -547,22 +547,22 @@ impl Writer<'_> {
         out.push_str("),\n");
     }
 
-    fn projection(&mut self, projection: &DraftProjection, out: &mut String) {
+    fn projection(&mut self, projection: &ProjectionBuilder, out: &mut String) {
         let kind = match &projection.kind {
-            DraftKind::Dense(_) => "Dense",
-            DraftKind::Sparse(_) => "Sparse",
-            DraftKind::Conv2d { .. } => "Conv2d",
-            DraftKind::SumPool2d { .. } => "SumPool2d",
+            ProjectionKind::Dense(_) => "Dense",
+            ProjectionKind::Sparse(_) => "Sparse",
+            ProjectionKind::Conv2d { .. } => "Conv2d",
+            ProjectionKind::SumPool2d { .. } => "SumPool2d",
         };
         let from: Vec<String> = projection.from.iter().map(|name| quoted(name)).collect();
         let _ = write!(out, "        {kind}(from: [{}], to: {}", from.join(", "), quoted(&projection.to));
         let key = format!("{}->{}", projection.from.join("+"), projection.to);
         match &projection.kind {
-            DraftKind::Dense(weights) => {
+            ProjectionKind::Dense(weights) => {
                 let weights = self.array(&key, weights.clone());
                 let _ = write!(out, ", weights: {weights}");
             }
-            DraftKind::Sparse(synapses) => {
+            ProjectionKind::Sparse(synapses) => {
                 out.push_str(", synapses: [");
                 for (index, &(source, target, weight)) in synapses.iter().enumerate() {
                     let comma = if index == 0 { "" } else { ", " };
@@ -570,14 +570,14 @@ impl Writer<'_> {
                 }
                 out.push(']');
             }
-            DraftKind::Conv2d { weights, stride, padding, dilation, groups } => {
+            ProjectionKind::Conv2d { weights, stride, padding, dilation, groups } => {
                 let weights = self.array(&key, weights.clone());
                 let _ = write!(
                     out,
                     ", weights: {weights}, stride: {stride:?}, padding: {padding:?}, dilation: {dilation:?}, groups: {groups}"
                 );
             }
-            DraftKind::SumPool2d { kernel, stride, padding, weight } => {
+            ProjectionKind::SumPool2d { kernel, stride, padding, weight } => {
                 let weight = number(*weight);
                 let _ = write!(out, ", kernel: {kernel:?}, stride: {stride:?}, padding: {padding:?}, weight: {weight}");
             }

@@ -1,41 +1,45 @@
 //! What stands between two populations as one linear map.
 //!
-//! Comes in: the nodes on a way. Goes out: its shape, linear part, bias and delays.
+//! Comes in: the nodes on a connection. Goes out: its shape, linear part, bias and delays.
 
 use std::collections::BTreeMap;
 
-use super::linear::{Linear, Way, Window, at, scaled, spread};
+use super::linear::{Connection, Linear, Window, at, scaled, spread};
 use super::neuron::reals;
-use super::{MOST_UNITS, Reader, product, unsupported, wrong};
+use super::reader::{MOST_UNITS, Reader, product, unsupported, wrong};
 use crate::base::diagnostic::Diagnostic;
-use crate::io::foreign::LONGEST_DELAY;
 use crate::io::foreign::hdf5::Group;
+use crate::io::foreign::imported::LONGEST_DELAY;
 use crate::io::foreign::window::{MOST_LISTED, Sliding};
 
 impl Reader<'_> {
     /// What arrives at the end of nodes that are passed from a population of this shape.
-    pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Way, Diagnostic> {
-        let mut way = Way { shape: source.to_vec(), linear: Linear::Diagonal(vec![1.0]), bias: None, delay: None };
+    pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection, Diagnostic> {
+        let mut connection =
+            Connection { shape: source.to_vec(), linear: Linear::Diagonal(vec![1.0]), bias: None, delay: None };
         for name in nodes {
-            way = self.pass(way, name)?;
+            connection = self.pass(connection, name)?;
         }
-        Ok(way)
+        Ok(connection)
     }
 
-    pub(super) fn pass(&self, mut way: Way, name: &str) -> Result<Way, Diagnostic> {
+    pub(super) fn pass(&self, mut connection: Connection, name: &str) -> Result<Connection, Diagnostic> {
         let node = &self.flat.nodes[name];
         let group = node.group;
-        let units = product(&way.shape).ok_or_else(|| wrong(format!("'{name}' hears too many units")))?;
+        let units = product(&connection.shape).ok_or_else(|| wrong(format!("'{name}' hears too many units")))?;
         match node.kind.as_str() {
             "Pass" | "Output" => {}
             // Every population is flattened in C order; the batch axis is not in a file.
-            "Flatten" => way.shape = vec![units],
+            "Flatten" => connection.shape = vec![units],
             "Scale" => {
                 let scale = reals(group, name, "scale")?;
-                let scale = spread(scale, &way.shape)
-                    .ok_or_else(|| wrong(format!("node '{name}': its scale does not fit the shape {:?}", way.shape)))?;
-                way.bias = way.bias.map(|bias| bias.iter().enumerate().map(|(i, b)| b * at(&scale, i)).collect());
-                way.linear = scaled(way.linear, &scale, &way.shape).ok_or_else(|| self.too_many(name))?;
+                let scale = spread(scale, &connection.shape).ok_or_else(|| {
+                    wrong(format!("node '{name}': its scale does not fit the shape {:?}", connection.shape))
+                })?;
+                connection.bias =
+                    connection.bias.map(|bias| bias.iter().enumerate().map(|(i, b)| b * at(&scale, i)).collect());
+                connection.linear =
+                    scaled(connection.linear, &scale, &connection.shape).ok_or_else(|| self.too_many(name))?;
             }
             "Linear" | "Affine" => {
                 let numbers = group.numbers("weight").ok_or_else(|| wrong(format!("node '{name}' has no weight")))?;
@@ -49,23 +53,24 @@ impl Reader<'_> {
                         numbers.shape()
                     )));
                 }
-                self.no_bias_yet(&way, name)?;
-                way.linear = self.then_dense(way.linear, weights, targets, sources, name)?;
-                way.shape = vec![targets];
-                way.bias = self.bias(group, name, &way.shape)?;
+                self.no_bias_yet(&connection, name)?;
+                connection.linear = self.then_dense(connection.linear, weights, targets, sources, name)?;
+                connection.shape = vec![targets];
+                connection.bias = self.bias(group, name, &connection.shape)?;
             }
             "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
-                let window = self.window(&way.shape, name)?;
-                self.no_bias_yet(&way, name)?;
+                let window = self.window(&connection.shape, name)?;
+                self.no_bias_yet(&connection, name)?;
                 let target = window.sliding.target.to_vec();
-                way.linear = self.then_window(way.linear, window, &way.shape, name)?;
-                way.shape = target;
-                way.bias = self.bias(group, name, &way.shape)?;
+                connection.linear = self.then_window(connection.linear, window, &connection.shape, name)?;
+                connection.shape = target;
+                connection.bias = self.bias(group, name, &connection.shape)?;
             }
             "Delay" => {
                 let delays = reals(group, name, "delay")?;
-                let delays = spread(delays, &way.shape)
-                    .ok_or_else(|| wrong(format!("node '{name}': its delays do not fit the shape {:?}", way.shape)))?;
+                let delays = spread(delays, &connection.shape).ok_or_else(|| {
+                    wrong(format!("node '{name}': its delays do not fit the shape {:?}", connection.shape))
+                })?;
                 let steps = delays.iter().map(|delay| (delay / self.dt).round_ties_even()).collect::<Vec<_>>();
                 if let Some(long) = steps.iter().find(|steps| !(0.0..=LONGEST_DELAY).contains(*steps)) {
                     return Err(unsupported(
@@ -73,19 +78,19 @@ impl Reader<'_> {
                         "the delay field holds 0 to 62 steps",
                     ));
                 }
-                if way.delay.is_some() {
+                if connection.delay.is_some() {
                     return Err(unsupported(format!("node '{name}' is the second delay of a way"), "join them"));
                 }
-                way.delay = Some((0..units).map(|unit| at(&steps, unit) as u32).collect());
+                connection.delay = Some((0..units).map(|unit| at(&steps, unit) as u32).collect());
             }
             other => return Err(wrong(format!("node '{name}' of the type '{other}' is in the middle of a way"))),
         }
-        Ok(way)
+        Ok(connection)
     }
 
-    pub(super) fn no_bias_yet(&self, way: &Way, name: &str) -> Result<(), Diagnostic> {
-        let silent = way.bias.as_ref().is_none_or(|bias| bias.iter().all(|&b| b == 0.0));
-        if silent && way.delay.as_ref().is_none_or(|delays| delays.windows(2).all(|pair| pair[0] == pair[1])) {
+    pub(super) fn no_bias_yet(&self, connection: &Connection, name: &str) -> Result<(), Diagnostic> {
+        let silent = connection.bias.as_ref().is_none_or(|bias| bias.iter().all(|&b| b == 0.0));
+        if silent && connection.delay.as_ref().is_none_or(|delays| delays.windows(2).all(|pair| pair[0] == pair[1])) {
             return Ok(());
         }
         Err(unsupported(

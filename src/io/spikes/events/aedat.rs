@@ -7,7 +7,7 @@
 
 use std::io::{BufRead, Read};
 
-use super::{Event, Sink, fill, wrong};
+use super::event::{Event, Sink, fill, unreadable, wrong};
 use crate::base::diagnostic::Diagnostic;
 
 /// What a file begins with.
@@ -90,7 +90,7 @@ fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, what: &str) -> Re
         return Err(wrong(format!("{what} at byte {at} claims {size} bytes, more than {MOST_PACKET}")));
     }
     let mut bytes = Vec::new();
-    input.take(size as u64).read_to_end(&mut bytes).map_err(|error| super::unreadable(&error))?;
+    input.take(size as u64).read_to_end(&mut bytes).map_err(|error| unreadable(&error))?;
     *at += bytes.len() as u64;
     if bytes.len() < size {
         return Err(wrong(format!("the file ends within {what}")));

@@ -3,16 +3,17 @@
 //! Comes in: events one by one. Goes out: the spikes of a sample. Only bins that are not empty are kept, each with its
 //! number of events; what has come lately is sorted into them in batches.
 
-use super::{Counts, Event, EventOptions, Expected, Origin, Polarity, Sink, wrong};
+use super::event::{Counts, Event, Sink, wrong};
 use crate::base::diagnostic::Diagnostic;
-use crate::io::stimulus::{MOST_EVENTS, MOST_STEPS, PopulationSpikes};
+use crate::io::spikes::options::{EventOptions, Origin, Polarity};
+use crate::io::spikes::population::{Expected, MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
 
 /// Events between two sortings.
 const BATCH: usize = 1 << 16;
 
 /// The window in space and time that is kept.
 #[derive(Debug, Clone)]
-pub struct Frame {
+pub struct Window {
     options: EventOptions,
     bin_us: f64,
     start: Origin,
@@ -23,7 +24,7 @@ pub struct Frame {
     expected: Expected,
 }
 
-impl Frame {
+impl Window {
     /// A window for a population.
     ///
     /// # Errors
@@ -40,7 +41,7 @@ impl Frame {
             return Err(Diagnostic::new("input.option", format!("a timestep of {bin_us} us")));
         }
         let start = options.start.unwrap_or(start);
-        Ok(Frame { options: options.clone(), bin_us, start, assumed, interleaved, expected: *expected })
+        Ok(Window { options: options.clone(), bin_us, start, assumed, interleaved, expected: *expected })
     }
 }
 
@@ -58,8 +59,8 @@ struct Grid {
 
 /// The bins of a recording.
 pub struct Bins {
-    frame: Frame,
-    told: Option<(u32, u32)>,
+    window: Window,
+    sensor: Option<(u32, u32)>,
     grid: Option<Grid>,
     start_us: Option<i64>,
     latest_us: Option<i64>,
@@ -74,10 +75,10 @@ pub struct Bins {
 impl Bins {
     /// Empty bins.
     #[must_use]
-    pub fn new(frame: Frame) -> Self {
+    pub fn new(window: Window) -> Self {
         Bins {
-            frame,
-            told: None,
+            window,
+            sensor: None,
             grid: None,
             start_us: None,
             latest_us: None,
@@ -93,14 +94,14 @@ impl Bins {
         if let Some(grid) = self.grid {
             return Ok(grid);
         }
-        let Frame { options, expected, assumed, .. } = &self.frame;
+        let Window { options, expected, assumed, .. } = &self.window;
         let pool = options.pool.unwrap_or((1, 1));
         let planes = if options.polarity == Polarity::Both { 2 } else { 1 };
         let of_population = expected
             .volume
             .filter(|volume| volume.0 == planes)
             .map(|(_, h, w)| (w.saturating_mul(pool.0), h.saturating_mul(pool.1)));
-        let size = match (options.crop, options.size, self.told) {
+        let size = match (options.crop, options.size, self.sensor) {
             (Some(crop), _, _) => (crop.2, crop.3),
             (None, Some(size), _) | (None, None, Some(size)) => size,
             (None, None, None) => of_population
@@ -161,23 +162,23 @@ impl Bins {
         merged.shrink_to_fit();
         self.settled = merged;
         if self.settled.len() > MOST_EVENTS {
-            return Err(Diagnostic::new("input.too-many", format!("a sample has more than {MOST_EVENTS} spikes")));
+            return Err(too_many());
         }
         Ok(())
     }
 
     /// The step of a time; none before the start or after the end.
     fn step(&mut self, t_us: i64) -> Result<Option<u32>, Diagnostic> {
-        let start = *self.start_us.get_or_insert(match self.frame.start {
+        let start = *self.start_us.get_or_insert(match self.window.start {
             Origin::First => t_us,
             Origin::At(start) => start,
         });
-        let bins = t_us.saturating_sub(start) as f64 / self.frame.bin_us;
-        let step = if self.frame.options.nearest { bins.round_ties_even() } else { bins.floor() };
+        let bins = t_us.saturating_sub(start) as f64 / self.window.bin_us;
+        let step = if self.window.options.nearest { bins.round_ties_even() } else { bins.floor() };
         if step < 0.0 {
             return Ok(None);
         }
-        match self.frame.options.steps {
+        match self.window.options.steps {
             Some(steps) => Ok((step < f64::from(steps)).then_some(step as u32)),
             None if step < f64::from(MOST_STEPS) => Ok(Some(step as u32)),
             None => Err(Diagnostic::new(
@@ -197,8 +198,8 @@ impl Bins {
     pub fn finish(mut self, name: &str) -> Result<(PopulationSpikes, Counts), Diagnostic> {
         self.grid()?;
         self.settle()?;
-        let least = self.frame.options.least.unwrap_or(1);
-        let steps = match self.frame.options.steps {
+        let least = self.window.options.least.unwrap_or(1);
+        let steps = match self.window.options.steps {
             Some(steps) => steps,
             None if self.settled.is_empty() => {
                 return Err(Diagnostic::new("input.empty", "no event falls into the window")
@@ -214,7 +215,7 @@ impl Bins {
             .collect();
         self.counts.faint = (self.settled.len() - events.len()) as u64;
         self.counts.merged = self.counts.events - self.counts.dropped - self.settled.len() as u64;
-        let units = Some(self.frame.expected.units);
+        let units = Some(self.window.expected.units);
         Ok((PopulationSpikes { units, steps, label: None, events, name: name.to_string() }, self.counts))
     }
 }
@@ -222,7 +223,7 @@ impl Bins {
 impl Sink for Bins {
     fn size(&mut self, columns: u32, rows: u32) {
         if columns > 0 && rows > 0 {
-            self.told.get_or_insert((columns, rows));
+            self.sensor.get_or_insert((columns, rows));
         }
     }
 
@@ -235,7 +236,7 @@ impl Sink for Bins {
             self.latest_us = Some(event.t_us);
         }
         let step = self.step(event.t_us)?;
-        let plane = match self.frame.options.polarity {
+        let plane = match self.window.options.polarity {
             Polarity::Both => Some(u32::from(event.on)),
             Polarity::Merge => Some(0),
             Polarity::On => event.on.then_some(0),
@@ -248,7 +249,7 @@ impl Sink for Bins {
             return Ok(());
         };
         let (row, column) = (y / grid.pool.1, x / grid.pool.0);
-        let channel = match (self.frame.interleaved, self.frame.options.polarity) {
+        let channel = match (self.window.interleaved, self.window.options.polarity) {
             (true, Polarity::Both) => (row * grid.columns + column) * 2 + plane,
             _ => (plane * grid.rows + row) * grid.columns + column,
         };

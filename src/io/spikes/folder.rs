@@ -1,0 +1,75 @@
+//! Folders with a recording for each sample.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::detect::SpikeFormat;
+use crate::base::diagnostic::Diagnostic;
+
+/// Sample and label of `sample_<i>_label_<c>.npy`, or of a recording of events that is named so.
+fn sample_name(name: &str) -> Option<(u64, u32)> {
+    let (stem, _) = name.rsplit_once('.')?;
+    let known = matches!(SpikeFormat::from_name(Path::new(name)), Some(SpikeFormat::Array | SpikeFormat::Events(_)));
+    let (index, label) = stem.strip_prefix("sample_").filter(|_| known)?.split_once("_label_")?;
+    let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    (plain(index) && plain(label)).then(|| Some((index.parse().ok()?, label.parse().ok()?)))?
+}
+
+/// A sort key that compares the numbers within a name by their value.
+fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
+    let mut parts: Vec<(Option<u128>, String)> = Vec::new();
+    for run in name.chars().collect::<Vec<_>>().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit()) {
+        let text: String = run.iter().collect();
+        parts.push((text.parse().ok(), text));
+    }
+    parts
+}
+
+/// Sample number, label and path of each recording of a folder, sorted by number. When no name has a number and a label,
+/// every recording of events is a sample without a label, sorted by name (numbers in names by value).
+///
+/// # Errors
+/// `input.folder` when there is none, or two have the same number; `io.*`.
+pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>, Diagnostic> {
+    let unreadable =
+        |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
+    let mut found = BTreeMap::new();
+    let mut others = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        match sample_name(&name) {
+            Some((index, label)) => {
+                if found.insert(index, (Some(label), entry.path())).is_some() {
+                    return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
+                        .help("each sample has one file, sample_<i>_label_<c>.npy")
+                        .in_file(folder));
+                }
+            }
+            None => others.push((name, entry.path())),
+        }
+    }
+    if found.is_empty() {
+        let is_recording = |path: &Path| matches!(SpikeFormat::detect(path), Some(SpikeFormat::Events(_)));
+        let mut events: Vec<_> = others.iter().filter(|(_, path)| is_recording(path) && path.is_file()).collect();
+        events.sort_by_cached_key(|(name, _)| natural_order(name));
+        found = events.iter().zip(0..).map(|((_, path), index)| (index, (None, path.clone()))).collect();
+    }
+    if found.is_empty() {
+        others.sort();
+        let mut missing =
+            Diagnostic::new("input.folder", "the folder holds no sample_<i>_label_<c>.npy and no recording of events")
+                .in_file(folder);
+        let inner: Vec<&str> =
+            others.iter().filter(|(_, path)| path.is_dir()).map(|(name, _)| name.as_str()).take(8).collect();
+        missing.help = if others.iter().any(|(name, _)| name == "dataset.ron") {
+            Some(format!("it holds a manifest: give {}", folder.join("dataset.ron").display()))
+        } else if inner.is_empty() {
+            Some(format!("it holds {} other files", others.len()))
+        } else {
+            Some(format!("it holds the folders {}; give one of them", inner.join(", ")))
+        };
+        return Err(missing);
+    }
+    Ok(found.into_iter().map(|(index, (label, path))| (index, label, path)).collect())
+}

@@ -1,0 +1,23 @@
+//! Spikes from files: arrays, lists, recordings of events, data sets.
+//!
+//! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population. [`detect`] alone decides which
+//! format a path has; [`source`] is the way in. Each reader stands below it: [`manifest`] reads data sets with the readers
+//! of [`recordings`], which are [`array`], [`csv`], [`folder`] and [`events`].
+
+pub mod array;
+pub mod csv;
+pub mod detect;
+pub mod events;
+pub mod folder;
+pub mod manifest;
+pub mod options;
+pub mod population;
+pub mod recordings;
+pub mod source;
+
+pub use self::detect::{EventFormat, SpikeFormat};
+pub use self::folder::list_folder;
+pub use self::manifest::{Manifest, read_manifest};
+pub use self::options::{EventOptions, Origin, Polarity};
+pub use self::population::{Expected, PopulationSpikes};
+pub use self::source::{read_source, read_spikes};
