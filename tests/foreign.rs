@@ -83,46 +83,46 @@ fn damaged(bytes: &[u8], seed: u64) -> Vec<u8> {
 
 #[test]
 fn corpora_and_damaged_files_neither_panic_nor_take_memory_beyond_the_bound() {
-    let Some(before) = memory::peak_kib() else { return };
-    let mut largest = 0;
-    for (target, run) in TARGETS {
-        for (name, bytes) in files(target) {
-            largest = largest.max(bytes.len() as u64);
-            run(&bytes);
-            // Large files are slow to read in a test's build.
-            let changes = if bytes.len() > 20_000 { 40 } else { 400 };
-            for seed in 0..changes {
-                run(&damaged(&bytes, seed ^ (name.len() as u64) << 32));
+    memory::alone("corpora_and_damaged_files_neither_panic_nor_take_memory_beyond_the_bound", |growth| {
+        let mut largest = 0;
+        for (target, run) in TARGETS {
+            for (name, bytes) in files(target) {
+                largest = largest.max(bytes.len() as u64);
+                run(&bytes);
+                // Large files are slow to read in a test's build.
+                let changes = if bytes.len() > 20_000 { 40 } else { 400 };
+                for seed in 0..changes {
+                    run(&damaged(&bytes, seed ^ (name.len() as u64) << 32));
+                }
             }
         }
-    }
-    let grown = memory::peak_kib().unwrap() - before;
-    let bound = FIXED_KIB + RATIO * largest / 1024;
-    assert!(grown <= bound, "{grown} KiB, the bound is {bound} KiB");
+        let bound = FIXED_KIB + RATIO * largest / 1024;
+        assert!(growth.kib().is_none_or(|grown| grown <= bound), "the bound is {bound} KiB");
+    });
 }
 
 #[test]
 fn a_small_file_that_claims_much_is_refused_before_it_is_unpacked() {
-    let Some(before) = memory::peak_kib() else { return };
-    // A gigabyte of zeros compresses a thousand times.
-    let path = PathBuf::from("bomb.net");
-    let zeros = Numbers::f64(&[1 << 17], &vec![0.0; 1 << 17]);
-    let mut tree = hdf5::Group::default();
-    for i in 0..3 {
-        tree = tree.with(&i.to_string(), zeros.clone());
-    }
-    let bytes = hdf5::write(&tree).unwrap();
-    assert!(foreign::from_bytes(&path, bytes, &Options::default()).is_err());
-    // Shapes without numbers behind them.
-    let layer = hdf5::Group::default()
-        .with("type", "dense")
-        .with("shape", Numbers::i64(&[3], &[1 << 20, 1 << 20, 1 << 20]))
-        .with("weight", Numbers::f32(&[1, 1], &[2.0]));
-    let root = hdf5::Group::default().with("layer", hdf5::Group::default().with("0", layer));
-    let error = foreign::from_bytes(&path, hdf5::write(&root).unwrap(), &Options::default()).unwrap_err();
-    assert!(error.code.starts_with("import."), "{error}");
-    let grown = memory::peak_kib().unwrap() - before;
-    assert!(grown < FIXED_KIB, "{grown} KiB");
+    memory::alone("a_small_file_that_claims_much_is_refused_before_it_is_unpacked", |growth| {
+        // A gigabyte of zeros compresses a thousand times.
+        let path = PathBuf::from("bomb.net");
+        let zeros = Numbers::f64(&[1 << 17], &vec![0.0; 1 << 17]);
+        let mut tree = hdf5::Group::default();
+        for i in 0..3 {
+            tree = tree.with(&i.to_string(), zeros.clone());
+        }
+        let bytes = hdf5::write(&tree).unwrap();
+        assert!(foreign::from_bytes(&path, bytes, &Options::default()).is_err());
+        // Shapes without numbers behind them.
+        let layer = hdf5::Group::default()
+            .with("type", "dense")
+            .with("shape", Numbers::i64(&[3], &[1 << 20, 1 << 20, 1 << 20]))
+            .with("weight", Numbers::f32(&[1, 1], &[2.0]));
+        let root = hdf5::Group::default().with("layer", hdf5::Group::default().with("0", layer));
+        let error = foreign::from_bytes(&path, hdf5::write(&root).unwrap(), &Options::default()).unwrap_err();
+        assert!(error.code.starts_with("import."), "{error}");
+        assert!(growth.kib().is_none_or(|grown| grown < FIXED_KIB), "the bound is {FIXED_KIB} KiB");
+    });
 }
 
 /// Keeps every event.
@@ -236,34 +236,34 @@ fn crop_pool_bins_and_polarities_follow_their_definition() {
 
 #[test]
 fn a_million_events_take_the_memory_of_their_spikes() {
-    let Some(before) = memory::peak_kib() else { return };
-    /// Two million events on sixteen pixels within a millisecond, made as they are read.
-    struct Endless(u64);
-    impl std::io::Read for Endless {
-        fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-            let whole = (buffer.len() / 5).min((2_000_000 - self.0) as usize);
-            for event in buffer.chunks_exact_mut(5).take(whole) {
-                let t = (self.0 % 1000) as u32;
-                event.copy_from_slice(&[
-                    (self.0 % 4) as u8,
-                    (self.0 / 4 % 4) as u8,
-                    (t >> 16) as u8,
-                    (t >> 8) as u8,
-                    t as u8,
-                ]);
-                self.0 += 1;
+    memory::alone("a_million_events_take_the_memory_of_their_spikes", |growth| {
+        /// Two million events on sixteen pixels within a millisecond, made as they are read.
+        struct Endless(u64);
+        impl std::io::Read for Endless {
+            fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+                let whole = (buffer.len() / 5).min((2_000_000 - self.0) as usize);
+                for event in buffer.chunks_exact_mut(5).take(whole) {
+                    let t = (self.0 % 1000) as u32;
+                    event.copy_from_slice(&[
+                        (self.0 % 4) as u8,
+                        (self.0 / 4 % 4) as u8,
+                        (t >> 16) as u8,
+                        (t >> 8) as u8,
+                        t as u8,
+                    ]);
+                    self.0 += 1;
+                }
+                Ok(whole * 5)
             }
-            Ok(whole * 5)
         }
-    }
-    let expected = Expected { units: 32, volume: Some((2, 4, 4)), dt_ms: 1.0 };
-    let mut input = std::io::BufReader::new(Endless(0));
-    let options = EventOptions { steps: Some(1), ..EventOptions::default() };
-    let (spikes, counts) = events::read_input(&mut input, "x", EventFormat::Bs2, &expected, &options).unwrap();
-    assert_eq!((spikes.events.len(), counts.events, counts.merged), (16, 2_000_000, 1_999_984));
-    assert!(counts.disordered > 1_900_000, "{counts:?}");
-    let grown = memory::peak_kib().unwrap() - before;
-    assert!(grown < 16 << 10, "{grown} KiB");
+        let expected = Expected { units: 32, volume: Some((2, 4, 4)), dt_ms: 1.0 };
+        let mut input = std::io::BufReader::new(Endless(0));
+        let options = EventOptions { steps: Some(1), ..EventOptions::default() };
+        let (spikes, counts) = events::read_input(&mut input, "x", EventFormat::Bs2, &expected, &options).unwrap();
+        assert_eq!((spikes.events.len(), counts.events, counts.merged), (16, 2_000_000, 1_999_984));
+        assert!(counts.disordered > 1_900_000, "{counts:?}");
+        assert!(growth.kib().is_none_or(|grown| grown < 16 << 10), "the bound is 16 MiB");
+    });
 }
 
 #[test]

@@ -1,7 +1,46 @@
-//! The memory of this process, for tests that bound it.
+//! The memory of a test, measured in a process of its own: other tests of a binary run in threads of the same process.
 
-/// The most memory that this process ever held, in KiB; nothing where no /proc says so.
-pub fn peak_kib() -> Option<u64> {
+use std::process::Command;
+
+/// Set in the process that runs one test alone, to the name of the test.
+const ALONE: &str = "NSIM_TEST_ALONE";
+
+/// Runs the body of a test in a process that runs nothing else, and passes it what measures the growth of that process.
+/// `test` is the name of the calling test.
+///
+/// # Panics
+/// When the body does.
+pub fn alone(test: &str, body: impl FnOnce(&Growth)) {
+    if std::env::var_os(ALONE).is_some_and(|name| name == test) {
+        return body(&Growth { before_kib: peak_kib() });
+    }
+    let program = std::env::current_exe().unwrap();
+    let output =
+        Command::new(program).args([test, "--exact", "--nocapture"]).env(ALONE, test).output().expect("a test starts");
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    println!("{out}");
+    assert!(out.contains("1 passed"), "{test} alone: {}\n{out}\n{err}", output.status);
+}
+
+/// How much a process has grown.
+pub struct Growth {
+    before_kib: Option<u64>,
+}
+
+impl Growth {
+    /// KiB by which the process's peak has grown since the body began; none, and a word about it, where no /proc says so.
+    pub fn kib(&self) -> Option<u64> {
+        let grown = self.before_kib.zip(peak_kib()).map(|(before, after)| after - before);
+        match grown {
+            Some(kib) => println!("grown by {kib} KiB"),
+            None => println!("skipped: no /proc/self/status says how much memory this takes"),
+        }
+        grown
+    }
+}
+
+/// The most memory that this process ever held, in KiB.
+fn peak_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse().ok()

@@ -38,32 +38,32 @@ fn through_the_library(case: &Case, path: &Path) -> Result<(), Diagnostic> {
 
 #[test]
 fn each_is_refused_by_name_and_place() {
-    let cases = cases();
-    assert!(cases.len() >= 45, "{} cases", cases.len());
-    let mut wrong = Vec::new();
-    for case in &cases {
-        let folder = tempfile::tempdir().unwrap();
-        let path = lay_out(folder.path(), case);
-        let Err(problem) = through_the_library(case, &path) else {
-            wrong.push(format!("{}: accepted", case.name));
-            continue;
-        };
-        let line = problem.position().map(|position| position.line);
-        let said = format!("{problem} {}", problem.help.as_deref().unwrap_or_default());
-        if problem.code != case.code || line != case.line || !said.contains(case.says) {
-            wrong.push(format!(
-                "{}: {} at {line:?}: {said}\n    expected {} at {:?}: {}",
-                case.name, problem.code, case.code, case.line, case.says
-            ));
+    memory::alone("each_is_refused_by_name_and_place", |growth| {
+        let cases = cases();
+        assert!(cases.len() >= 45, "{} cases", cases.len());
+        let mut wrong = Vec::new();
+        for case in &cases {
+            let folder = tempfile::tempdir().unwrap();
+            let path = lay_out(folder.path(), case);
+            let Err(problem) = through_the_library(case, &path) else {
+                wrong.push(format!("{}: accepted", case.name));
+                continue;
+            };
+            let line = problem.position().map(|position| position.line);
+            let said = format!("{problem} {}", problem.help.as_deref().unwrap_or_default());
+            if problem.code != case.code || line != case.line || !said.contains(case.says) {
+                wrong.push(format!(
+                    "{}: {} at {line:?}: {said}\n    expected {} at {:?}: {}",
+                    case.name, problem.code, case.code, case.line, case.says
+                ));
+            }
+            if problem.file().is_none() {
+                wrong.push(format!("{}: no file is named: {problem}", case.name));
+            }
         }
-        if problem.file().is_none() {
-            wrong.push(format!("{}: no file is named: {problem}", case.name));
-        }
-    }
-    assert!(wrong.is_empty(), "{} of {}:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
-    if let Some(peak) = memory::peak_kib() {
-        assert!(peak < 1 << 20, "{peak} KiB at the peak");
-    }
+        assert!(wrong.is_empty(), "{} of {}:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
+        assert!(growth.kib().is_none_or(|grown| grown < 1 << 20), "the bound is 1 GiB");
+    });
 }
 
 #[test]
