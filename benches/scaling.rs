@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nsim::bench::networks::events_only;
 use nsim::bench::steps;
-use nsim::compile::{Options, compile_quantised};
+use nsim::compile::{Options, compile};
 use nsim::io::target::load_target;
 use nsim::ir::spikes::Engine;
 use nsim::machine::{Image, Machine, Settings};
@@ -32,7 +32,7 @@ fn events(c: &mut Criterion) {
     for (name, compartments, driven) in rows {
         let bench = events_only(compartments, driven, 8).unwrap();
         let target = load_target(bench.target).unwrap();
-        let program = compile_quantised(bench.network, &target, &Options::default()).unwrap().program;
+        let program = compile(bench.network, &target, &Options::default()).unwrap().program;
         let image = Image::new(&program, 1).unwrap();
         let mut machine = Machine::new(&image, Settings::default());
         machine.begin(u32::MAX);

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use nsim::base::id::ChannelId;
 use nsim::compile::frontend::prune::{Plan, prune};
-use nsim::compile::{Options, compile_quantised, front};
+use nsim::compile::{Options, compile, front};
 use nsim::desc::stimulus::SceneArg;
 use nsim::drive::decision::{EarlyExit, Rule};
 use nsim::drive::{Keep, digest, run_sample};
@@ -80,7 +80,7 @@ struct Row {
 fn rows(scene: &Scene) -> Vec<Row> {
     let target = io::target::load_target("nahuku-32").unwrap();
     let row = |kind, setting: &str, network: &Quantised, skip, rule| {
-        let program = compile_quantised(network.clone(), &target, &Options::default()).unwrap().program;
+        let program = compile(network.clone(), &target, &Options::default()).unwrap().program;
         Row { kind, setting: setting.to_string(), network: network.clone(), program, skip, rule }
     };
     let whole = &scene.network;

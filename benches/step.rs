@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use criterion::{Criterion, criterion_group, criterion_main};
 use nsim::bench::networks::Standard;
 use nsim::bench::steps;
-use nsim::compile::{Options, compile_quantised};
+use nsim::compile::{Options, compile};
 use nsim::io::target::load_target;
 use nsim::ir::program::Program;
 use nsim::ir::spikes::Engine;
@@ -29,7 +29,7 @@ fn step(c: &mut Criterion) {
             Some((of, program)) if of == standard.program_of() => program,
             _ => {
                 let target = load_target(bench.target).unwrap();
-                compile_quantised(bench.network, &target, &Options::default()).unwrap().program
+                compile(bench.network, &target, &Options::default()).unwrap().program
             }
         };
         for shares in if standard.wants_threads() && cores > 1 { vec![1, 2] } else { vec![1] } {

@@ -18,7 +18,7 @@ use nsim::base::id::ChannelId;
 use nsim::base::rng;
 use nsim::compile::frontend::analytic::{self, Fit};
 use nsim::compile::frontend::lower::lower;
-use nsim::compile::{Options, compile_quantised};
+use nsim::compile::{Options, compile};
 use nsim::convert::search::search;
 use nsim::desc::network::{Network, NetworkFile};
 use nsim::golden::Golden;
@@ -135,7 +135,7 @@ fn is_the_machine(graph: &Graph, fits: &[Option<Fit>], samples: &[Sample], some:
     let ladder = Ladder::new(graph, fits).unwrap();
     let network = ladder.deployed();
     let target = load_target("loihi1-chip").unwrap();
-    let compiled = compile_quantised(network.clone(), &target, &Options::default()).unwrap();
+    let compiled = compile(network.clone(), &target, &Options::default()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
     let mut golden = Golden::new(network);
     let mut machine = Machine::new(&image, Settings::default());

@@ -10,7 +10,7 @@ use common::random;
 use nsim::base::id::{CompartmentId, Id};
 use nsim::bench::networks::{Random, random as random_network};
 use nsim::compile::frontend::prune::{Plan, prune};
-use nsim::compile::{Compiled, Options, compile_quantised, compile_with_mapping, front};
+use nsim::compile::{Compiled, Options, compile, compile_saved, front};
 use nsim::desc::stimulus::SceneArg;
 use nsim::desc::target::Target;
 use nsim::golden::Golden;
@@ -79,11 +79,11 @@ fn partitions(network: &Quantised, chip: &Target, seed: u64) -> Vec<(&'static st
     (limits.compartment_profiles, limits.threshold_profiles, limits.accumulators) = (1024, 1024, 1 << 16);
     limits.synapse_formats = 64;
     let roomy = chip.clone().with_limits(limits);
-    compiled.push(("sequential", compile_quantised(network.clone(), &roomy, &options)));
+    compiled.push(("sequential", compile(network.clone(), &roomy, &options)));
     limits.compartments = 5;
-    compiled.push(("small cores", compile_quantised(network.clone(), &chip.clone().with_limits(limits), &options)));
+    compiled.push(("small cores", compile(network.clone(), &chip.clone().with_limits(limits), &options)));
     let mapping = random::mapping(network, &Mesh::of(chip), seed);
-    compiled.push(("dealt out", compile_with_mapping(network.clone(), &roomy, &options, &mapping)));
+    compiled.push(("dealt out", compile_saved(network.clone(), &roomy, &options, &mapping)));
     compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
 }
 
@@ -129,7 +129,7 @@ fn a_large_random_network_is_the_same_in_both_engines() {
     let n = bench.network.compartments();
     let golden = trace(&mut Golden::new(&bench.network), n, &bench.period);
     assert!(golden.totals.spikes > 1_000 && golden.totals.synaptic_events > 64_000);
-    let compiled = compile_quantised(bench.network, &load_target(bench.target).unwrap(), &Options::default()).unwrap();
+    let compiled = compile(bench.network, &load_target(bench.target).unwrap(), &Options::default()).unwrap();
     for shares in [1, 2, 8] {
         let image = Image::new(&compiled.program, shares).unwrap();
         for skip in [true, false] {
@@ -146,7 +146,7 @@ fn events_of_uneven_rows_are_right_after_every_step() {
     let network = front(&load_model("vtsnn-slip").unwrap()).unwrap().into_quantised();
     let samples = nsim::scene::stimulus(&network, &SceneArg::parse("slip?samples=2&seed=3").unwrap()).unwrap().samples;
     let pruned = prune(&network, &Plan::fixed()).unwrap();
-    let compiled = compile_quantised(pruned.clone(), &load_target("nahuku-32").unwrap(), &Options::default()).unwrap();
+    let compiled = compile(pruned.clone(), &load_target("nahuku-32").unwrap(), &Options::default()).unwrap();
     let mut golden = Golden::new(&pruned);
     for shares in [1, 2] {
         let image = Image::new(&compiled.program, shares).unwrap();

@@ -10,7 +10,7 @@ use std::num::NonZeroU32;
 
 use assert_cmd::Command;
 use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::compile::{Options, compile};
+use nsim::compile::{Options, compile, front};
 use nsim::drive::decision::{EarlyExit, Rule};
 use nsim::drive::{Keep, Outcome, run_sample};
 use nsim::golden::Golden;
@@ -107,7 +107,8 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
     let Some(data) = common::data("ev-containers") else { return };
     let samples = common::recordings(&data, &["train", "test"]);
     let network = load_model("container-tactile").unwrap();
-    let compiled = compile(&network, &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
+    let compiled =
+        compile(front(&network).unwrap(), &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
     let network = &compiled.quantised;
     for rule in [Rule::Certain, margin(1), margin(5), margin(20)] {

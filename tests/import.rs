@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use nsim::base::id::ChannelId;
-use nsim::compile::{Options as MapOptions, compile};
+use nsim::compile::{Options as MapOptions, compile, front};
 use nsim::desc::network::{Network, ThresholdTest};
 use nsim::desc::tensor::Tensor;
 use nsim::drive::{Keep, Probe, Quantity, run_sample};
@@ -26,7 +26,8 @@ type Spikes = BTreeSet<(u32, u32)>;
 
 /// The spikes of a population on the fast engine, mapped onto the shipped board.
 fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIterator<Item = (u32, u32)>) -> Spikes {
-    let compiled = compile(network, &load_target("nahuku-32").unwrap(), &MapOptions::default()).unwrap();
+    let compiled =
+        compile(front(network).unwrap(), &load_target("nahuku-32").unwrap(), &MapOptions::default()).unwrap();
     let quantised = &compiled.quantised;
     let population = &quantised.populations()[quantised.population_named(population).unwrap()];
     let (first, count) = (population.first_compartment().unwrap(), population.shape.len());

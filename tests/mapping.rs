@@ -15,7 +15,7 @@ use nsim::base::rng;
 use nsim::bench::mapping::{Mapped, map_all};
 use nsim::bench::suite::cases;
 use nsim::compile::explore::traffic::traffic;
-use nsim::compile::{Compiled, Objective, Options, Strategy, compile_network_with_mapping, compile_quantised};
+use nsim::compile::{Compiled, Objective, Options, Strategy, compile, compile_saved, front};
 use nsim::desc::target::{Limits, Target};
 use nsim::io::mapping::load_mapping;
 use nsim::io::model::load_model;
@@ -77,7 +77,8 @@ fn the_saved_mapping_of_32_copies_passes_the_checker_on_32_cores() {
     let file = load_mapping(&path).unwrap();
     let network = load_model("vtsnn-slip").unwrap();
     let options = Options { copies: 32, ..Options::default() };
-    let compiled = compile_network_with_mapping(&network, &load_target("nahuku-32").unwrap(), &options, &file).unwrap();
+    let compiled =
+        compile_saved(front(&network).unwrap(), &load_target("nahuku-32").unwrap(), &options, &file).unwrap();
     assert_eq!((compiled.partition.cores(), compiled.placement.chips_used(), compiled.placed), (32, 1, "saved"));
 }
 
@@ -85,7 +86,7 @@ fn the_saved_mapping_of_32_copies_passes_the_checker_on_32_cores() {
 fn the_number_of_threads_changes_no_mapping() {
     let with = |threads: usize, network: &Quantised, target: &Target, options: &Options| -> Program {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| compile_quantised(network.clone(), target, options).unwrap().program)
+        pool.install(|| compile(network.clone(), target, options).unwrap().program)
     };
     for name in ["lenet", "small-world-1k", "scale-free-1k"] {
         let bench = cases().into_iter().find(|case| case.name == name).unwrap().build().unwrap();
@@ -186,7 +187,7 @@ fn partitions_of_small_networks_are_the_best_or_nearly() {
         let network = small(12, seed);
         let target = load_target("nahuku-32").unwrap();
         let target = target.clone().with_limits(Limits { compartments: 4, ..*target.limits() });
-        let compiled = compile_quantised(network.clone(), &target, &Options::default()).unwrap();
+        let compiled = compile(network.clone(), &target, &Options::default()).unwrap();
         assert_eq!(compiled.partition.cores(), 3);
         let core_of: Vec<usize> = compiled.partition.seats().iter().map(|seat| seat.core.0 as usize).collect();
         let (found, least) = (messages(&network, &core_of), best_partition(&network, 12, 4));
@@ -289,7 +290,7 @@ fn places_of_small_networks_are_the_best_or_nearly() {
         (chip.width, chip.height, chip.cores_per_tile, chip.cores) = (4, 3, 1, 12);
         chip.limits = Limits { compartments: 2, ..*board.limits() };
         let target = board.with_chip(chip);
-        let compiled = compile_quantised(network, &target, &Options::default()).unwrap();
+        let compiled = compile(network, &target, &Options::default()).unwrap();
         let nets = nets_of(&compiled);
         let walker = Walker { mesh: Mesh::of(&target) };
         let places: Vec<_> =

@@ -12,10 +12,10 @@ use common::random::{self, Draw};
 use common::{Net, biased, format, neuron};
 use nsim::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent};
 use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::compile::Strategy;
 use nsim::compile::frontend::prune::bound::may_fire;
 use nsim::compile::frontend::prune::{Plan, check_stimulus, prune};
-use nsim::compile::partition::Strategy;
-use nsim::compile::{Options, compile_quantised};
+use nsim::compile::{Options, compile};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::desc::target::Target;
 use nsim::drive::{Keep, digest, run_sample};
@@ -191,7 +191,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
             assert!(pruned.kept(id).is_none(), "network {seed}: what is looked at stays whole");
         }
         // The compiler checks the program against the pruned network.
-        let compiled = compile_quantised(pruned.clone(), chip, &plain()).unwrap();
+        let compiled = compile(pruned.clone(), chip, &plain()).unwrap();
         let images: Vec<Image> =
             SETTINGS.iter().map(|&(shares, _)| Image::new(&compiled.program, shares).unwrap()).collect();
         let mut machines: Vec<Machine> = (SETTINGS.iter().zip(&images))
@@ -258,7 +258,7 @@ fn recorded_touch_is_told_apart_the_same() {
     let chip = roomy();
     let samples = common::recordings(&data, &["train", "test"]);
     let digest_of = |network: &Quantised, shares, skip| {
-        let compiled = compile_quantised(network.clone(), &chip, &plain()).unwrap();
+        let compiled = compile(network.clone(), &chip, &plain()).unwrap();
         assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
         let image = Image::new(&compiled.program, shares).unwrap();
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });

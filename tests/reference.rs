@@ -13,6 +13,7 @@ use nsim::base::id::{ChannelId, CompartmentId};
 use nsim::base::rng;
 use nsim::compile::front;
 use nsim::compile::frontend::lower::lower;
+use nsim::compile::frontend::real_and_integers;
 use nsim::desc::network::{Network, NetworkFile};
 use nsim::golden::Golden;
 use nsim::ir::graph::Graph;
@@ -116,7 +117,7 @@ const WHOLE: &str = r#"Network(name: "whole", timestep_ms: 1.0, populations: [
 #[test]
 fn without_anything_to_round_it_is_the_golden_interpreter() {
     let network = network(WHOLE);
-    let (graph, quantised): (Graph, _) = front(&network).unwrap().into_both();
+    let (graph, quantised): (Graph, _) = real_and_integers(&network).unwrap();
     let model = Model::<f64>::new(&graph, Options::default());
     let (mut engine, mut golden) = (Reference::new(&model), Golden::new(&quantised));
     let mut spikes = 0;

@@ -11,7 +11,7 @@ use std::hash::{Hash, Hasher};
 
 use common::{Net, biased, engines, neuron};
 use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::compile::{Compiled, Options, compile};
+use nsim::compile::{Compiled, Options, compile, front};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::drive::{Keep, Outcome, Probe, Quantity, run_sample};
 use nsim::golden::Golden;
@@ -48,7 +48,7 @@ fn on_small_cores(model: &str) -> Compiled {
     let chip = load_target("loihi1-chip").unwrap();
     let mut limits = *chip.limits();
     limits.compartments = 5;
-    compile(&load_model(model).unwrap(), &chip.with_limits(limits), &Options::default()).unwrap()
+    compile(front(&load_model(model).unwrap()).unwrap(), &chip.with_limits(limits), &Options::default()).unwrap()
 }
 
 /// What the interpreter makes of a sample, and the steps of which it shows that they could be skipped: no input, no spike

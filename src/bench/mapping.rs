@@ -3,7 +3,7 @@
 //! Comes in: a network and how to map it. Goes out: a [`Mapped`] for each way: what it uses, how far spikes go at an
 //! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
 //! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row. A
-//! network that stays described by its kernels is not run, and its energy and time are the expected ones.
+//! network that is mapped by its kernels is not run, and its energy and time are the expected ones.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -11,8 +11,8 @@ use std::time::Instant;
 use crate::base::units::Femtojoules;
 use crate::bench::networks::Bench;
 use crate::bench::suite::{Case, STEPS};
-use crate::compile::explore::traffic::{DEFAULT_RATE, Traffic, traffic};
-use crate::compile::{CompileError, Compiled, Objective, Options, Strategy, compile_quantised, partitioned, symbolic};
+use crate::compile::explore::traffic::Traffic;
+use crate::compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Objective, Options, Strategy, explore};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{Metered, StepMeter};
@@ -86,6 +86,9 @@ pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
     (Strategy::Multilevel, Objective::Latency, &[true]),
 ];
 
+/// The ways in which a network is mapped whose synapses are not written out.
+const BY_KERNELS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
+
 /// Every way of mapping a case; `row` gets each as soon as it is there.
 ///
 /// # Errors
@@ -97,86 +100,70 @@ pub fn map_all(
     effort_s: u32,
     mut row: impl FnMut(Mapped),
 ) -> Result<(), Failure> {
-    if symbolic::applies(&bench.network, case.copies) {
-        return by_kernels(case, bench, target, effort_s, row);
-    }
-    let meant = golden(&bench.network, &bench.period);
-    let sample = bench.period.copies(case.copies, bench.network.channels());
-    for (strategy, objective, places) in WAYS {
+    let form = Form::for_network(&bench.network, case.copies);
+    let ways = match form {
+        Form::Written => &WAYS[..],
+        Form::Symbolic => &BY_KERNELS[..],
+    };
+    let rates = &Rates::assumed(DEFAULT_RATE);
+    let front = || Front::from(bench.network.clone());
+    let expected = (form == Form::Written)
+        .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
+    for &(strategy, objective, places) in ways {
         let failed = |error| Failure::Compile(case.name, strategy.name(), Box::new(error));
         let options = Options { copies: case.copies, strategy, objective, effort_s, ..Options::default() };
         reset_peak();
         let begin = Instant::now();
-        // Cores are gathered once for both ways of placing them; what is compared for time is gathered in many ways.
-        let partitioned = match objective {
-            Objective::Cores => {
-                let rates = Rates::assumed(DEFAULT_RATE);
-                Some(partitioned(bench.network.clone(), target, &options, &rates).map_err(failed)?)
+        // One partition serves both ways of placing it, where a second copy of it is no matter of gigabytes.
+        let partitioned = match (form, objective) {
+            (Form::Written, Objective::Cores) => {
+                Some(front().partition(target, &options, rates, form).map_err(failed)?)
             }
-            Objective::Energy | Objective::Latency => None,
+            _ => None,
         };
         let gathered = begin.elapsed().as_secs_f64();
         for &place in places {
-            let begin = Instant::now();
-            let compiled = match &partitioned {
-                Some(partitioned) => partitioned.placed(target, &Options { place, ..options }),
-                None => compile_quantised(bench.network.clone(), target, &Options { place, ..options }),
+            if form == Form::Symbolic {
+                reset_peak();
+            }
+            let (begin, options) = (Instant::now(), Options { place, ..options });
+            let mapping = match &partitioned {
+                Some(partitioned) => {
+                    let unchecked = partitioned.clone().place(target, &options).and_then(|p| p.emit(target, &options));
+                    unchecked.and_then(|unchecked| unchecked.check(target))
+                }
+                None => explore::map(front(), target, &options, rates),
             };
-            let compiled = compiled.map_err(failed)?;
+            let mapping = mapping.map_err(failed)?;
             let seconds = gathered + begin.elapsed().as_secs_f64();
             let peak_mib = peak_mib();
-            let (energy_uj, step_us) = simulated(case, &compiled, target, &sample, &meant)?;
+            let (cores, chips) = (mapping.partition.cores() as u32, mapping.placement.chips_used());
+            let traffic = mapping.traffic();
+            let (energy_uj, step_us) = match &expected {
+                Some((meant, sample)) => {
+                    simulated(case, &mapping.into_compiled().map_err(failed)?, target, sample, meant)?
+                }
+                None => {
+                    let score = mapping.score(&traffic, target);
+                    let score = score.map_err(|error| Failure::Run(case.name, error.to_string()))?;
+                    (score.energy_uj, score.step_us)
+                }
+            };
             row(Mapped {
                 network: case.name,
                 strategy,
                 placed: place,
                 objective,
-                cores: compiled.partition.cores() as u32,
-                chips: compiled.placement.chips_used(),
-                traffic: traffic(&compiled.program, &compiled.rates),
-                simulated: true,
+                cores,
+                chips,
+                traffic,
+                simulated: expected.is_some(),
                 energy_uj,
                 step_us,
                 seconds,
                 peak_mib,
             });
         }
-    }
-    Ok(())
-}
-
-/// The ways of mapping a network that stays symbolic: in boxes, placed and unplaced.
-fn by_kernels(
-    case: &Case,
-    bench: &Bench,
-    target: &Target,
-    effort_s: u32,
-    mut row: impl FnMut(Mapped),
-) -> Result<(), Failure> {
-    for place in [false, true] {
-        let options = Options { copies: case.copies, effort_s, place, ..Options::default() };
-        reset_peak();
-        let begin = Instant::now();
-        let strategy = options.strategy;
-        let described = symbolic::describe(bench.network.clone(), target, &options)
-            .map_err(|error| Failure::Compile(case.name, strategy.name(), Box::new(error)))?;
-        let seconds = begin.elapsed().as_secs_f64();
-        let traffic = described.traffic();
-        let score = described.score(&traffic, target).map_err(|error| Failure::Run(case.name, error.to_string()))?;
-        row(Mapped {
-            network: case.name,
-            strategy,
-            placed: place,
-            objective: options.objective,
-            cores: described.partition.cores() as u32,
-            chips: described.placement.chips_used(),
-            traffic,
-            simulated: false,
-            energy_uj: score.energy_uj,
-            step_us: score.step_us,
-            seconds,
-            peak_mib: peak_mib(),
-        });
     }
     Ok(())
 }

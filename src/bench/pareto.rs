@@ -21,7 +21,7 @@ use crate::base::fixed::{Decay, OutOfRange, Refractory, SignMode, ThresholdManti
 use crate::base::id::{ChannelId, CompartmentId};
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::quantise::quantise;
-use crate::compile::{CompileError, Options, compile_quantised};
+use crate::compile::{CompileError, Options, compile};
 use crate::cost::constants::CostTable;
 use crate::cost::meter::{Metered, StepMeter};
 use crate::cost::transport::{Transport, Ways};
@@ -306,7 +306,7 @@ impl<'a> Subject<'a> {
 
     /// A network on the machine; `samples` are what it is given.
     fn machine(&self, variant: Variant, network: &Quantised, skip: bool, merged: u32) -> Result<Row, ParetoError> {
-        let compiled = compile_quantised(network.clone(), self.target, &Options::default())?;
+        let compiled = compile(network.clone(), self.target, &Options::default())?;
         let image = Image::new(&compiled.program, 1).map_err(|e| ParetoError::Variant(e.to_string()))?;
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });
         let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
@@ -332,7 +332,7 @@ impl<'a> Subject<'a> {
 
     /// The machine with a meter that sees every step.
     fn metered(&self, variant: Variant, transport: Transport) -> Result<Row, ParetoError> {
-        let compiled = compile_quantised(self.deployed.clone(), self.target, &Options::default())?;
+        let compiled = compile(self.deployed.clone(), self.target, &Options::default())?;
         let program = &compiled.program;
         let wrong = |e: &dyn std::fmt::Display| ParetoError::Variant(e.to_string());
         let image = Image::new(program, 1).map_err(|e| wrong(&e))?;

@@ -17,7 +17,8 @@ use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::frontend::analytic::{self, Fit};
-use crate::compile::{self, CompileError, Options, symbolic};
+use crate::compile::frontend::real_and_integers;
+use crate::compile::{CompileError, Form, Options, compile};
 use crate::desc::stimulus::{InputArg, InputSource};
 use crate::error::Error;
 use crate::golden::Golden;
@@ -122,8 +123,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
-    let (graph, analytic) = compile::front(&network)?.into_both();
-    symbolic::within_reach("nsim agree", &analytic, 1)?;
+    let (graph, analytic) = real_and_integers(&network)?;
+    Form::require_written("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let against = against(args, &graph, &analytic)?;
@@ -134,7 +135,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         fits(args.conversion, &args.calibrate, wanted, &args.input, &graph, &analytic, scene, &samples)?;
     let ladder = Ladder::new(&graph, &fits)?;
     let target = io::target::load_target(&args.target)?;
-    let compiled = match compile::compile_quantised(ladder.deployed().clone(), &target, &Options::default()) {
+    let compiled = match compile(ladder.deployed().clone(), &target, &Options::default()) {
         Ok(compiled) => compiled,
         Err(CompileError::DoesNotFit(reasons)) => {
             return Refusal::new(&args.model, target, reasons).say(crate::report::agree::nothing(), context);

@@ -2,16 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::base::diagnostic::Diagnostic;
 use crate::base::id::Id;
 use crate::cli::args::inputs;
 use crate::cli::args::jobs::{self, JobArgs};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::explore::traffic::{self, Traffic};
-use crate::compile::explore::{cost_estimate, remedy};
-use crate::compile::symbolic::{self, Described};
-use crate::compile::{CompileError, Compiled, Layout, Objective, Options, Strategy};
+use crate::compile::explore::{self, remedy};
+use crate::compile::{self, CompileError, DEFAULT_RATE, Form, Objective, Options, Strategy};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::error::Error;
@@ -107,44 +104,33 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
     args.job.prune.not_with_mapping(mapping.is_some())?;
     let front = jobs::front(&args.job, &network, &[])?;
-    let described = symbolic::applies(front.quantised(), options.copies);
-    if described && !args.profile.is_empty() {
-        return Err(symbolic::needs_synapses("--profile", front.quantised(), options.copies).into());
+    let form = Form::for_network(front.quantised(), options.copies);
+    if !args.profile.is_empty() {
+        Form::require_written("--profile", front.quantised(), options.copies)?;
     }
     let (compiled, pruned) = match mapping.as_ref() {
-        Some(file) if described => {
-            let mapped = symbolic::describe_saved(front.into_quantised(), &target, &options, file);
-            (mapped.map_err(|error| args.job.of_mapping(error)).map(Mapped::described), None)
-        }
         Some(file) => {
-            let compiled = front.map_saved(&target, &options, file).map_err(|error| args.job.of_mapping(error));
-            let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
-            (compiled.map(Mapped::written), pruned)
+            let mapped = compile::load(front, &target, &options, file, form);
+            let mapped = mapped.map_err(|error| args.job.of_mapping(error));
+            let pruned = mapped.as_ref().ok().and_then(|mapped| mapped.one.pruned().cloned());
+            (mapped, pruned)
         }
         None => {
-            let pruned = front.quantised().pruned().cloned();
-            let rates = match args.profile.as_slice() {
-                [] => Rates::assumed(traffic::DEFAULT_RATE),
-                inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
-            };
             let one = front.quantised().clone();
-            if args.pareto.is_some() {
-                let found = match described {
-                    true => symbolic::candidates(one.clone(), &target, &options),
-                    false => front.candidates(&target, &options, &rates),
-                };
-                candidates = found.unwrap_or_default();
-            }
-            let compiled = match described {
-                true => symbolic::describe(one.clone(), &target, &options).map(Mapped::described),
-                false => front.map_for(&target, &options, &rates).map(Mapped::written),
+            let rates = match args.profile.as_slice() {
+                [] => Rates::assumed(DEFAULT_RATE),
+                inputs => profile(&one, inputs, network.file().scene.as_deref())?,
             };
-            if let Err(CompileError::DoesNotFit(_)) = &compiled
-                && !described
+            if args.pareto.is_some() {
+                candidates = explore::candidates(&front, &target, &options, &rates).unwrap_or_default();
+            }
+            let mapped = explore::map(front, &target, &options, &rates);
+            if let Err(CompileError::DoesNotFit(_)) = &mapped
+                && form == Form::Written
             {
                 remedies = remedy::remedies(&one, &target, &options, &larger(&target)?);
             }
-            (compiled, pruned)
+            (mapped, one.pruned().cloned())
         }
     };
     let mapped = match compiled {
@@ -158,7 +144,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let outcome = match &mapped {
         Ok(mapped) => {
             let traffic = mapped.traffic();
-            Outcome::Fits(mapped.layout(), traffic, mapped.score(&traffic, &target)?)
+            Outcome::Fits(mapped, traffic, mapped.score(&traffic, &target)?)
         }
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
@@ -177,64 +163,13 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
             io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
         }
         if let Some(path) = &args.svg {
-            io::write::text(path, context.force, &board::svg(mapped.layout(), &target, &mapped.links()))?;
+            io::write::text(path, context.force, &board::svg(mapped, &target, &mapped.links()))?;
         }
         if let Some(path) = &args.pareto {
             io::write::text(path, context.force, &report::pareto_svg(model, &candidates))?;
         }
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
-}
-
-/// A mapping with its program, or of a network that is too large for one.
-enum Mapped {
-    Written(Box<Compiled>),
-    Described(Box<Described>),
-}
-
-impl Mapped {
-    fn written(compiled: Compiled) -> Self {
-        Mapped::Written(Box::new(compiled))
-    }
-
-    fn described(described: Described) -> Self {
-        Mapped::Described(Box::new(described))
-    }
-
-    fn mapping_file(&self) -> MappingFile {
-        match self {
-            Mapped::Written(compiled) => compiled.mapping_file(),
-            Mapped::Described(described) => described.mapping_file(),
-        }
-    }
-
-    fn layout(&self) -> Layout<'_> {
-        match self {
-            Mapped::Written(compiled) => compiled.layout(),
-            Mapped::Described(described) => described.layout(),
-        }
-    }
-
-    fn traffic(&self) -> Traffic {
-        match self {
-            Mapped::Written(compiled) => traffic::traffic(&compiled.program, &compiled.rates),
-            Mapped::Described(described) => described.traffic(),
-        }
-    }
-
-    fn links(&self) -> traffic::Links {
-        match self {
-            Mapped::Written(compiled) => traffic::links(&compiled.program, &compiled.rates),
-            Mapped::Described(described) => described.links(),
-        }
-    }
-
-    fn score(&self, traffic: &Traffic, target: &Target) -> Result<cost_estimate::Score, Diagnostic> {
-        match self {
-            Mapped::Written(compiled) => cost_estimate::score_with(compiled, &compiled.rates, traffic, target),
-            Mapped::Described(described) => described.score(traffic, target),
-        }
-    }
 }
 
 /// Samples of a profile run at most.
@@ -293,7 +228,7 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::compile::compile_quantised;
+    use crate::compile::compile;
     use crate::compile::testing::{limits, slip, target};
 
     #[derive(Parser)]
@@ -324,7 +259,7 @@ mod tests {
     #[test]
     fn a_mapping_brings_its_copies() {
         let made = Options { copies: 2, seed: 9, ..Options::default() };
-        let compiled = compile_quantised(slip(20), &target(1, 1, limits()), &made).unwrap();
+        let compiled = compile(slip(20), &target(1, 1, limits()), &made).unwrap();
         let file = compiled.mapping_file();
         assert_eq!(options(&typed(&[]).unwrap(), Some(&file)), made);
         assert_eq!(options(&typed(&["--copies", "3"]).unwrap(), Some(&file)).copies, 3);

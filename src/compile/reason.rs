@@ -1,16 +1,13 @@
-//! Why a network does not fit its target, in words that say what to change.
+//! Why a network does not fit its target, and what to change.
 //!
-//! In comes what a population, a core or the whole network needs of a resource and what there is; out goes a [`Reason`].
+//! Input: what a population, a core or the whole network needs of a resource, and the limit. Output: a [`Reason`].
 
 use std::fmt;
 
-use crate::base::id::CoreId;
+use crate::base::id::{CoreId, PopulationId};
 use crate::desc::target::{Limits, Target};
 use crate::ir::partition::Resource;
-
-/// Boards that this project ships, ascending, with their cores of 128 a chip (Davies et al. 2018; Davies et al. 2021 for the boards).
-const BOARDS: [(&str, u64); 4] =
-    [("loihi1-chip", 128), ("kapoho-bay", 256), ("nahuku-32", 4_096), ("pohoiki-springs", 98_304)];
+use crate::ir::quantised::Quantised;
 
 /// One reason why a network does not fit.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -85,13 +82,17 @@ fn code(resource: Resource) -> &'static str {
     }
 }
 
-/// What to do about a compartment that no core can hold.
-fn advice(resource: Resource) -> &'static str {
+/// What to do about a compartment that no core can hold; `from_inputs` when input channels reach it.
+fn advice(resource: Resource, from_inputs: bool) -> &'static str {
     match resource {
+        Resource::AxonsIn if from_inputs => {
+            "every input channel that reaches a core takes one input axon there: merge polarities (halves the channels), \
+             prune inputs that never fire, pool more before this population, or split the fan-in over intermediate \
+             populations"
+        }
         Resource::AxonsIn => {
-            "every input channel that reaches a core takes one input axon there: merge polarities (halves the channels; \
-             the VT-SNN paper did so for Loihi), prune inputs that the scene never fires, pool more before this \
-             population, or split the fan-in over intermediate populations"
+            "every compartment that reaches a core takes one input axon there: pool more before this population, or \
+             split the fan-in over intermediate populations"
         }
         Resource::AxonsOut | Resource::AxonsOutPerCompartment => {
             "a spike takes one output axon for each core that it reaches (more slots when that core is on another chip): \
@@ -115,41 +116,30 @@ fn advice(resource: Resource) -> &'static str {
 }
 
 impl Reason {
+    fn new(resource: Resource, need: u64, limit: u64, help: String) -> Self {
+        Reason { code: code(resource), population: None, core: None, resource, need, limit, help }
+    }
+
     /// A compartment of a population needs more than any core has.
     #[must_use]
-    pub fn of_population(population: &str, resource: Resource, need: u64, limit: u64) -> Self {
-        let help = advice(resource).to_string();
-        Reason {
-            code: code(resource),
-            population: Some(population.to_string()),
-            core: None,
-            resource,
-            need,
-            limit,
-            help,
-        }
+    pub fn of_population(network: &Quantised, id: PopulationId, resource: Resource, need: u64, limit: u64) -> Self {
+        let is_input = |source: PopulationId| network.populations()[source].first_channel().is_some();
+        let from_inputs = network.projections().iter().any(|p| p.target == id && is_input(p.source));
+        let population = Some(network.populations()[id].name.clone());
+        Reason { population, ..Reason::new(resource, need, limit, advice(resource, from_inputs).to_string()) }
     }
 
     /// A core of a given membership needs more than it has.
     #[must_use]
     pub fn of_core(core: CoreId, resource: Resource, need: u64, limit: u64) -> Self {
-        let help = format!("{}; or let nsim make a new mapping", advice(Resource::Compartments));
-        Reason { code: code(resource), population: None, core: Some(core), resource, need, limit, help }
+        let help = format!("{}; or let nsim make a new mapping", advice(Resource::Compartments, false));
+        Reason { core: Some(core), ..Reason::new(resource, need, limit, help) }
     }
 
     /// More cores are needed than the target has.
     #[must_use]
     pub fn of_cores(target: &Target, copies: u32, need: u64) -> Self {
-        let limit = u64::from(target.cores());
-        Reason {
-            code: code(Resource::Cores),
-            population: None,
-            core: None,
-            resource: Resource::Cores,
-            need,
-            limit,
-            help: larger(copies, need, limit),
-        }
+        Reason::new(Resource::Cores, need, u64::from(target.cores()), larger(copies, need))
     }
 
     /// More compartments are needed than the whole target has.
@@ -157,38 +147,11 @@ impl Reason {
     pub fn of_compartments(target: &Target, limits: &Limits, copies: u32, need: u64) -> Self {
         let limit = u64::from(target.cores()) * u64::from(limits.compartments);
         let cores = need.div_ceil(u64::from(limits.compartments));
-        Reason {
-            code: code(Resource::Compartments),
-            population: None,
-            core: None,
-            resource: Resource::Compartments,
-            need,
-            limit,
-            help: larger(copies, cores, u64::from(target.cores())),
-        }
+        Reason::new(Resource::Compartments, need, limit, larger(copies, cores))
     }
 }
 
-fn larger(copies: u32, need: u64, limit: u64) -> String {
-    let board = match BOARDS.iter().find(|(_, cores)| *cores >= need && *cores > limit) {
-        Some((name, cores)) => format!("choose a larger target, for example {name} ({cores} cores of a Loihi chip)"),
-        None => "no shipped target is large enough".to_string(),
-    };
-    if copies > 1 {
-        format!("{board}, or map fewer than {copies} copies")
-    } else {
-        format!("{board}, or a smaller network")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_boards_that_are_recommended_are_shipped_with_so_many_cores() {
-        for (name, cores) in BOARDS {
-            assert_eq!(u64::from(crate::io::target::load_target(name).unwrap().cores()), cores, "{name}");
-        }
-    }
+fn larger(copies: u32, cores: u64) -> String {
+    let other = if copies > 1 { format!("map fewer than {copies} copies") } else { "a smaller network".to_string() };
+    format!("choose a target with at least {cores} cores, or {other}")
 }

@@ -155,12 +155,20 @@ impl Partition {
     ) -> Result<Self, PartitionError> {
         assert_eq!(members.len(), usage.len(), "one usage for each core");
         let seats = seats(compartments, &members)?;
-        for (core, used) in usage.enumerate() {
+        Partition { members, seats, usage }.within(limits)
+    }
+
+    /// The same within other limits.
+    ///
+    /// # Errors
+    /// [`PartitionError::Excess`] when a core exceeds one.
+    pub fn within(self, limits: &Limits) -> Result<Self, PartitionError> {
+        for (core, used) in self.usage.enumerate() {
             if let Some((resource, need, limit)) = used.excesses(limits).next() {
                 return Err(PartitionError::Excess { core, resource, need, limit });
             }
         }
-        Ok(Partition { members, seats, usage })
+        Ok(self)
     }
 
     /// Number of cores.

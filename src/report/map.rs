@@ -13,8 +13,8 @@ use super::text::{count, wrapped};
 use crate::compile::explore::cost_estimate::Score;
 use crate::compile::explore::remedy::Remedy;
 use crate::compile::explore::search::{Found, front};
-use crate::compile::explore::traffic::{DEFAULT_RATE, Traffic};
-use crate::compile::{Layout, Options, Reason, place};
+use crate::compile::explore::traffic::Traffic;
+use crate::compile::{DEFAULT_RATE, Form, Mapping, Options, Reason, place};
 use crate::cost::deployment::Deployment;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
@@ -45,7 +45,7 @@ pub struct Question<'a> {
 #[derive(Debug, Clone, Copy)]
 pub enum Outcome<'a> {
     /// It fits.
-    Fits(Layout<'a>, Traffic, Score),
+    Fits(&'a Mapping, Traffic, Score),
     /// It does not, for all of these reasons.
     DoesNotFit(&'a [Reason]),
 }
@@ -69,6 +69,8 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "chips_used": null,
         "cores_per_copy": null,
         "checked": false,
+        "checked_how": null,
+        "checked_share": null,
         "described": false,
         "cores": [],
         "limits": target.limits(),
@@ -87,7 +89,9 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
             object["chips_used"] = compiled.placement.chips_used().into();
             object["cores_per_copy"] = cores_per_copy(compiled).into();
             object["checked"] = true.into();
-            object["described"] = (!compiled.written).into();
+            object["described"] = (compiled.form() == Form::Symbolic).into();
+            object["checked_how"] = compiled.checked.how.into();
+            object["checked_share"] = compiled.checked.share.into();
             object["cores"] = rows(compiled).map(|row| row.json()).collect();
             object["traffic"] = json!(traffic);
             object["expected"] = json!(score);
@@ -227,7 +231,7 @@ fn pruned_table(rows: &[PrunedRow]) -> String {
     table.trim_fmt() + "\n"
 }
 
-fn cores_per_copy(compiled: Layout<'_>) -> f64 {
+fn cores_per_copy(compiled: &Mapping) -> f64 {
     compiled.partition.cores() as f64 / f64::from(compiled.options.copies)
 }
 
@@ -268,7 +272,7 @@ impl Row {
     }
 }
 
-fn rows(compiled: Layout<'_>) -> impl Iterator<Item = Row> {
+fn rows(compiled: &Mapping) -> impl Iterator<Item = Row> {
     compiled.partition.usage().enumerate().map(|(core, used)| {
         let site = compiled.placement.site(core);
         Row {
@@ -348,9 +352,9 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 count(cores as u64, "core"),
                 count(chips, "chip"),
                 cores_per_copy(compiled),
-                match compiled.written {
-                    true => "checked against its network",
-                    false => "counted from its kernels; a core of each kind checked against its synapses",
+                match compiled.form() {
+                    Form::Written => "checked against its network",
+                    Form::Symbolic => "counted from its kernels; a core of each kind checked against its synapses",
                 }
             );
             let _ = writeln!(
@@ -399,7 +403,7 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
 }
 
 /// A table of every core's use of its resources, in numbers and in hundredths of what there is.
-fn table(compiled: Layout<'_>, target: &Target) -> String {
+fn table(compiled: &Mapping, target: &Target) -> String {
     let limits = target.limits();
     let resources = [
         (Resource::Compartments, "compartments"),
@@ -455,13 +459,12 @@ fn table(compiled: Layout<'_>, target: &Target) -> String {
 mod tests {
     use super::*;
     use crate::base::diagnostic::SourceText;
-    use crate::compile::explore::cost_estimate::score;
-    use crate::compile::explore::traffic::traffic;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::{CompileError, compile, compile_quantised};
+    use crate::compile::{CompileError, compile, explore, front as integers};
     use crate::desc::target::Limits;
+    use crate::ir::quantised::Quantised;
 
-    const KEYS: [&str; 23] = [
+    const KEYS: [&str; 25] = [
         "schema",
         "model",
         "target",
@@ -476,6 +479,8 @@ mod tests {
         "chips_used",
         "cores_per_copy",
         "checked",
+        "checked_how",
+        "checked_share",
         "described",
         "cores",
         "limits",
@@ -487,8 +492,13 @@ mod tests {
         "pareto",
     ];
 
-    fn fits_with<'a>(compiled: &'a crate::compile::Compiled, board: &Target) -> Outcome<'a> {
-        Outcome::Fits(compiled.layout(), traffic(&compiled.program, &compiled.rates), score(compiled, board).unwrap())
+    fn fits_with<'a>(mapping: &'a Mapping, board: &Target) -> Outcome<'a> {
+        let traffic = mapping.traffic();
+        Outcome::Fits(mapping, traffic, mapping.score(&traffic, board).unwrap())
+    }
+
+    fn mapped(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
+        explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE))
     }
 
     fn keys(value: &Value) -> Vec<&str> {
@@ -500,7 +510,7 @@ mod tests {
         let options = Options { copies: 3, ..Options::default() };
         let board = target(2, 1, limits());
         let question = Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[] };
-        let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
+        let compiled = mapped(slip(3150), &board, &options).unwrap();
         let outcome = fits_with(&compiled, &board);
         let fits = json(question, outcome);
         assert_eq!(keys(&fits), KEYS);
@@ -508,6 +518,7 @@ mod tests {
             (&fits["fits"], &fits["checked"], &fits["cores_per_copy"]),
             (&json!(true), &json!(true), &json!(1.0))
         );
+        assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("whole"), &json!(1.0)));
         let core = json!({
             "core": 2, "chip": 0, "x": 0, "y": 0, "compartments": 62, "axons_in": 3366, "axons_out": 60,
             "synapses": 39_420, "synapse_words": 7_452,
@@ -530,7 +541,7 @@ mod tests {
 
         let small = target(1, 1, Limits { axons_in: 1000, ..limits() });
         let question = Question { target: &small, ..question };
-        let Err(CompileError::DoesNotFit(reasons)) = compile_quantised(slip(3150), &small, &options) else { panic!() };
+        let Err(CompileError::DoesNotFit(reasons)) = mapped(slip(3150), &small, &options) else { panic!() };
         let refused = json(question, Outcome::DoesNotFit(&reasons));
         assert_eq!(keys(&refused), KEYS);
         assert_eq!((&refused["fits"], &refused["cores_used"]), (&json!(false), &Value::Null));
@@ -549,7 +560,7 @@ mod tests {
     fn a_long_table_is_shortened() {
         let board = target(1, 1, Limits { compartments: 1, ..limits() });
         let options = Options::default();
-        let compiled = compile_quantised(slip(100), &board, &options).unwrap();
+        let compiled = mapped(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);
         let question = Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[] };
         let spoken = text(question, fits_with(&compiled, &board));
@@ -563,7 +574,7 @@ mod tests {
             projections: [Dense(from: ["in"], to: "o", weights: [[2, 2, 2, 2], [4, 4, 4, 4]])], output: "o")"#;
         let network =
             crate::io::model::network(SourceText::new("x.ron", model), crate::io::shipped::Origin::File).unwrap();
-        let compiled = compile(&network, &target(1, 1, limits()), &Options::default()).unwrap();
+        let compiled = compile(integers(&network).unwrap(), &target(1, 1, limits()), &Options::default()).unwrap();
         let stages: Vec<&str> = compiled.seconds.iter().map(|&(stage, _)| stage).collect();
         let all = ["lower", "quantise", "bounds", "copies", "partition", "place", "route", "verify", "check"];
         assert_eq!(stages, all);

@@ -11,7 +11,7 @@ use crate::base::fixed::{
 };
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
-use crate::compile::{CompileError, Options, compile_quantised};
+use crate::compile::{CompileError, Options, compile};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::target::Target;
 use crate::golden::Golden;
@@ -130,7 +130,7 @@ impl Plan {
         (limits.compartment_profiles, limits.threshold_profiles) = (1024, 1024);
         // The greatest fan-in needs more words than one of the largest cores has.
         limits.synapse_words = limits.synapse_words.max(1 << 16);
-        let compiled = compile_quantised(network.clone(), &target.clone().with_limits(limits), &Options::default())?;
+        let compiled = compile(network.clone(), &target.clone().with_limits(limits), &Options::default())?;
         Ok((network, compiled.program))
     }
 

@@ -15,7 +15,7 @@ use nsim::base::fixed::{
     WeightBits, WeightExponent,
 };
 use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
-use nsim::compile::{Options, compile_quantised};
+use nsim::compile::{Options, compile};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::golden::Golden;
 use nsim::io::spikes::read_source;
@@ -35,7 +35,7 @@ pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     let mut limits = *chip.limits();
     (limits.compartment_profiles, limits.threshold_profiles, limits.synapse_formats) = (1024, 1024, 64);
     (limits.accumulators, limits.axons_in) = (1 << 16, 1 << 16);
-    let compiled = compile_quantised(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
+    let compiled = compile(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
     // A test's engines live as long as the test.
     let program: &'static Program = Box::leak(Box::new(compiled.program));
     let image: &'static Image = Box::leak(Box::new(Image::new(program, 1).unwrap()));

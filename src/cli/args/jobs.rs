@@ -8,7 +8,8 @@ use crate::base::id::PopulationId;
 use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
-use crate::compile::{self, CompileError, Compiled, Options, Reason, mapping_file, symbolic};
+use crate::compile::frontend::real_and_integers;
+use crate::compile::{self, CompileError, Compiled, Form, Options, Reason, mapping_file};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
 use crate::desc::target::Target;
@@ -235,12 +236,12 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
             let message = "--engine reference runs the whole network in real numbers, without --mapping or --prune";
             return Err(Error::Usage(message.to_string()));
         }
-        let (graph, quantised) = compile::front(&network)?.into_both();
+        let (graph, quantised) = real_and_integers(&network)?;
         return Ok(Prepared::Ready(Job::Real(Box::new(graph), Box::new(quantised), scene)));
     }
     if wanted == Wanted::Quantised {
         let quantised = front(args, &network, probed)?.into_quantised();
-        symbolic::within_reach("--engine golden", &quantised, 1)?;
+        Form::require_written("--engine golden", &quantised, 1)?;
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
     }
@@ -292,7 +293,7 @@ pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compi
     let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
         Some(plan) => {
-            symbolic::within_reach("--prune", front.quantised(), 1)?;
+            Form::require_written("--prune", front.quantised(), 1)?;
             front.prune(&plan)?
         }
         None => front,
@@ -317,11 +318,11 @@ pub fn compiled(
     args.prune.not_with_mapping(mapping.is_some())?;
     let front = front(args, network, probed)?;
     let Some(file) = mapping else {
-        symbolic::within_reach("running it on cores", front.quantised(), options.copies)?;
+        Form::require_written("running it on cores", front.quantised(), options.copies)?;
         let pruned = front.quantised().pruned().cloned();
-        return Ok((front.map(target, options), pruned));
+        return Ok((compile::compile(front, target, options), pruned));
     };
-    let compiled = front.map_saved(target, options, file).map_err(|error| args.of_mapping(error));
+    let compiled = compile::compile_saved(front, target, options, file).map_err(|error| args.of_mapping(error));
     let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
     Ok((compiled, pruned))
 }

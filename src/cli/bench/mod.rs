@@ -15,7 +15,7 @@ use crate::bench::{Budget, Environment, mapping, measure};
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::{CompileError, Options, compile_quantised};
+use crate::compile::{CompileError, Options, compile};
 use crate::error::Error;
 use crate::io;
 use crate::ir::program::Program;
@@ -235,7 +235,7 @@ fn step_rows(
 
 fn map(standard: Standard, network: Quantised, target: &str) -> Result<Program, Error> {
     let target = io::target::load_target(target)?;
-    let compiled = compile_quantised(network, &target, &Options::default()).map_err(|error| match error {
+    let compiled = compile(network, &target, &Options::default()).map_err(|error| match error {
         CompileError::Input(diagnostic) => diagnostic.into(),
         other => fault(standard, &other),
     })?;

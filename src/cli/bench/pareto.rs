@@ -12,7 +12,8 @@ use crate::cli::args::inputs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::{self, symbolic};
+use crate::compile::Form;
+use crate::compile::frontend::real_and_integers;
 use crate::error::Error;
 use crate::io;
 use crate::report::bench::pareto::ParetoReport;
@@ -76,8 +77,8 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     }
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
-    let (graph, analytic) = compile::front(&network)?.into_both();
-    symbolic::within_reach("nsim bench pareto", &analytic, 1)?;
+    let (graph, analytic) = real_and_integers(&network)?;
+    Form::require_written("nsim bench pareto", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();

@@ -54,24 +54,24 @@ pub enum Difference {
     },
 }
 
-/// One synapse as either side tells it, in one number, so that sorting is quick: target (27 bits), exponent (5), sign mode
+/// One synapse as both sides encode it, in one number, so that sorting is quick: target (27 bits), exponent (5), sign mode
 /// (2), bits (4), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Told(u64);
+pub(super) struct SynapseCode(u64);
 
-impl Told {
-    fn new(target: CompartmentId, format: SynapseFormat, weight: i16, delay: Delay) -> Self {
+impl SynapseCode {
+    pub(super) fn new(target: CompartmentId, format: SynapseFormat, weight: i16, delay: Delay) -> Self {
         let sign = match format.sign {
             SignMode::Mixed => 0,
             SignMode::Excitatory => 1,
             SignMode::Inhibitory => 2,
         };
-        let mut told = u64::from(target.0);
-        told = told << 5 | u64::from((format.exponent.get() + 16) as u8);
-        told = told << 2 | sign;
-        told = told << 4 | u64::from(format.bits.get());
-        told = told << 6 | u64::from(delay.get());
-        Told(told << 10 | u64::from((weight + 512) as u16 & 1023))
+        let mut code = u64::from(target.0);
+        code = code << 5 | u64::from((format.exponent.get() + 16) as u8);
+        code = code << 2 | sign;
+        code = code << 4 | u64::from(format.bits.get());
+        code = code << 6 | u64::from(delay.get());
+        SynapseCode(code << 10 | u64::from((weight + 512) as u16 & 1023))
     }
 }
 
@@ -112,17 +112,17 @@ pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
 }
 
 fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
-    let (meant, told) = (network.parts(), program.parts());
+    let (meant, found) = (network.parts(), program.parts());
     let populations = network.populations().iter().map(|p| p.first_compartment().map(|first| (first, p.shape.len())));
     let rules = [
         (program.channels() == network.channels(), "number of input channels"),
         (program.compartments() == network.compartments(), "number of compartments"),
-        (told.populations.iter().copied().eq(populations), "list of populations"),
+        (found.populations.iter().copied().eq(populations), "list of populations"),
         (network.populations().iter().all(|p| carries_the_same(network, p, program)), "payload of a population"),
-        (told.output == meant.output, "output population"),
-        (told.semantics == meant.semantics, "semantics"),
-        (told.threshold == meant.threshold, "threshold test"),
-        (told.reset == meant.reset, "reset"),
+        (found.output == meant.output, "output population"),
+        (found.semantics == meant.semantics, "semantics"),
+        (found.threshold == meant.threshold, "threshold test"),
+        (found.reset == meant.reset, "reset"),
     ];
     match rules.into_iter().find(|(holds, _)| !holds) {
         Some((_, what)) => Err(Difference::Frame(what)),
@@ -148,11 +148,11 @@ fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Differ
             let id = CompartmentId(first.0 + index);
             let meant = Compartment { neuron: neurons.get(index), start_step: *start_step };
             let seat = program.seats()[id];
-            let told = program.cores().get(seat.core).and_then(|image| {
+            let found = program.cores().get(seat.core).and_then(|image| {
                 let slot = usize::from(seat.slot);
                 (image.ids.get(slot) == Some(&id)).then(|| image.compartments.get(slot))?
             });
-            if told != Some(&meant) {
+            if found != Some(&meant) {
                 return Err(Difference::Parameters(id));
             }
         }
@@ -185,12 +185,12 @@ struct Decoder {
     /// (core, axon, source within the piece) by range of cores.
     messages: Vec<Vec<(AxonTarget, u16)>>,
     /// Every synapse with its source.
-    told: Vec<(u16, Told)>,
+    synapses: Vec<(u16, SynapseCode)>,
     /// Where each source's synapses begin among the decoded, and one more.
     first: Vec<usize>,
-    decoded: Vec<Told>,
+    decoded: Vec<SynapseCode>,
     /// R(s) of one source.
-    meant: Vec<Told>,
+    meant: Vec<SynapseCode>,
 }
 
 impl Decoder {
@@ -201,30 +201,30 @@ impl Decoder {
                 self.messages[message.core.index() / NEIGHBOURS].push((*message, source));
             }
         }
-        self.told.clear();
+        self.synapses.clear();
         self.first.clear();
         self.first.resize(sources.len() + 1, 0);
         for (message, source) in self.messages.iter_mut().flat_map(|messages| messages.drain(..)) {
             let image = &program.cores()[message.core];
             let list = image.inputs.get(usize::from(message.axon)).synapses();
             self.first[usize::from(source) + 1] += list.len();
-            self.told.extend(list.map(|synapse| {
+            self.synapses.extend(list.map(|synapse| {
                 let format = image.formats[usize::from(synapse.format)].synapse;
-                (source, Told::new(image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay))
+                (source, SynapseCode::new(image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay))
             }));
         }
         for source in 0..sources.len() {
             self.first[source + 1] += self.first[source];
         }
         self.decoded.clear();
-        self.decoded.resize(self.told.len(), Told(0));
-        for &(source, told) in self.told.iter().rev() {
+        self.decoded.resize(self.synapses.len(), SynapseCode(0));
+        for &(source, code) in self.synapses.iter().rev() {
             // Ends move to beginnings.
             let place = &mut self.first[usize::from(source) + 1];
             *place -= 1;
-            self.decoded[*place] = told;
+            self.decoded[*place] = code;
         }
-        self.first.push(self.told.len());
+        self.first.push(self.synapses.len());
         self.first.remove(0);
         for source in 0..sources.len() as u32 {
             let range = self.of_source(source);
@@ -239,12 +239,12 @@ impl Decoder {
 }
 
 /// R(s): what the network says.
-fn mean(network: &Quantised, outgoing: &[&Projection], index: u32, meant: &mut Vec<Told>) {
+fn mean(network: &Quantised, outgoing: &[&Projection], index: u32, meant: &mut Vec<SynapseCode>) {
     meant.clear();
     for projection in outgoing {
         let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
         projection.connectivity.for_each_from(index, |target, weight| {
-            meant.push(Told::new(CompartmentId(first.0 + target), projection.format, weight, projection.delay));
+            meant.push(SynapseCode::new(CompartmentId(first.0 + target), projection.format, weight, projection.delay));
         });
     }
     meant.sort_unstable();

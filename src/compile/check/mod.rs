@@ -1,4 +1,5 @@
-//! Proof that a program keeps its limits and equals its network.
+//! Proof that a mapping keeps its limits and equals its network, by code that shares nothing with what made it.
 
 pub mod equivalence;
+pub mod sampled;
 pub mod verify;

@@ -245,6 +245,27 @@ fn verify_core(
     for (slot, messages) in image.axons_out.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
     }
+    let mut usage = verify_tables(core, image, limits)?;
+    let slots = |message: &AxonTarget| {
+        if program.cores()[message.core].site.chip == image.site.chip {
+            limits.axon_out_slots
+        } else {
+            limits.axon_out_slots_off_chip
+        }
+    };
+    usage.axons_out = image.axons_out.items().iter().map(slots).sum();
+    usage.axons_out_per_compartment = image.axons_out.iter().map(|list| list.len() as u32).max().unwrap_or(0);
+    match usage.excesses(limits).next() {
+        Some((resource, need, limit)) => Err(Violation::Excess { core, resource, need, limit }),
+        None => Ok(()),
+    }
+}
+
+/// Checks the rules for a core's own tables; returns what they use, output axons left out.
+///
+/// # Errors
+/// The first [`Violation`].
+pub(super) fn verify_tables(core: CoreId, image: &CoreImage, limits: &Limits) -> Result<CoreUsage, Violation> {
     let in_table = verify_populations(core, &image.inputs)?;
     let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::of(image.compartments.len() as u32, longest, limits.packing);
@@ -285,12 +306,7 @@ fn verify_core(
     if let Some(format) = used.iter().position(|&used| !used) {
         return Err(Violation::Format { core, format, what: "is not used" });
     }
-    let words = words_of(&image.inputs, &of_lists, &in_table);
-    let usage = usage_of(program, image, limits, longest, words);
-    match usage.excesses(limits).next() {
-        Some((resource, need, limit)) => Err(Violation::Excess { core, resource, need, limit }),
-        None => Ok(()),
-    }
+    Ok(usage_of(image, longest, words_of(&image.inputs, &of_lists, &in_table)))
 }
 
 fn verify_formats(core: CoreId, image: &CoreImage, widths: Widths) -> Result<(), Violation> {
@@ -345,29 +361,14 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
     }
 }
 
-fn usage_of(
-    program: &Program,
-    image: &CoreImage,
-    limits: &Limits,
-    longest: Delay,
-    (words, widest): (u64, u32),
-) -> CoreUsage {
+fn usage_of(image: &CoreImage, longest: Delay, (words, widest): (u64, u32)) -> CoreUsage {
     let compartments = image.compartments.len() as u32;
-    let slots = |message: &AxonTarget| {
-        if program.cores()[message.core].site.chip == image.site.chip {
-            limits.axon_out_slots
-        } else {
-            limits.axon_out_slots_off_chip
-        }
-    };
     let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
     let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u32;
     CoreUsage {
         compartments,
         axons_in,
-        axons_out: image.axons_out.items().iter().map(slots).sum(),
-        axons_out_per_compartment: image.axons_out.iter().map(|list| list.len() as u32).max().unwrap_or(0),
         synapses: image.inputs.count(),
         synapse_words: words,
         synapse_words_per_axon: widest,
@@ -375,5 +376,6 @@ fn usage_of(
         compartment_profiles: profiles.len() as u32,
         threshold_profiles: thresholds.len() as u32,
         accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
+        ..CoreUsage::default()
     }
 }

@@ -309,7 +309,7 @@ fn decode_list(
 mod tests {
     use super::*;
     use crate::compile::testing::{limits, random_network, slip, target};
-    use crate::compile::{Compiled, Options, compile_quantised};
+    use crate::compile::{Compiled, Options, compile};
 
     /// Encodes and decodes every core of a program; returns how many of its formats have runs.
     fn proved(compiled: &Compiled, limits: &Limits, what: &str) -> usize {
@@ -330,19 +330,19 @@ mod tests {
         for seed in 0..120 {
             let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
             let limits = Limits { packing, synapse_words_per_axon: 256, ..limits() };
-            let compiled = compile_quantised(random_network(seed), &target(2, 2, limits), &Options::default());
+            let compiled = compile(random_network(seed), &target(2, 2, limits), &Options::default());
             if let Ok(compiled) = compiled {
                 runs += proved(&compiled, &limits, &format!("seed {seed}"));
             }
         }
         assert!(runs > 10, "{runs} formats with runs");
-        let compiled = compile_quantised(slip(3150), &target(1, 1, limits()), &Options::default()).unwrap();
+        let compiled = compile(slip(3150), &target(1, 1, limits()), &Options::default()).unwrap();
         proved(&compiled, &limits(), "slip");
     }
 
     #[test]
     fn a_changed_word_is_another_synapse() {
-        let compiled = compile_quantised(slip(50), &target(1, 1, limits()), &Options::default()).unwrap();
+        let compiled = compile(slip(50), &target(1, 1, limits()), &Options::default()).unwrap();
         let image = &compiled.program.cores().as_slice()[0];
         let good = encode(image, &limits());
         let meant = decode(&good, image, &limits());

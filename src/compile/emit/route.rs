@@ -45,23 +45,10 @@ pub fn route(
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
-    let (formats, places) = (Formats::of(network), Places::of(network));
+    let tables = Tables::new(network, partition, placement, limits);
     let longest = longest_delays(network, partition.seats(), partition.cores());
-    let written = by_core::by_core(network, &formats, partition.seats(), partition.cores(), |core, keys| {
-        let held = &partition.members()[core];
-        let widths = Widths::of(held.len() as u32, longest[core], limits.packing);
-        let tallies = Tallies::of(keys, &formats, widths, limits, &places);
-        let (formats, inputs, sources) = write_lists(keys, &formats, widths, &tallies, limits)
-            .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
-        let image = CoreImage {
-            site: placement.site(core),
-            compartments: compartments(network, held),
-            ids: held.clone(),
-            formats,
-            inputs,
-            axons_out: Lists::default(),
-        };
-        Ok::<_, String>((image, sources))
+    let written = by_core::by_core(network, &tables.formats, partition.seats(), partition.cores(), |core, keys| {
+        tables.image(core, keys, longest[core])
     });
     let (mut cores, mut sources) = (Vec::with_capacity(written.len()), Vec::with_capacity(written.len()));
     for core in written {
@@ -112,6 +99,46 @@ fn graded(network: &Quantised) -> Vec<Graded> {
     let mut graded: Vec<Graded> = network.populations().iter().filter_map(of).collect();
     graded.sort_unstable_by_key(|graded| graded.sources.start);
     graded
+}
+
+/// What the tables of every core are written from.
+pub(super) struct Tables<'a> {
+    network: &'a Quantised,
+    partition: &'a Partition,
+    placement: &'a Placement,
+    limits: &'a Limits,
+    pub(super) formats: Formats,
+    places: Places,
+}
+
+impl<'a> Tables<'a> {
+    pub(super) fn new(
+        network: &'a Quantised,
+        partition: &'a Partition,
+        placement: &'a Placement,
+        limits: &'a Limits,
+    ) -> Self {
+        let (formats, places) = (Formats::of(network), Places::of(network));
+        Tables { network, partition, placement, limits, formats, places }
+    }
+
+    /// The image of a core with these synapses, without messages, and the source of each input axon.
+    pub(super) fn image(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreImage, Vec<u32>), String> {
+        let held = &self.partition.members()[core];
+        let widths = Widths::of(held.len() as u32, longest, self.limits.packing);
+        let tallies = Tallies::of(keys, &self.formats, widths, self.limits, &self.places);
+        let (formats, inputs, sources) = write_lists(keys, &self.formats, widths, &tallies, self.limits)
+            .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
+        let image = CoreImage {
+            site: self.placement.site(core),
+            compartments: compartments(self.network, held),
+            ids: held.clone(),
+            formats,
+            inputs,
+            axons_out: Lists::default(),
+        };
+        Ok((image, sources))
+    }
 }
 
 /// Parameters of compartments in slot order.

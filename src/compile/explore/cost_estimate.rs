@@ -14,7 +14,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{ChannelId, CoreId, Id};
 use crate::base::units::Picoseconds;
 use crate::compile::explore::traffic::{Traffic, parts, traffic};
-use crate::compile::{Compiled, Objective};
+use crate::compile::options::Objective;
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::model::{core_time, route_time, step_energy};
@@ -39,35 +39,24 @@ pub struct Score {
     pub static_mw: f64,
 }
 
-/// The expected cost of a compiled program.
+/// The expected cost of a program whose sources spike at these rates, on its places.
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
-pub fn score(compiled: &Compiled, target: &Target) -> Result<Score, Diagnostic> {
-    score_at(compiled, &compiled.rates, target)
-}
-
-/// The expected cost of a compiled program whose sources spike at other rates than it was made for.
-///
-/// # Errors
-/// As [`score`].
-pub fn score_at(compiled: &Compiled, rates: &Rates, target: &Target) -> Result<Score, Diagnostic> {
-    score_with(compiled, rates, &traffic(&compiled.program, rates), target)
-}
-
-/// [`score_at`] where the traffic at these rates is known.
-///
-/// # Errors
-/// As [`score`].
-pub fn score_with(compiled: &Compiled, rates: &Rates, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
-    let activity = expected(&compiled.program, rates);
-    score_of(&activity, traffic, &compiled.placement, target, compiled.options.copies)
+pub fn score_at(
+    program: &Program,
+    placement: &Placement,
+    copies: u32,
+    rates: &Rates,
+    target: &Target,
+) -> Result<Score, Diagnostic> {
+    score_of(&expected(program, rates), &traffic(program, rates), placement, target, copies)
 }
 
 /// The expected cost of what happens in as many steps as rates count, and of the traffic of one.
 ///
 /// # Errors
-/// As [`score`].
+/// A diagnostic when the target's constants cannot be used or there are none.
 pub fn score_of(
     activity: &StepActivity,
     traffic: &Traffic,
@@ -100,7 +89,8 @@ pub fn score_of(
 }
 
 /// Expected counts of as many steps as rates count.
-fn expected(program: &Program, rates: &Rates) -> StepActivity {
+#[must_use]
+pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
     let cores = program.cores().as_slice();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
     let of_cores = |part: Range<usize>| {
@@ -206,13 +196,13 @@ impl Score {
 mod tests {
     use super::*;
     use crate::compile::testing::{limits, random_network, target};
-    use crate::compile::{Options, compile_quantised};
+    use crate::compile::{Options, compile};
 
     #[test]
     fn one_rate_for_all_is_the_same_as_that_rate_of_each() {
         for seed in 0..20 {
             let target = target(2, 2, limits());
-            let compiled = compile_quantised(random_network(seed), &target, &Options::default()).unwrap();
+            let compiled = compile(random_network(seed), &target, &Options::default()).unwrap();
             let (network, one) = (&compiled.quantised, Rates::assumed(0.25));
             let each = |units: u32| vec![1; units as usize];
             let of_each = Rates::profile(&each(network.channels()), &each(network.compartments()), 4);

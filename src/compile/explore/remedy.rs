@@ -14,7 +14,7 @@
 
 use crate::base::fixed::WeightBits;
 use crate::compile::frontend::prune::{Plan, prune};
-use crate::compile::{Compiled, Objective, Options, compile_quantised};
+use crate::compile::{Compiled, Objective, Options, compile};
 use crate::desc::target::Target;
 use crate::ir::quantised::{Connectivity, Parts, Quantised};
 
@@ -44,7 +44,7 @@ pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[T
     }
     let quick = Options { effort_s: 0, objective: Objective::Cores, place: false, ..*options };
     let fits = |network: &Quantised, target: &Target, copies: u32| -> Option<Compiled> {
-        compile_quantised(network.clone(), target, &Options { copies, ..quick }).ok()
+        compile(network.clone(), target, &Options { copies, ..quick }).ok()
     };
     let mut found = Vec::new();
     let mut keep = |kind, change: String, compiled: &Compiled| {
@@ -145,7 +145,7 @@ mod tests {
     ) -> Vec<(&'static str, u32)> {
         let options = Options { copies, ..Options::default() };
         let target = target(chips, 1, limits);
-        assert!(matches!(compile_quantised(network.clone(), &target, &options), Err(CompileError::DoesNotFit(_))));
+        assert!(matches!(compile(network.clone(), &target, &options), Err(CompileError::DoesNotFit(_))));
         remedies(network, &target, &options, boards).into_iter().map(|r| (r.kind, r.copies)).collect()
     }
 

@@ -11,21 +11,32 @@
 //! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
 //! `EVERYWHERE`, also when every source spikes.
 
-use std::sync::Mutex;
+use std::time::Instant;
 
 use rayon::prelude::*;
 
-use crate::compile::explore::cost_estimate::{Score, score, score_at};
+use crate::compile;
+use crate::compile::error::CompileError;
+use crate::compile::explore::box_costs::PlacedBoxes;
+use crate::compile::explore::cost_estimate::{Score, score_at};
+use crate::compile::form::Form;
+use crate::compile::mapping::{Mapping, Synapses};
+use crate::compile::mapping_file::file_of_boxes;
+use crate::compile::options::{Objective, Options, Strategy};
+use crate::compile::partition::box_fan_out::{PopulationRates, everywhere, only};
+use crate::compile::partition::boxes::{Boxes, Layers};
 use crate::compile::reason::Reason;
 use crate::compile::resources::fan_in::first_source;
-use crate::compile::{CompileError, Compiled, Objective, Options, Routed, Strategy, partitioned};
+use crate::compile::stages::{Front, Unchecked};
+use crate::desc::mapping::MappingFile;
 use crate::desc::target::{Limits, Target};
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Resource;
+use crate::ir::placement::Placement;
 use crate::ir::quantised::Quantised;
 
 /// Parts of a core, as divisors, that candidates fill.
-pub(crate) const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
+const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 /// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
 /// not enough for all (`nsim bench map`). The first two are always tried.
 const SHORTEST: [u32; 7] = [8, 1, 16, 32, 4, 64, 2];
@@ -36,7 +47,9 @@ const EVERYWHERE: f64 = 0.95;
 /// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
 const SHORT: f64 = 0.1;
 /// Populations whose bursts candidates are compared in.
-pub(crate) const MOST_BURSTS: usize = 16;
+const MOST_BURSTS: usize = 16;
+/// Compartments that a second of effort allows to be cut into boxes anew, over all candidates.
+const COMPARTMENTS_PER_SECOND: u64 = 20_000_000;
 /// Synapses that a second of effort allows to be mapped anew, over all candidates.
 const SYNAPSES_PER_SECOND: u64 = 4_000_000;
 
@@ -67,13 +80,13 @@ pub struct Found {
 
 /// A candidate with its mapping.
 #[derive(Debug)]
-pub(crate) struct Made<M> {
-    pub(crate) found: Found,
-    pub(crate) mapping: M,
+struct Made<M> {
+    found: Found,
+    kept: M,
 }
 
 /// A core's limits divided, but for the words that one compartment needs, as far as they are known.
-pub(crate) fn divided(target: &Target, divisor: u32, words: u32) -> Target {
+fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let limits = target.limits();
     let divided = Limits {
         compartments: (limits.compartments / divisor).max(1),
@@ -92,104 +105,209 @@ fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
     Some(most).filter(|&most| most <= target.limits().synapse_words)
 }
 
-/// Every candidate that fits and that the effort allows for, the sequential ones first.
+/// What is kept of a candidate until one is taken.
+enum Kept {
+    /// The mapping, which has not been checked.
+    Written(Box<Unchecked>),
+    /// Of a symbolic mapping, which takes much memory, only where its boxes are: it is made again from there. With the name
+    /// of the placement, and the times of bursts when they are needed.
+    Symbolic { file: Box<MappingFile>, placed: &'static str, times: Vec<f64> },
+}
+
+/// A mapping for an objective: with [`Objective::Cores`] the one that the options say, otherwise the best of several.
+/// `rates` are of one copy.
 ///
 /// # Errors
-/// [`CompileError`] of the first candidate, when none fits.
-pub fn candidates(
-    one: &Quantised,
+/// [`CompileError`].
+pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping, CompileError> {
+    let form = Form::for_network(front.quantised(), options.copies);
+    map_in(form, front, target, options, rates)
+}
+
+/// [`map`] in a given form.
+pub(crate) fn map_in(
+    form: Form,
+    front: Front,
     target: &Target,
     options: &Options,
     rates: &Rates,
-) -> Result<Vec<Found>, CompileError> {
-    Ok(all(one, target, options, rates)?.into_iter().map(|made| made.found).collect())
-}
-
-fn all(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Result<Vec<Made<Routed>>, CompileError> {
-    let synapses = one.synapses() * u64::from(options.copies);
-    let affordable = u64::from(options.effort_s) * SYNAPSES_PER_SECOND / synapses.max(1);
-    let mut all = vec![(Strategy::Sequential, 1)];
-    let (divisors, least) = match options.objective {
-        Objective::Latency => (&SHORTEST[..], 2),
-        Objective::Cores | Objective::Energy => (&DIVISORS[..], 1),
-    };
-    let wanted =
-        divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|way| *way != (Strategy::Sequential, 1));
-    all.extend(wanted.take(affordable.max(least) as usize));
-    // The effort is for all of them together.
-    let options = &Options { effort_s: options.effort_s.div_ceil(all.len() as u32), ..*options };
-    let first_error = Mutex::new(None);
-    let found: Vec<Vec<Made<Routed>>> = all
-        .into_par_iter()
-        .enumerate()
-        .map(|(number, (strategy, divisor))| {
-            // The sequential cores are looked at unplaced too.
-            let places = if number == 0 && options.place { &[false, true][..] } else { &[options.place] };
-            mapped(one, target, options, rates, (strategy, divisor), places).unwrap_or_else(|error| {
-                tracing::debug!(strategy = strategy.name(), divisor, %error, "candidate");
-                let mut first = first_error.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-                if first.is_none() || number == 0 {
-                    *first = Some(error);
-                }
-                Vec::new()
-            })
-        })
-        .collect();
-    let found: Vec<Made<Routed>> = found.into_iter().flatten().collect();
-    match first_error.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
-        Some(error) if found.is_empty() => Err(error),
-        _ => Ok(found),
+) -> Result<Mapping, CompileError> {
+    if options.objective == Objective::Cores {
+        return compile::map(front, target, options, rates, form);
     }
-}
-
-/// One partition, in these ways of placing it.
-fn mapped(
-    one: &Quantised,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-    (strategy, divisor): (Strategy, u32),
-    places: &[bool],
-) -> Result<Vec<Made<Routed>>, CompileError> {
-    let asked = Options { strategy, ..*options };
-    let gathered = |words| partitioned(one.clone(), &divided(target, divisor, words), &asked, rates);
-    let mut partitioned = gathered(0).or_else(|error| match words_for_one(&error, target) {
-        Some(words) => gathered(words),
-        None => Err(error),
+    let begin = Instant::now();
+    let made = Search { form, front: &front, target, options, rates }.all()?;
+    let mut bursts = None;
+    let kept = chosen(made, options.objective, |kept| match kept {
+        Kept::Written(unchecked) => {
+            let Mapping { quantised, placement, program: Synapses::Written(program), .. } = unchecked.mapping() else {
+                return Ok(Vec::new());
+            };
+            let bursts = bursts.get_or_insert_with(|| self::bursts(quantised));
+            let time = |rates: &Rates| score_at(program, placement, options.copies, rates, target).map(|s| s.step_us);
+            Ok(bursts.iter().map(time).collect::<Result<_, _>>()?)
+        }
+        Kept::Symbolic { times, .. } => Ok(times.clone()),
     })?;
-    partitioned.within(target)?;
-    let made = |&placed: &bool| {
-        let routed = partitioned.routed(target, &Options { place: placed, ..asked })?;
-        let score = score(&routed.0, target).map_err(CompileError::Input)?;
-        let found = Found { candidate: Candidate { strategy, divisor, placed }, score };
-        tracing::debug!(?found, "candidate");
-        Ok(Made { found, mapping: routed })
+    let mut best = match kept {
+        Kept::Written(unchecked) => unchecked.check(target)?,
+        Kept::Symbolic { file, placed, .. } => {
+            let compared = ("compare", begin.elapsed().as_secs_f64());
+            let mut again = compile::load(front, target, options, &file, Form::Symbolic)?;
+            again.placed = placed;
+            again.seconds.insert(0, compared);
+            again
+        }
     };
-    places.iter().map(made).collect()
-}
-
-/// The best of all candidates.
-///
-/// # Errors
-/// As [`candidates`].
-pub fn best(one: &Quantised, target: &Target, options: &Options, rates: &Rates) -> Result<Compiled, CompileError> {
-    let made = all(one, target, options, rates)?;
-    let bursts = made.first().map_or_else(Vec::new, |plain| bursts(&plain.mapping.0.quantised));
-    let times = |routed: &Routed| {
-        let of = |rates: &Rates| score_at(&routed.0, rates, target).map(|score| score.step_us);
-        bursts.iter().map(of).collect::<Result<Vec<f64>, _>>().map_err(CompileError::Input)
-    };
-    let mut best = chosen(made, options.objective, times)?.proved(target)?;
     best.options = *options;
     Ok(best)
 }
 
+/// Every candidate that fits and that the effort allows for, the one that others are measured by first.
+///
+/// # Errors
+/// [`CompileError`] of the first candidate, when none fits.
+pub fn candidates(
+    front: &Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+) -> Result<Vec<Found>, CompileError> {
+    candidates_in(Form::for_network(front.quantised(), options.copies), front, target, options, rates)
+}
+
+/// [`candidates`] in a given form.
+pub(crate) fn candidates_in(
+    form: Form,
+    front: &Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+) -> Result<Vec<Found>, CompileError> {
+    Ok(Search { form, front, target, options, rates }.all()?.into_iter().map(|made| made.found).collect())
+}
+
+/// What candidates are made of.
+struct Search<'a> {
+    front: &'a Front,
+    form: Form,
+    target: &'a Target,
+    options: &'a Options,
+    rates: &'a Rates,
+}
+
+impl Search<'_> {
+    /// Strategies, and the part of a core that each may fill, for as many as the effort allows.
+    fn ways(&self) -> Result<Vec<(Strategy, u32)>, CompileError> {
+        let Search { front, target, options, .. } = self;
+        let (one, copies) = (front.quantised(), u64::from(options.copies));
+        let affordable = |each_second: u64, size: u64| u64::from(options.effort_s) * each_second / size.max(1);
+        if self.form == Form::Symbolic {
+            let layers = Layers::new(one)?;
+            let most = affordable(COMPARTMENTS_PER_SECOND, u64::from(one.compartments()) * copies).max(1);
+            let may_fit = |&divisor: &u32| divisor == 1 || layers.may_fit(&divided(target, divisor, 0), copies);
+            let divisors = DIVISORS.into_iter().take(most as usize).filter(may_fit);
+            return Ok(divisors.map(|divisor| (options.strategy, divisor)).collect());
+        }
+        let mut ways = vec![(Strategy::Sequential, 1)];
+        let (divisors, least) = match options.objective {
+            Objective::Latency => (&SHORTEST[..], 2),
+            Objective::Cores | Objective::Energy => (&DIVISORS[..], 1),
+        };
+        let wanted = divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|way| *way != ways[0]);
+        let most = affordable(SYNAPSES_PER_SECOND, one.synapses() * copies).max(least);
+        ways.extend(wanted.take(most as usize).collect::<Vec<_>>());
+        Ok(ways)
+    }
+
+    fn all(&self) -> Result<Vec<Made<Kept>>, CompileError> {
+        let ways = self.ways()?;
+        // The effort is for all of them together.
+        let options = Options { effort_s: self.options.effort_s.div_ceil(ways.len() as u32), ..*self.options };
+        let one_way = |(number, (strategy, divisor)): (usize, (Strategy, u32))| {
+            // The first is looked at unplaced too.
+            let places = if number == 0 && options.place { &[false, true][..] } else { &[options.place] };
+            let made = self.mapped(&Options { strategy, ..options }, divisor, places);
+            if let Err(error) = &made {
+                tracing::debug!(strategy = strategy.name(), divisor, %error, "candidate");
+            }
+            made
+        };
+        let ways = ways.into_iter().enumerate();
+        let made: Vec<Result<Vec<Made<Kept>>, CompileError>> = match self.form {
+            Form::Written => ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect(),
+            // One after the other: each takes as much memory as a mapping, and uses all threads.
+            Form::Symbolic => ways.map(one_way).collect(),
+        };
+        let fits = made.iter().any(Result::is_ok);
+        let mut found = Vec::new();
+        for (number, made) in made.into_iter().enumerate() {
+            match made {
+                Ok(made) => found.extend(made),
+                Err(error) if number == 0 && (!fits || self.form == Form::Symbolic) => return Err(error),
+                Err(_) => {}
+            }
+        }
+        Ok(found)
+    }
+
+    /// One partition, in these ways of placing it.
+    fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>, CompileError> {
+        let Search { front, form, target, rates, .. } = *self;
+        let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates, form);
+        let partitioned = match (partitioned(0), form) {
+            (Err(error), Form::Written) => match words_for_one(&error, target) {
+                Some(words) => partitioned(words)?,
+                None => return Err(error),
+            },
+            (made, _) => made?,
+        };
+        let partitioned = partitioned.within(target)?;
+        let made = |&placed: &bool| {
+            let options = &Options { place: placed, ..*options };
+            let candidate = Candidate { strategy: options.strategy, divisor, placed };
+            let (score, kept) = match &partitioned.boxes {
+                None => {
+                    let unchecked = partitioned.clone().place(target, options)?.emit(target, options)?;
+                    let mapping = unchecked.mapping();
+                    (mapping.score(&mapping.traffic(), target)?, Kept::Written(Box::new(unchecked)))
+                }
+                Some(boxes) => self.symbolic(&partitioned.all, boxes, partitioned.placement(target, options)?)?,
+            };
+            let found = Found { candidate, score };
+            tracing::debug!(?found, "candidate");
+            Ok(Made { found, kept })
+        };
+        places.iter().map(made).collect()
+    }
+
+    /// What is kept of boxes at these places, and what they cost.
+    fn symbolic(
+        &self,
+        all: &Quantised,
+        boxes: &Boxes,
+        (placement, placed): (Placement, &'static str),
+    ) -> Result<(Score, Kept), CompileError> {
+        let Search { target, options, rates, .. } = *self;
+        let at_places = PlacedBoxes::new(all, boxes, &placement);
+        let bursts = match options.objective {
+            Objective::Latency => population_bursts(all),
+            Objective::Cores | Objective::Energy => Vec::new(),
+        };
+        let score = |rates: &PopulationRates| at_places.score(rates, target, options.copies);
+        let times = bursts.iter().map(|rates| Ok(score(rates)?.step_us)).collect::<Result<_, CompileError>>()?;
+        let score = score(&everywhere(all, rates))?;
+        let file = Box::new(file_of_boxes(all, boxes, &placement, target.name(), options));
+        Ok((score, Kept::Symbolic { file, placed, times }))
+    }
+}
+
 /// The best of candidates, the first of which is what others are measured by; `times` are those of steps in which spikes
 /// come together, all of them first.
-pub(crate) fn chosen<M>(
+fn chosen<M>(
     made: Vec<Made<M>>,
     objective: Objective,
-    times: impl Fn(&M) -> Result<Vec<f64>, CompileError>,
+    mut times: impl FnMut(&M) -> Result<Vec<f64>, CompileError>,
 ) -> Result<M, CompileError> {
     let mut made = made.into_iter();
     let Some(plain) = made.next() else {
@@ -199,17 +317,17 @@ pub(crate) fn chosen<M>(
     let mut others: Vec<Made<M>> = made.filter(better).collect();
     others.sort_by(|a, b| a.found.score.better(&b.found.score, objective));
     if objective != Objective::Latency {
-        return Ok(others.into_iter().next().unwrap_or(plain).mapping);
+        return Ok(others.into_iter().next().unwrap_or(plain).kept);
     }
-    let least = if others.is_empty() { Vec::new() } else { times(&plain.mapping)? };
+    let least = if others.is_empty() { Vec::new() } else { times(&plain.kept)? };
     for other in others {
         let shorter = |part: f64| other.found.score.step_us < part * plain.found.score.step_us;
         let trusted = same_cores(&other.found, &plain.found) || shorter(MARGIN);
-        // Bursts take long to reckon.
+        // Evaluating bursts is expensive.
         if !trusted && !shorter(EVERYWHERE) {
             continue;
         }
-        let times = times(&other.mapping)?;
+        let times = times(&other.kept)?;
         tracing::debug!(candidate = ?other.found.candidate, ?times, ?least, "steps of bursts in microseconds");
         let everywhere = || times.first().zip(least.first()).is_none_or(|(all, plain)| *all < EVERYWHERE * plain);
         if !trusted && !everywhere() {
@@ -217,10 +335,10 @@ pub(crate) fn chosen<M>(
         }
         let slack = if trusted { 1.0 / MARGIN } else { 1.0 };
         if no_slower(&times, &least, slack) {
-            return Ok(other.mapping);
+            return Ok(other.kept);
         }
     }
-    Ok(plain.mapping)
+    Ok(plain.kept)
 }
 
 /// Whether two candidates hold the same compartments on the same cores.
@@ -252,6 +370,13 @@ fn bursts(network: &Quantised) -> Vec<Rates> {
         bursts.push(Rates::profile(channels, compartments, 1));
     }
     bursts
+}
+
+/// [`bursts`], at a rate for each population.
+fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
+    let once = Rates::assumed(1.0);
+    let of_one = network.populations().ids().take(MOST_BURSTS).map(|id| only(network, id, &once));
+    std::iter::once(everywhere(network, &once)).chain(of_one).collect()
 }
 
 /// Those that no other is better than in everything: cores, energy and time.

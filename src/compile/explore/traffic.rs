@@ -18,9 +18,6 @@ use crate::ir::firing_rates::{Rates, UNIT};
 use crate::ir::placement::{Mesh, Placement, Site};
 use crate::ir::program::{AxonTarget, Program};
 
-/// Spikes of a source in a step, when nothing is known: one in 100 steps.
-pub const DEFAULT_RATE: f64 = 0.01;
-
 /// Expected messages in a step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Traffic {
@@ -312,7 +309,7 @@ mod tests {
 
     use super::*;
     use crate::compile::testing::{limits, random_network, target};
-    use crate::compile::{Options, compile_quantised};
+    use crate::compile::{Options, compile};
     use crate::desc::target::Limits;
 
     /// The same by walking every message link by link.
@@ -353,7 +350,7 @@ mod tests {
         for seed in 0..30 {
             let limits = Limits { compartments: 1, axons_out_per_compartment: 4096, ..limits() };
             let target = target(2, 2, limits);
-            let compiled = compile_quantised(random_network(seed), &target, &Options::default()).unwrap();
+            let compiled = compile(random_network(seed), &target, &Options::default()).unwrap();
             let traffic = traffic(&compiled.program, &Rates::assumed(1.0));
             let (cut, hops, most) = walked(&compiled.program);
             assert_eq!((traffic.cut_spikes_per_step, traffic.hops_per_step), (cut as f64, hops as f64));

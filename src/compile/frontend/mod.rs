@@ -5,3 +5,29 @@ pub mod copies;
 pub mod lower;
 pub mod prune;
 pub mod quantise;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::desc::network::Network;
+use crate::ir::graph::Graph;
+use crate::ir::quantised::Quantised;
+
+/// A network in integers, spike response neurons by way of [`analytic`].
+///
+/// # Errors
+/// As [`quantise::quantise`].
+pub fn integers(graph: &Graph) -> Result<Quantised, Diagnostic> {
+    match graph.has_srm() {
+        true => quantise::quantise(&analytic::convert(graph)),
+        false => quantise::quantise(graph),
+    }
+}
+
+/// A network in real numbers, as the file means it, and in integers.
+///
+/// # Errors
+/// As [`lower::lower`] and [`integers`].
+pub fn real_and_integers(network: &Network) -> Result<(Graph, Quantised), Diagnostic> {
+    let graph = lower::lower(network)?;
+    let integers = integers(&graph)?;
+    Ok((graph, integers))
+}

@@ -14,16 +14,24 @@
 //! ever worse than the one above. Copies of a network are one copy's partition repeated, so that no copy shares a core with
 //! another, unless filling all of them together takes fewer cores.
 
+pub mod box_fan_out;
+pub mod boxes;
 pub mod hyper;
+pub mod lattice;
 pub mod levels;
+pub mod members;
 pub mod order;
 pub mod refine;
 pub mod tiles;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::rng;
+use crate::compile::error::CompileError;
+use crate::compile::form::Form;
+use crate::compile::options::{Options, Strategy};
 use crate::compile::partition::hyper::{Groups, Hypergraph, State};
 use crate::compile::partition::levels::Levels;
+use crate::compile::partition::members::{Members, row_of_chips};
 use crate::compile::partition::order::{Chips, Filler, Found, Indices, Segment, file_order};
 use crate::compile::partition::refine::Effort;
 use crate::compile::reason::Reason;
@@ -33,47 +41,8 @@ use crate::compile::resources::fan_out::{cores_of, messages, sent, slots_of};
 use crate::compile::resources::incremental::Filling;
 use crate::desc::target::{Limits, Target};
 use crate::ir::firing_rates::Rates;
-use crate::ir::partition::{Partition, PartitionError, seats};
+use crate::ir::partition::{Partition, PartitionError, Resource, seats};
 use crate::ir::quantised::{Connectivity, Quantised};
-
-/// How compartments are gathered on cores.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Strategy {
-    /// In the order of the model file.
-    Sequential,
-    /// By tiles and by growth.
-    Greedy,
-    /// By tiles and by levels of groups, refined.
-    #[default]
-    Multilevel,
-}
-
-impl Strategy {
-    /// Every strategy.
-    pub const ALL: [Strategy; 3] = [Strategy::Sequential, Strategy::Greedy, Strategy::Multilevel];
-
-    /// Its name on the command line and in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Strategy::Sequential => "sequential",
-            Strategy::Greedy => "greedy",
-            Strategy::Multilevel => "multilevel",
-        }
-    }
-}
-
-/// Why there is no partition.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Failure {
-    /// The network does not fit, for all of these reasons.
-    DoesNotFit(Vec<Reason>),
-    /// The partitioner has contradicted itself.
-    Fault(String),
-}
-
-/// Compartments of each core.
-pub type Members = IdVec<CoreId, Vec<CompartmentId>>;
 
 /// How a partition is looked for.
 #[derive(Debug, Clone, Copy)]
@@ -86,8 +55,17 @@ pub struct Search<'a> {
     pub work: u64,
 }
 
+impl<'a> Search<'a> {
+    /// As options say, for sources that spike this often.
+    #[must_use]
+    pub fn new(options: &Options, rates: &'a Rates) -> Self {
+        let work = u64::from(options.effort_s) * WORK_PER_SECOND;
+        Search { strategy: options.strategy, rates, work }
+    }
+}
+
 /// Units of work in a second, roughly; fixed, so that an effort means the same on every machine.
-pub const WORK_PER_SECOND: u64 = 200_000_000;
+const WORK_PER_SECOND: u64 = 200_000_000;
 /// Synapses that one unit of work looks at when a hypergraph is made and coarsened, level after level.
 const WORK_PER_PIN: u64 = 60;
 /// Passes of refinement on a level.
@@ -103,11 +81,47 @@ const MOST_SHAKES: u64 = 16;
 /// Where the draws of shaking begin.
 const SHAKE_SEED: u64 = 0x5ba4e;
 
+/// Refuses what cannot fit by its sizes alone, before anything large is made; with the reasons of a single copy, if any.
+///
+/// # Errors
+/// [`CompileError::DoesNotFit`].
+pub fn within_bounds(
+    one: &Quantised,
+    target: &Target,
+    copies: u32,
+    form: Form,
+    search: Search<'_>,
+) -> Result<(), CompileError> {
+    let (limits, compartments) = (target.limits(), u64::from(one.compartments()));
+    let (all, room) = (compartments * u64::from(copies), u64::from(target.cores()) * u64::from(limits.compartments));
+    let too_many = (all > room).then(|| Reason::of_compartments(target, limits, copies, all));
+    let bound = match form {
+        Form::Symbolic => return too_many.map_or(Ok(()), |reason| Err(reason.into())),
+        Form::Written => too_many.or_else(|| {
+            let cores = least_cores(one, copies, limits);
+            (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
+        }),
+    };
+    let Some(bound) = bound else { return Ok(()) };
+    let mut reasons = vec![bound];
+    if compartments <= room
+        && let Err(CompileError::DoesNotFit(more)) = partition(one, one, target, search)
+    {
+        reasons.extend(more.into_iter().filter(|reason| reason.resource != Resource::Cores));
+    }
+    Err(CompileError::DoesNotFit(reasons))
+}
+
 /// Cores for a network of equal copies; `one` is a single copy and `all` is all of them, copy after copy.
 ///
 /// # Errors
-/// [`Failure`].
-pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Search<'_>) -> Result<Partition, Failure> {
+/// [`CompileError`].
+pub fn partition(
+    one: &Quantised,
+    all: &Quantised,
+    target: &Target,
+    search: Search<'_>,
+) -> Result<Partition, CompileError> {
     let limits = target.limits();
     let copies = (all.compartments() / one.compartments().max(1)).max(1);
     let filler = Filler::new(one, target);
@@ -125,9 +139,9 @@ pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Sear
         }
     }
     if members.len() as u64 > u64::from(target.cores()) {
-        return Err(Failure::DoesNotFit(vec![Reason::of_cores(target, copies, members.len() as u64)]));
+        return Err(Reason::of_cores(target, copies, members.len() as u64).into());
     }
-    counted(all, Found { members, sent }, target).map_err(|error| Failure::Fault(error.to_string()))
+    counted(all, Found { members, sent }, target).map_err(CompileError::fault)
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
@@ -142,7 +156,7 @@ fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partiti
 }
 
 /// The members that a strategy finds for one copy.
-fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found, Failure> {
+fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found, CompileError> {
     let (network, target) = (filler.network, filler.target);
     let sequential = || filler.fewest_cores(&file_order(network), chips);
     if search.strategy == Strategy::Sequential {
@@ -170,7 +184,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
     let mut found: Vec<Found> = Vec::new();
     let mut failure = None;
-    let mut keep = |one: Result<Found, Failure>| match one {
+    let mut keep = |one: Result<Found, CompileError>| match one {
         Ok(one) => found.push(one),
         Err(error) => failure = Some(failure.take().unwrap_or(error)),
     };
@@ -229,7 +243,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
             Ok(Found { members, sent: sent.filter(|_| chips == Chips::Row) })
         }
         (None, Some(failure)) => Err(failure),
-        (None, None) => Err(Failure::Fault("no strategy had an answer".to_string())),
+        (None, None) => Err(CompileError::fault("no strategy had an answer")),
     }
 }
 
@@ -410,12 +424,6 @@ pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
     let (copies, compartments) = (u64::from(copies), u64::from(one.compartments()));
     let by_compartments = (compartments * copies).div_ceil(u64::from(limits.compartments));
     by_compartments.max((active * copies).div_ceil(u64::from(limits.axons_in)))
-}
-
-/// The chip of each core when cores are placed chip by chip.
-#[must_use]
-pub fn row_of_chips(cores: usize, target: &Target) -> IdVec<CoreId, u32> {
-    (0..cores as u32).map(|core| core / target.chip().cores).collect()
 }
 
 /// One copy's cores for all copies.

@@ -16,7 +16,8 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::base::id::{CompartmentId, Id, PopulationId};
-use crate::compile::partition::{Failure, Members, row_of_chips};
+use crate::compile::error::CompileError;
+use crate::compile::partition::members::{Members, row_of_chips};
 use crate::compile::reason::Reason;
 use crate::compile::resources::fan_in::FanIn;
 use crate::compile::resources::fan_out::{Sent, cores_of, sent, slots_of};
@@ -129,11 +130,11 @@ impl Misfits {
         self.0.is_empty()
     }
 
-    fn reasons(self, network: &Quantised) -> Failure {
+    fn reasons(self, network: &Quantised) -> CompileError {
         let reason = |((population, resource), (need, limit)): ((PopulationId, Resource), (u64, u64))| {
-            Reason::of_population(&network.populations()[population].name, resource, need, limit)
+            Reason::of_population(network, population, resource, need, limit)
         };
-        Failure::DoesNotFit(self.0.into_iter().map(reason).collect())
+        CompileError::DoesNotFit(self.0.into_iter().map(reason).collect())
     }
 }
 
@@ -167,8 +168,8 @@ impl<'a> Filler<'a> {
     /// The better of keeping segments whole and filling every core up.
     ///
     /// # Errors
-    /// [`Failure::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
-    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, Failure> {
+    /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
+    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, CompileError> {
         if order.len() < 2 {
             return self.settled(order, chips, true);
         }
@@ -184,7 +185,7 @@ impl<'a> Filler<'a> {
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].
-    pub fn once(&self, order: &[Segment]) -> Result<Members, Failure> {
+    pub fn once(&self, order: &[Segment]) -> Result<Members, CompileError> {
         self.fill(order, &vec![0; self.network.compartments() as usize], true)
     }
 
@@ -192,7 +193,7 @@ impl<'a> Filler<'a> {
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].
-    pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Found, Failure> {
+    pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Found, CompileError> {
         let limits = self.target.limits();
         let mut estimate = vec![0u32; self.network.compartments() as usize];
         for round in 0.. {
@@ -250,7 +251,7 @@ impl<'a> Filler<'a> {
     }
 
     /// Fills cores in order, with these estimates of output axon slots.
-    fn fill(&self, order: &[Segment], estimate: &[u32], keep_whole: bool) -> Result<Members, Failure> {
+    fn fill(&self, order: &[Segment], estimate: &[u32], keep_whole: bool) -> Result<Members, CompileError> {
         let limits = self.target.limits();
         let filling = || Filling::new(self.network, &self.fan_in, limits);
         let (members, misfits) = match parts(order) {

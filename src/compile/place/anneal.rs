@@ -14,8 +14,9 @@ use rayon::prelude::*;
 
 use crate::base::id::{CoreId, Id, IdVec};
 use crate::base::rng;
-use crate::compile::place::Search;
+use crate::compile::options::{Objective, Options};
 use crate::compile::place::nets::{Columns, Nets};
+use crate::ir::firing_rates::Rates;
 use crate::ir::placement::{Mesh, Site};
 
 /// Rounds in which chips are annealed against each other; a single one begins anew from its best places.
@@ -24,10 +25,34 @@ const ROUNDS: u64 = 6;
 const HOTTEST: f64 = 0.3;
 /// The last temperature as a part of the first.
 const COOLEST: f64 = 5e-2;
+/// Destinations of nets that placing looks at in a second, roughly.
+const PLACED_PER_SECOND: u64 = 25_000_000;
 /// Proposals of a core in a round at most.
 const PROPOSALS: u64 = 200;
 /// Proposals that any chip gets: a few cores have so few places that all good ones are found, which costs next to nothing.
 const LEAST_PROPOSALS: u64 = 1500;
+
+/// How places are looked for.
+#[derive(Debug, Clone, Copy)]
+pub struct Search<'a> {
+    /// What for.
+    pub objective: Objective,
+    /// How often sources of the whole network spike.
+    pub rates: &'a Rates,
+    /// Seed of the annealing.
+    pub seed: u64,
+    /// Units of work: destinations of nets looked at.
+    pub work: u64,
+}
+
+impl<'a> Search<'a> {
+    /// As options say, for sources of the whole network that spike this often.
+    #[must_use]
+    pub fn new(options: &Options, rates: &'a Rates) -> Self {
+        let work = u64::from(options.effort_s) * PLACED_PER_SECOND;
+        Search { objective: options.objective, rates, seed: options.seed, work }
+    }
+}
 
 /// Places near what cores talk to.
 #[must_use]

@@ -18,11 +18,13 @@ pub mod anneal;
 pub mod nets;
 
 use crate::base::id::{CoreId, IdVec};
-use crate::compile::Objective;
-use crate::compile::place::nets::{Costs, Nets};
+use crate::compile::options::Objective;
+use crate::compile::partition::box_fan_out::everywhere;
+use crate::compile::partition::boxes::Boxes;
+use crate::compile::place::anneal::Search;
+use crate::compile::place::nets::Nets;
 use crate::compile::reason::Reason;
 use crate::desc::target::Target;
-use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Placement, Site};
 use crate::ir::quantised::Quantised;
@@ -36,19 +38,6 @@ pub const SAVED: &str = "saved";
 
 /// Pairs of a source and a core that it reaches above which there are too many to anneal with.
 const MOST_MESSAGES: u64 = 20_000_000;
-
-/// How places are looked for.
-#[derive(Debug, Clone, Copy)]
-pub struct Search<'a> {
-    /// What for.
-    pub objective: Objective,
-    /// How often sources of the whole network spike.
-    pub rates: &'a Rates,
-    /// Seed of the annealing.
-    pub seed: u64,
-    /// Units of work: destinations of nets looked at.
-    pub work: u64,
-}
 
 /// A place for each of so many cores, in order.
 ///
@@ -81,11 +70,26 @@ pub fn place(
     place_nets(&Nets::new(network, partition, search.rates), partition.cores(), target, search)
 }
 
+/// A place for the core of each box, near what it talks to; and the name of how it was found.
+///
+/// # Errors
+/// As [`sequential`].
+pub fn place_boxes(
+    network: &Quantised,
+    boxes: &Boxes,
+    target: &Target,
+    search: Search<'_>,
+) -> Result<(Placement, &'static str), Reason> {
+    let (cores, rates) = (boxes.uses.len(), everywhere(network, search.rates));
+    let flows = boxes.flows(&rates).map(|(own, to, weight)| (own.map(|own| own.0), weight, to.to_vec()));
+    place_nets(&Nets::from_flows(cores, flows), cores, target, search)
+}
+
 /// A place for each of so many cores, near what it talks to, when that is known; and the name of how it was found.
 ///
 /// # Errors
 /// As [`sequential`].
-pub fn place_nets(
+fn place_nets(
     nets: &Nets,
     cores: usize,
     target: &Target,
@@ -105,18 +109,6 @@ pub fn place_nets(
     match Placement::new(mesh, annealed) {
         Ok(placement) if better => Ok((placement, ANNEALED)),
         _ => Ok((plain, SEQUENTIAL)),
-    }
-}
-
-impl Costs {
-    /// What is to be small, as one number.
-    #[must_use]
-    pub fn objective(&self, objective: Objective) -> u128 {
-        let hops = 2 * u128::from(self.multicast) + u128::from(self.unicast);
-        match objective {
-            Objective::Cores | Objective::Energy => hops,
-            Objective::Latency => hops + u128::from(self.busiest) * 8 + (u128::from(self.longest) << 80),
-        }
     }
 }
 
@@ -180,7 +172,7 @@ mod tests {
         assert_eq!(placement.site(CoreId(131)), Site { chip: 1, x: 0, y: 0, core: 3 });
         let reason = sequential(257, &target).unwrap_err();
         assert_eq!((reason.need, reason.limit), (257, 256));
-        assert!(reason.help.contains("nahuku-32"), "{}", reason.help);
+        assert!(reason.help.contains("at least 257 cores"), "{}", reason.help);
     }
 
     #[test]

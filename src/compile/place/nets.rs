@@ -8,6 +8,7 @@
 use std::collections::HashMap;
 
 use crate::base::id::{CoreId, IdVec};
+use crate::compile::options::Objective;
 use crate::compile::partition::hyper::Csr;
 use crate::compile::resources::fan_out::by_source;
 use crate::ir::firing_rates::Rates;
@@ -46,6 +47,18 @@ pub struct Costs {
     pub busiest: u64,
     /// Links of the longest way.
     pub longest: u32,
+}
+
+impl Costs {
+    /// What is to be small, as one number.
+    #[must_use]
+    pub fn objective(&self, objective: Objective) -> u128 {
+        let hops = 2 * u128::from(self.multicast) + u128::from(self.unicast);
+        match objective {
+            Objective::Cores | Objective::Energy => hops,
+            Objective::Latency => hops + u128::from(self.busiest) * 8 + (u128::from(self.longest) << 80),
+        }
+    }
 }
 
 /// Tiles by column while a net is measured.
@@ -89,21 +102,21 @@ impl Nets {
     #[must_use]
     pub fn new(network: &Quantised, partition: &Partition, rates: &Rates) -> Self {
         let core_of = partition.seats().iter().map(|seat| seat.core).collect();
-        let told: Vec<(Option<u32>, u64, Vec<u32>)> =
+        let flows: Vec<(Option<u32>, u64, Vec<u32>)> =
             by_source(network, &core_of, partition.cores(), true, |source, own, reached| {
                 let mut reached: Vec<u32> = reached.iter().map(|core| core.0).collect();
                 reached.sort_unstable();
                 (own.map(|core| core.0), rates.of(source), reached)
             });
-        Nets::of(partition.cores(), told.into_iter())
+        Nets::from_flows(partition.cores(), flows.into_iter())
     }
 
-    /// The nets of so many cores that are told as (core, none for inputs; rate; cores reached, ascending).
+    /// The nets of so many cores, given as (core, none for inputs; rate; cores reached, ascending).
     #[must_use]
-    pub fn of(all_cores: usize, told: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
+    pub fn from_flows(all_cores: usize, flows: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
         let mut known: HashMap<(Option<u32>, Vec<u32>), usize> = HashMap::new();
         let (mut nets, mut reached): (Vec<Net>, Csr<u32>) = (Vec::new(), Csr::new());
-        for (source, weight, cores) in told {
+        for (source, weight, cores) in flows {
             // A message within its own core crosses no link and pulls nowhere.
             if cores.is_empty() || (source.is_some() && cores.len() == 1 && cores.first() == source.as_ref()) {
                 continue;

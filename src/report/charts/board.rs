@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use crate::base::id::{CoreId, PopulationId};
-use crate::compile::Layout;
+use crate::compile::Mapping;
 use crate::compile::explore::traffic::Links;
 use crate::desc::target::Target;
 use crate::ir::partition::Resource;
@@ -32,7 +32,7 @@ const BARS: [(Resource, &str); 4] = [
 
 /// The picture.
 #[must_use]
-pub fn svg(compiled: Layout<'_>, target: &Target, links: &Links) -> String {
+pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
     let mesh = compiled.placement.mesh();
     let limits = target.limits();
     let side = (f64::from(mesh.cores_per_tile)).sqrt().ceil().max(1.0);
@@ -152,7 +152,7 @@ pub fn svg(compiled: Layout<'_>, target: &Target, links: &Links) -> String {
 }
 
 /// A bar a core for each resource.
-fn bars(out: &mut String, compiled: Layout<'_>, target: &Target, top: f64, width: f64) {
+fn bars(out: &mut String, compiled: &Mapping, target: &Target, top: f64, width: f64) {
     let each = (width - LEFT) / compiled.partition.cores().max(1) as f64;
     for (row, (resource, name)) in BARS.iter().enumerate() {
         let y = top + row as f64 * (BAR_HEIGHT + 22.0) + 16.0;
@@ -183,7 +183,7 @@ fn bars(out: &mut String, compiled: Layout<'_>, target: &Target, top: f64, width
 }
 
 /// A population by the name that all its copies have, and its colour.
-fn colour(compiled: Layout<'_>, core: CoreId) -> (String, &'static str) {
+fn colour(compiled: &Mapping, core: CoreId) -> (String, &'static str) {
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
     let per_copy = compiled.one.populations().len() as u32;
     for &id in &compiled.partition.members()[core] {
@@ -197,7 +197,7 @@ fn colour(compiled: Layout<'_>, core: CoreId) -> (String, &'static str) {
 }
 
 /// Populations that some core mostly holds, with their colours.
-fn names(compiled: Layout<'_>) -> Vec<(String, &'static str)> {
+fn names(compiled: &Mapping) -> Vec<(String, &'static str)> {
     let mut known = Vec::new();
     for core in compiled.partition.usage().ids() {
         let entry = colour(compiled, core);
@@ -215,16 +215,17 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compile::explore::traffic::links;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::{Options, compile_quantised};
+    use crate::compile::{DEFAULT_RATE, Options, explore};
+    use crate::ir::firing_rates::Rates;
 
     #[test]
     fn every_core_and_population_is_drawn_once() {
         let board = target(2, 1, limits());
         let options = Options { copies: 40, ..Options::default() };
-        let compiled = compile_quantised(slip(3150), &board, &options).unwrap();
-        let picture = svg(compiled.layout(), &board, &links(&compiled.program, &compiled.rates));
+        let rates = Rates::assumed(DEFAULT_RATE);
+        let compiled = explore::map(slip(3150).into(), &board, &options, &rates).unwrap();
+        let picture = svg(&compiled, &board, &compiled.links());
         assert_eq!(picture.matches("<g><title>core").count(), 40);
         // 40 cores are ten tiles; every tile but the corner's has inputs come over a link.
         assert!(picture.matches("<line x1").count() > 9, "{picture}");

@@ -3,7 +3,7 @@
 use super::*;
 use crate::base::fixed::{BiasMantissa, SignMode, ThresholdMantissa};
 use crate::compile::testing::{Builder, format, limits, neurons, target};
-use crate::compile::{CompileError, Options, compile_quantised, compile_with_mapping};
+use crate::compile::{CompileError, Options, compile, compile_saved};
 use crate::desc::network::{Semantics, ThresholdTest};
 
 /// Counts in the order of `Kind::ALL`.
@@ -83,7 +83,7 @@ fn what_reaches_nothing_goes_unless_it_is_probed() {
     assert_eq!(pruned.populations()[aside].shape.len(), 0, "the name stays");
     let probed = prune(&whole, &Plan::fixed().probing([beyond])).unwrap();
     assert_eq!(counts(&probed), [0; 5]);
-    assert!(compile_quantised(pruned, &target(1, 1, limits()), &Options { copies: 3, ..Options::default() }).is_ok());
+    assert!(compile(pruned, &target(1, 1, limits()), &Options { copies: 3, ..Options::default() }).is_ok());
 }
 
 #[test]
@@ -133,14 +133,14 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     let board = target(1, 1, limits());
     let options = Options { copies: 2, ..Options::default() };
     let pruned = prune(&whole, &scene(&[2])).unwrap();
-    let compiled = compile_quantised(pruned, &board, &options).unwrap();
+    let compiled = compile(pruned, &board, &options).unwrap();
     let file = compiled.mapping_file();
     let said = file.pruned.as_ref().unwrap();
     assert_eq!((said.dead.len(), said.dead[0].first, said.dead[0].count), (1, 2, 1));
     let runs: Vec<_> =
         file.cores.iter().flat_map(|core| &core.holds).filter(|run| run.population == "hidden").collect();
     assert_eq!(runs.iter().map(|run| (run.first, run.count)).collect::<Vec<_>>(), [(0, 1), (3, 1)]);
-    let again = compile_with_mapping(whole.clone(), &board, &options, &file).unwrap();
+    let again = compile_saved(whole.clone(), &board, &options, &file).unwrap();
     assert_eq!(again.program, compiled.program);
     assert_eq!(again.one.pruned().unwrap().dead, [ChannelId(2)]);
     assert_eq!(again.mapping_file(), file);
@@ -148,7 +148,7 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     let refused = |change: &dyn Fn(&mut crate::desc::mapping::MappingFile)| {
         let mut file = file.clone();
         change(&mut file);
-        match compile_with_mapping(whole.clone(), &board, &options, &file) {
+        match compile_saved(whole.clone(), &board, &options, &file) {
             Err(CompileError::Input(diagnostic)) => diagnostic,
             other => panic!("{other:?}"),
         }
@@ -163,9 +163,9 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     assert_eq!(refused(&|file| file.pruned.as_mut().unwrap().probed.push("in".into())).code, "mapping.pruned");
     assert_eq!(refused(&|file| file.pruned.as_mut().unwrap().stimulus = None).code, "mapping.pruned");
     assert_eq!(refused(&|file| file.pruned = None).code, "mapping.missing");
-    let whole_file = compile_quantised(whole.clone(), &board, &options).unwrap().mapping_file();
+    let whole_file = compile(whole.clone(), &board, &options).unwrap().mapping_file();
     let pruned = prune(&whole, &Plan::fixed()).unwrap();
-    assert!(compile_with_mapping(pruned, &board, &options, &whole_file).is_err());
+    assert!(compile_saved(pruned, &board, &options, &whole_file).is_err());
 }
 
 #[test]

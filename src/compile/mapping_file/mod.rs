@@ -1,38 +1,84 @@
 //! Mappings as files, and back.
 //!
-//! Out goes which compartments sit on which core of which chip, as runs of populations. In comes such a file and a network:
-//! the membership and the places are taken from it after checking that they are of this network and target; everything
-//! else (what cores use, tables, messages, what is pruned) is computed again. Files count compartments as the model does,
-//! pruned or not. Limits are checked by the partition that is made of it.
+//! A file says which compartments are on which core of which chip, as runs of populations ([`MappedCore`]) or as boxes of
+//! layers ([`mod@layers`]). Loading one checks that it is of this network and target and takes membership and places from
+//! it; everything else (what cores use, tables, messages, what is pruned) is computed again. Files number compartments as
+//! the model does, pruned or not.
+
+pub mod layers;
+pub mod pruned;
 
 use crate::base::diagnostic::Diagnostic;
-use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::compile::frontend::prune::{Plan, Scene};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::compile::error::CompileError;
+use crate::compile::form::Form;
+use crate::compile::mapping::{Compiled, Mapping, Synapses};
+use crate::compile::mapping_file::pruned::pruned_file;
+use crate::compile::options::Options;
+use crate::compile::partition::boxes::{Boxes, Layers};
+use crate::compile::partition::members::{Members, partition_of};
+use crate::compile::resources::exact::usage;
 use crate::compile::resources::packing::MOST_SLOTS;
-use crate::compile::symbolic;
-use crate::desc::mapping::{MappedCore, MappingFile, PrunedFile, Run};
+use crate::desc::mapping::{MappedCore, MappingFile, Run};
 use crate::desc::target::Target;
-use crate::ir::partition::Partition;
+use crate::ir::partition::{Partition, seats};
 use crate::ir::placement::{Mesh, Placement, Site};
-use crate::ir::pruned::Pruned;
 use crate::ir::quantised::Quantised;
 
-/// What a mapping was made for and with.
-#[derive(Debug, Clone)]
-pub struct Origin {
-    /// The target's name.
-    pub target: String,
-    /// Copies of the model.
-    pub copies: u32,
-    /// The strategy's name.
-    pub strategy: String,
-    /// The strategy's seed.
-    pub seed: u64,
+impl Mapping {
+    /// The mapping as a file.
+    #[must_use]
+    pub fn mapping_file(&self) -> MappingFile {
+        let Mapping { quantised, partition, placement, target, options, .. } = self;
+        match &self.program {
+            Synapses::Written(_) => file_of_cores(quantised, partition, placement, target, options),
+            Synapses::Symbolic(boxes) => file_of_boxes(quantised, boxes, placement, target, options),
+        }
+    }
+}
+
+impl Compiled {
+    /// The mapping as a file.
+    #[must_use]
+    pub fn mapping_file(&self) -> MappingFile {
+        file_of_cores(&self.quantised, &self.partition, &self.placement, &self.target, &self.options)
+    }
+}
+
+/// A file that holds nothing yet.
+fn empty(network: &Quantised, target: &str, options: &Options) -> MappingFile {
+    MappingFile {
+        model: network.parts().name.clone(),
+        target: target.to_string(),
+        copies: options.copies,
+        strategy: options.strategy.name().to_string(),
+        seed: options.seed,
+        pruned: network.pruned().map(|pruned| pruned_file(pruned)),
+        cores: Vec::new(),
+        layers: Vec::new(),
+    }
+}
+
+/// The file of boxes and their places.
+#[must_use]
+pub fn file_of_boxes(
+    network: &Quantised,
+    boxes: &Boxes,
+    placement: &Placement,
+    target: &str,
+    options: &Options,
+) -> MappingFile {
+    MappingFile { layers: layers::layers_of(network, &boxes.lattices(), placement), ..empty(network, target, options) }
 }
 
 /// The file of a partition and placement.
-#[must_use]
-pub fn save(network: &Quantised, partition: &Partition, placement: &Placement, origin: Origin) -> MappingFile {
+fn file_of_cores(
+    network: &Quantised,
+    partition: &Partition,
+    placement: &Placement,
+    target: &str,
+    options: &Options,
+) -> MappingFile {
     let population_of = populations_of(network);
     let cores = partition
         .members()
@@ -50,10 +96,38 @@ pub fn save(network: &Quantised, partition: &Partition, placement: &Placement, o
             MappedCore { chip, x, y, core, holds }
         })
         .collect();
-    let Origin { target, copies, strategy, seed } = origin;
-    let pruned = network.pruned().map(|pruned| pruned_file(pruned));
-    let layers = Vec::new();
-    MappingFile { model: network.parts().name.clone(), target, copies, strategy, seed, pruned, cores, layers }
+    MappingFile { cores, ..empty(network, target, options) }
+}
+
+/// The partition and the placement that a file gives for all copies of a network, and the boxes of a symbolic mapping.
+///
+/// # Errors
+/// [`CompileError::Input`] when the file is of another network or target, or names what there is not;
+/// [`CompileError::DoesNotFit`] when a core exceeds a limit.
+pub fn load(
+    file: &MappingFile,
+    all: &Quantised,
+    target: &Target,
+    form: Form,
+) -> Result<(Partition, Placement, Option<Boxes>), CompileError> {
+    let limits = target.limits();
+    if form == Form::Symbolic {
+        belongs(file, all, target)?;
+        let layers = Layers::new(all)?;
+        let (lattices, placement) = layers::outline(file, all, &layers.layers, target)?;
+        let boxes = Boxes::of_lattices(&layers, &lattices, limits);
+        let (partition, boxes) = boxes.into_partition(all, &chips_of(&placement), limits)?;
+        return Ok((partition, placement, Some(boxes)));
+    }
+    let (members, sites) = membership(file, all, target)?;
+    let placement = Placement::new(Mesh::of(target), sites).map_err(CompileError::fault)?;
+    let seats = seats(all.compartments(), &members).map_err(CompileError::fault)?;
+    let usage = usage(all, &members, &seats, &chips_of(&placement), limits);
+    Ok((partition_of(all, members, usage, limits)?, placement, None))
+}
+
+fn chips_of(placement: &Placement) -> IdVec<CoreId, u32> {
+    placement.sites().iter().map(|site| site.chip).collect()
 }
 
 /// The first copy alone, on the cores that hold a part of it.
@@ -83,68 +157,7 @@ fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a 
     }
 }
 
-/// What a file must say so that the same is left out again.
-fn pruned_file(pruned: &Pruned) -> PrunedFile {
-    let populations = pruned.original.populations();
-    let mut dead: Vec<Run> = Vec::new();
-    for (id, population) in pruned.original.inputs() {
-        let Some(first) = population.first_channel() else { continue };
-        let within = pruned.dead.partition_point(|channel| *channel < first);
-        let of_population = pruned.dead[within..].iter().map(|channel| channel.0 - first.0);
-        for index in of_population.take_while(|&index| index < populations[id].shape.len()) {
-            match dead.last_mut() {
-                Some(run) if run.population == population.name && run.first + run.count == index => run.count += 1,
-                _ => dead.push(Run { population: population.name.clone(), first: index, count: 1 }),
-            }
-        }
-    }
-    let probed = pruned.probed.iter().map(|&id| populations[id].name.clone()).collect();
-    PrunedFile { stimulus: pruned.stimulus.clone(), dead, probed }
-}
-
-/// The pruning that a file says was done to a network.
-///
-/// # Errors
-/// A diagnostic that names a population or a run of channels that the network does not have.
-pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> {
-    let wrong = |message: String| Err(Diagnostic::new("mapping.pruned", message));
-    let mut dead = Vec::new();
-    for Run { population, first, count } in &file.dead {
-        let found = network.inputs().find(|(_, input)| input.name == *population);
-        let Some((base, size)) = found.and_then(|(_, input)| Some((input.first_channel()?, input.shape.len()))) else {
-            return wrong(format!(
-                "the mapping was pruned of channels of {population}, which is no input of the model"
-            ));
-        };
-        match first.checked_add(*count) {
-            Some(end) if end <= size => dead.extend((*first..end).map(|index| ChannelId(base.0 + index))),
-            _ => {
-                return wrong(format!(
-                    "the mapping was pruned of {first} + {count} channels of {population}, which has {size}"
-                ));
-            }
-        }
-    }
-    dead.sort_unstable();
-    dead.dedup();
-    if file.stimulus.is_none() && !dead.is_empty() {
-        return wrong("the mapping was pruned of channels, but does not say for which stimulus".to_string());
-    }
-    let mut plan = Plan::fixed();
-    plan.scene = file.stimulus.clone().map(|stimulus| Scene { stimulus, dead });
-    for name in &file.probed {
-        match network.population_named(name).filter(|&id| network.populations()[id].first_compartment().is_some()) {
-            Some(id) => plan.probed.push(id),
-            None => return wrong(format!("the mapping keeps {name} whole, which is no population of compartments")),
-        }
-    }
-    Ok(plan)
-}
-
-/// Compartments of each core in slot order, and where each core is.
-pub type Membership = (IdVec<CoreId, Vec<CompartmentId>>, IdVec<CoreId, Site>);
-
-/// Makes sure that a file is of this model and this target.
+/// Checks that a file is of this model and this target.
 ///
 /// # Errors
 /// `mapping.model`, `mapping.target`.
@@ -161,7 +174,7 @@ pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Resu
     Ok(())
 }
 
-/// Makes sure that a file is of so many copies.
+/// Checks that a file is of so many copies.
 ///
 /// # Errors
 /// `mapping.copies`.
@@ -182,7 +195,7 @@ pub fn of_copies(file: &MappingFile, copies: u32) -> Result<(), Diagnostic> {
 /// `mapping.site` for a core that the mesh does not have, and for one that is named twice.
 pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement, Diagnostic> {
     let listed = file.cores.iter().map(|at| Ok(Site { chip: at.chip, x: at.x, y: at.y, core: at.core }));
-    let boxes = file.places().map(|place| symbolic::file::site(&mesh, place));
+    let boxes = file.places().map(|place| layers::site(&mesh, place));
     let sites = listed.chain(boxes).collect::<Result<_, Diagnostic>>()?;
     Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))
 }
@@ -191,11 +204,15 @@ pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement, Diagnostic
 ///
 /// # Errors
 /// A diagnostic that names what does not match: the model, the target, a population, a run, a compartment, a place.
-pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<Membership, Diagnostic> {
+pub fn membership(
+    file: &MappingFile,
+    network: &Quantised,
+    target: &Target,
+) -> Result<(Members, IdVec<CoreId, Site>), Diagnostic> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     belongs(file, network, target)?;
     if !file.layers.is_empty() {
-        return symbolic::file::membership(file, network, target);
+        return layers::membership(file, network, target);
     }
     let names: std::collections::HashMap<&str, (PopulationId, u32, u32)> = network
         .populations()
@@ -270,12 +287,12 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
 mod tests {
     use super::*;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::{Options, compile_quantised, compile_with_mapping};
+    use crate::compile::{Options, compile, compile_saved};
 
     fn saved() -> (Quantised, Target, MappingFile) {
         let (network, target) = (slip(3150), target(1, 1, limits()));
         let options = Options { copies: 3, ..Options::default() };
-        let compiled = compile_quantised(network.clone(), &target, &options).unwrap();
+        let compiled = compile(network.clone(), &target, &options).unwrap();
         (network, target, compiled.mapping_file())
     }
 
@@ -286,8 +303,8 @@ mod tests {
         let read: MappingFile = ron::from_str(&text).unwrap();
         assert_eq!(read, file);
         let options = Options { copies: 3, ..Options::default() };
-        let first = compile_quantised(network.clone(), &target, &options).unwrap();
-        let again = compile_with_mapping(network, &target, &options, &read).unwrap();
+        let first = compile(network.clone(), &target, &options).unwrap();
+        let again = compile_saved(network, &target, &options, &read).unwrap();
         assert_eq!(first.program, again.program);
     }
 
@@ -297,11 +314,11 @@ mod tests {
         // Twelve copies share a core, so the first core holds more than the first copy.
         let network = slip(100);
         let options = Options { copies: 20, ..Options::default() };
-        let file = compile_quantised(network.clone(), &target, &options).unwrap().mapping_file();
+        let file = compile(network.clone(), &target, &options).unwrap().mapping_file();
         assert!(file.cores[0].holds.iter().any(|run| run.population.ends_with("@1")));
         let one = one_copy(&file);
         assert_eq!((one.copies, one.cores.len()), (1, 1));
-        let compiled = compile_with_mapping(network, &target, &Options::default(), &one).unwrap();
+        let compiled = compile_saved(network, &target, &Options::default(), &one).unwrap();
         assert_eq!(compiled.partition.members().as_slice()[0].len(), 62);
         assert_eq!(one_copy(&one), one);
     }

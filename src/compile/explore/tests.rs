@@ -1,20 +1,52 @@
-//! Described mappings against the same mappings with every synapse written out.
+//! Symbolic mappings against the same mappings with every synapse written out.
 
-use super::*;
 use crate::base::fixed::SignMode;
+use crate::base::id::CoreId;
 use crate::base::rng;
-use crate::compile::explore::cost_estimate::{score, score_at};
+use crate::compile::check::sampled;
+use crate::compile::emit::sample::{SampledCore, sample};
+use crate::compile::explore::box_costs::PlacedBoxes;
+use crate::compile::explore::cost_estimate::{Score, score_at};
 use crate::compile::explore::traffic::{links, traffic};
 use crate::compile::mapping_file::one_copy;
+use crate::compile::partition::box_fan_out::{PopulationRates, everywhere, only};
+use crate::compile::partition::boxes::Boxes;
+use crate::compile::partition::lattice;
+use crate::compile::partition::members::row_of_chips;
 use crate::compile::resources::fan_in::first_source;
-use crate::compile::symbolic::cost::only;
 use crate::compile::testing::{Builder, format, limits, neurons, plain_format, target};
-use crate::compile::{self, Partitioned, compile_with_mapping};
+use crate::compile::*;
 use crate::desc::mapping::{MappedLayer, OnChip};
 use crate::desc::target::{Limits, Packing};
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::partition::{CoreUsage, Resource};
-use crate::ir::quantised::{Connectivity, SynapseFormat};
+use crate::ir::partition::{CoreUsage, Partition, Resource};
+use crate::ir::quantised::{Connectivity, Quantised, SynapseFormat};
+
+/// A symbolic mapping of a network of any size.
+fn symbolic(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
+    let rates = Rates::assumed(DEFAULT_RATE);
+    explore::search::map_in(Form::Symbolic, network.into(), board, options, &rates)
+}
+
+fn load_symbolic(
+    network: Quantised,
+    board: &Target,
+    options: &Options,
+    file: &MappingFile,
+) -> Result<Mapping, CompileError> {
+    load(network.into(), board, options, file, Form::Symbolic)
+}
+
+fn boxes(mapping: &Mapping) -> &Boxes {
+    let Synapses::Symbolic(boxes) = &mapping.program else { panic!("it is written") };
+    boxes
+}
+
+/// The score of a symbolic mapping at other rates than it was made for.
+fn score_of(mapping: &Mapping, rates: &PopulationRates, board: &Target) -> Score {
+    let at_places = PlacedBoxes::new(&mapping.quantised, boxes(mapping), &mapping.placement);
+    at_places.score(rates, board, mapping.options.copies).unwrap()
+}
 
 /// A weight of a format; those near each other differ: kernels in which parts repeat would share more tables than geometry
 /// can tell.
@@ -105,20 +137,18 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
     for seed in 0..60 {
         let board = target(8, 4, small(seed));
         let options = Options { copies: 1 + (seed % 3) as u32, place: seed % 4 > 0, effort_s: 0, ..Options::default() };
-        let made = describe(layered(seed), &board, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
+        let made = symbolic(layered(seed), &board, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
         let network = &made.quantised;
         let chips = row_of_chips(made.partition.cores(), &board);
         let (members, seats) = (made.partition.members(), made.partition.seats());
-        let exact = compile::resources::exact::usage(network, members, seats, &chips, board.limits());
+        let exact = resources::exact::usage(network, members, seats, &chips, board.limits());
         assert_eq!(made.partition.usage().as_slice(), exact.as_slice(), "seed {seed}");
-        let Described { one, quantised: all, partition, placement, placed: name, rates, .. } = made.clone();
-        let partitioned = Partitioned { one, all, partition, rates, clock: Clock::default() };
-        let sited = compile::Sited { partitioned, placement, name };
-        let written = sited.routed(&board, &options).unwrap().proved(&board).unwrap();
+        let written = compile_saved(layered(seed), &board, &options, &made.mapping_file()).unwrap();
         let of_program = traffic(&written.program, &written.rates);
         assert_eq!(made.traffic(), of_program, "seed {seed}");
         assert_eq!(made.links().busiest(), links(&written.program, &written.rates).busiest(), "seed {seed}");
-        assert_eq!(made.score(&of_program, &board).unwrap(), score(&written, &board).unwrap(), "seed {seed}");
+        let of_written = |rates| score_at(&written.program, &written.placement, options.copies, rates, &board).unwrap();
+        assert_eq!(made.score(&of_program, &board).unwrap(), of_written(&written.rates), "seed {seed}");
         // A step in which all sources of one population spike.
         let network = &made.quantised;
         let ids: Vec<_> = network.populations().ids().collect();
@@ -127,9 +157,9 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         let (first, population) = (first_source(network, &network.populations()[id]), &network.populations()[id]);
         spikes[first as usize..(first + population.shape.len()) as usize].fill(1);
         let (channels, compartments) = spikes.split_at(network.channels() as usize);
-        let meant = score_at(&written, &Rates::profile(channels, compartments, 1), &board).unwrap();
-        let counted = made.whereabouts().score(&only(network, id, &Rates::assumed(1.0)), &board, options.copies);
-        assert_eq!(counted.unwrap(), meant, "seed {seed} {}", population.name);
+        let meant = of_written(&Rates::profile(channels, compartments, 1));
+        let counted = score_of(&made, &only(network, id, &Rates::assumed(1.0)), &board);
+        assert_eq!(counted, meant, "seed {seed} {}", population.name);
         several += usize::from(written.partition.cores() > 8);
     }
     assert!(several > 30, "{several} networks take several cores");
@@ -140,43 +170,46 @@ fn output_axons_make_boxes_smaller() {
     let few = Limits { axons_out: 24, ..small(1) };
     let options = Options { effort_s: 0, ..Options::default() };
     let (many, plain) = (target(8, 8, few), target(8, 8, Limits { axons_out: 4096, ..few }));
-    let cores = |board: &Target| describe(layered(3), board, &options).unwrap().partition.cores();
+    let cores = |board: &Target| symbolic(layered(3), board, &options).unwrap().partition.cores();
     assert!(cores(&many) > cores(&plain), "{} and {}", cores(&many), cores(&plain));
     let none = Limits { axons_out: 1, ..few };
-    let Err(CompileError::DoesNotFit(reasons)) = describe(layered(3), &target(8, 8, none), &options) else {
+    let Err(CompileError::DoesNotFit(reasons)) = symbolic(layered(3), &target(8, 8, none), &options) else {
         panic!("it fits")
     };
     assert!(reasons.iter().all(|reason| reason.resource == Resource::AxonsOut), "{reasons:?}");
 }
 
 #[test]
-fn what_cannot_be_described_is_said() {
+fn what_cannot_be_mapped_by_kernels_is_refused() {
     let board = target(1, 1, limits());
     let mut net = Builder::new();
     let (a, b) = (net.input("a", 20), net.loihi("b", 5));
     net.random(a, b, 2, 1);
-    assert!(layer::layers(&net.build()).is_none());
+    assert!(lattice::layers(&net.build()).is_none());
     let sequential = Options { strategy: Strategy::Sequential, ..Options::default() };
-    let said = describe(layered(1), &board, &sequential).unwrap_err().to_string();
+    let said = symbolic(layered(1), &board, &sequential).unwrap_err().to_string();
     assert!(said.contains("no sequential mapping"), "{said}");
-    assert!(!applies(&layered(1), 1));
-    assert!(applies(&layered(1), u32::MAX));
+    assert_eq!(Form::for_network(&layered(1), 1), Form::Written);
+    assert_eq!(Form::for_network(&layered(1), u32::MAX), Form::Symbolic);
 }
 
 #[test]
 fn a_wrong_count_is_found() {
     let board = target(8, 4, small(2));
     let options = Options { effort_s: 0, ..Options::default() };
-    let made = describe(layered(2), &board, &options).unwrap();
+    let made = symbolic(layered(2), &board, &options).unwrap();
     let chips = row_of_chips(made.partition.cores(), &board);
     let every: Vec<CoreId> = made.partition.usage().ids().collect();
-    let checked = |change: fn(&mut CoreUsage), cores: &[CoreId]| {
+    let network = &made.quantised;
+    let sample = |cores| sample(network, &made.partition, &made.placement, cores, board.limits()).unwrap();
+    let checked = |change: fn(&mut CoreUsage), sample: &[SampledCore]| {
         let mut usage = made.partition.usage().clone();
         change(&mut usage[CoreId(1)]);
         let members = made.partition.members().clone();
-        let partition = Partition::new(made.quantised.compartments(), members, usage, board.limits()).unwrap();
-        check::check(&made.quantised, &partition, cores, &chips, board.limits())
+        let partition = Partition::new(network.compartments(), members, usage, board.limits()).unwrap();
+        sampled::check(network, &partition, &chips, sample, board.limits())
     };
+    let every = sample(&every);
     checked(|_| {}, &every).unwrap();
     for change in [
         |used: &mut CoreUsage| used.synapses -= 1,
@@ -189,13 +222,29 @@ fn a_wrong_count_is_found() {
     }
     // The sum of synapses needs no core.
     assert!(checked(|used| used.synapses -= 1, &[]).is_err());
+    // Tables that are not the network's.
+    let wrong = |change: &dyn Fn(&mut SampledCore)| {
+        let mut sample = every[1..2].to_vec();
+        change(&mut sample[0]);
+        checked(|_| {}, &sample).unwrap_err()
+    };
+    let weight = |one: &mut SampledCore| {
+        let format = one.image.formats[usize::from(one.image.inputs.lists.items()[0].format)].synapse;
+        let (low, high) = format.sign.range(format.bits);
+        let synapse = &mut one.image.inputs.lists.items_mut()[0];
+        synapse.weight = if synapse.weight == low { high - high % format.sign.step(format.bits) } else { low };
+    };
+    assert!(wrong(&weight).contains("or other ones"));
+    assert!(wrong(&|one| one.sources.swap(0, 1)).contains("or other ones"));
+    assert!(wrong(&|one| one.sources.truncate(1)).contains("input axons"));
+    assert!(wrong(&|one| one.image.ids.swap(0, 1)).contains("other compartments"));
 }
 
 /// A mapping in boxes, its board, and how it was made.
-fn saved(seed: u64, copies: u32) -> (Described, Target, Options) {
+fn saved(seed: u64, copies: u32) -> (Mapping, Target, Options) {
     let board = target(8, 4, small(seed));
     let options = Options { copies, place: !seed.is_multiple_of(4), effort_s: 0, ..Options::default() };
-    (describe(layered(seed), &board, &options).unwrap(), board, options)
+    (symbolic(layered(seed), &board, &options).unwrap(), board, options)
 }
 
 #[test]
@@ -203,7 +252,7 @@ fn a_saved_mapping_is_made_again_and_also_written_out() {
     for seed in 0..24 {
         let (made, board, options) = saved(seed, 1 + (seed % 3) as u32);
         let file: MappingFile = ron::from_str(&ron::to_string(&made.mapping_file()).unwrap()).unwrap();
-        let again = describe_saved(layered(seed), &board, &options, &file).unwrap();
+        let again = load_symbolic(layered(seed), &board, &options, &file).unwrap();
         assert_eq!(again.partition, made.partition, "seed {seed}");
         assert_eq!((&again.placement, again.placed), (&made.placement, place::SAVED), "seed {seed}");
         assert_eq!(again.mapping_file(), file, "seed {seed}");
@@ -211,10 +260,10 @@ fn a_saved_mapping_is_made_again_and_also_written_out() {
         assert_eq!(again.traffic(), traffic, "seed {seed}");
         assert_eq!(again.score(&traffic, &board).unwrap(), made.score(&traffic, &board).unwrap(), "seed {seed}");
         // A network that can be written out takes the same file.
-        let written = compile_with_mapping(layered(seed), &board, &options, &file).unwrap();
+        let written = compile_saved(layered(seed), &board, &options, &file).unwrap();
         assert_eq!((&written.partition, &written.placement), (&made.partition, &made.placement), "seed {seed}");
         let one = Options { copies: 1, ..options };
-        let first = compile_with_mapping(layered(seed), &board, &one, &one_copy(&file)).unwrap();
+        let first = compile_saved(layered(seed), &board, &one, &one_copy(&file)).unwrap();
         let of_first = written.placement.sites().as_slice();
         assert_eq!(first.placement.sites().as_slice(), &of_first[..first.partition.cores()], "seed {seed}");
     }
@@ -224,7 +273,7 @@ fn a_saved_mapping_is_made_again_and_also_written_out() {
 fn files_that_say_what_cannot_be_are_refused() {
     let (made, board, options) = saved(2, 2);
     let good = made.mapping_file();
-    let load = |file: &MappingFile| describe_saved(layered(2), &board, &options, file);
+    let load = |file: &MappingFile| load_symbolic(layered(2), &board, &options, file);
     load(&good).unwrap();
     let refused = |change: &dyn Fn(&mut MappingFile), code: &str, word: &str| {
         let mut file = good.clone();
@@ -254,7 +303,7 @@ fn files_that_say_what_cannot_be_are_refused() {
     refused(&|f| f.layers.iter_mut().take(2).for_each(|of| of.size = (1, 1, 1)), "mapping.places", "boxes");
     let one = |at: u32| vec![OnChip { chip: 0, cores: vec![at] }];
     let whole = |population: &str, size, at| MappedLayer { population: population.into(), size, places: one(at) };
-    let shape = layer::layers(&layered(2)).unwrap().as_slice()[1].shape;
+    let shape = lattice::layers(&layered(2)).unwrap().as_slice()[1].shape;
     // All of a layer on one core: more than it holds, though every number is legal.
     let mut file = good.clone();
     file.layers[0] = whole("layer0", shape, good.layers[0].places[0].cores[0]);
@@ -300,8 +349,8 @@ fn no_file_makes_it_contradict_itself() {
             }
         }
         for result in [
-            describe_saved(layered(3), &board, &options, &file).map(drop),
-            compile_with_mapping(layered(3), &board, &options, &file).map(drop),
+            load_symbolic(layered(3), &board, &options, &file).map(drop),
+            compile_saved(layered(3), &board, &options, &file).map(drop),
         ] {
             match result {
                 Ok(()) => loaded += 1,
@@ -320,12 +369,26 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
         // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
         let board = target(8, 8, limits());
         let options = Options { effort_s: 1, place: false, ..Options::default() };
-        let found = candidates(layered(seed), &board, &options).unwrap();
+        let found = explore::search::candidates_in(
+            Form::Symbolic,
+            &layered(seed).into(),
+            &board,
+            &options,
+            &Rates::assumed(DEFAULT_RATE),
+        )
+        .unwrap();
         assert!(found.len() > 2 && !found[0].candidate.placed && found[0].candidate.divisor == 1, "seed {seed}");
         for (which, objective) in [Objective::Energy, Objective::Latency].into_iter().enumerate() {
             let options = Options { objective, ..options };
-            let found = candidates(layered(seed), &board, &options).unwrap();
-            let made = describe(layered(seed), &board, &options).unwrap();
+            let found = explore::search::candidates_in(
+                Form::Symbolic,
+                &layered(seed).into(),
+                &board,
+                &options,
+                &Rates::assumed(DEFAULT_RATE),
+            )
+            .unwrap();
+            let made = symbolic(layered(seed), &board, &options).unwrap();
             let score = made.score(&made.traffic(), &board).unwrap();
             assert!(found.iter().any(|one| one.score == score), "seed {seed}: the mapping is one of the candidates");
             let plain = found[0].score;
@@ -335,10 +398,10 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
             } else {
                 assert!(score.step_us <= plain.step_us, "seed {seed}");
                 let all = everywhere(&made.quantised, &Rates::assumed(1.0));
-                let burst = made.whereabouts().score(&all, &board, 1).unwrap().step_us;
+                let burst = score_of(&made, &all, &board).step_us;
                 let unplaced =
-                    describe(layered(seed), &board, &Options { place: false, objective: Objective::Cores, ..options });
-                let unplaced = unplaced.unwrap().whereabouts().score(&all, &board, 1).unwrap().step_us;
+                    symbolic(layered(seed), &board, &Options { place: false, objective: Objective::Cores, ..options });
+                let unplaced = score_of(&unplaced.unwrap(), &all, &board).step_us;
                 assert!(burst <= unplaced, "seed {seed}: {burst} and {unplaced} when all spike");
             }
             changed[which] += usize::from(score.cores > plain.cores);
@@ -353,12 +416,12 @@ fn profiles_make_boxes_smaller() {
     let few = Limits { compartment_profiles: 2, ..small(1) };
     let options = Options { effort_s: 0, ..Options::default() };
     let several = (0..20).filter(|&seed| {
-        let plain = describe(layered(seed), &target(8, 8, small(1)), &options).unwrap();
+        let plain = symbolic(layered(seed), &target(8, 8, small(1)), &options).unwrap();
         plain.partition.usage().iter().any(|used| used.compartment_profiles > 2)
     });
     let mut seen = 0;
     for seed in several.collect::<Vec<_>>() {
-        let made = describe(layered(seed), &target(16, 16, few), &options).unwrap();
+        let made = symbolic(layered(seed), &target(16, 16, few), &options).unwrap();
         assert!(made.partition.usage().iter().all(|used| used.compartment_profiles <= 2), "seed {seed}");
         seen += 1;
     }

@@ -11,11 +11,12 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::base::id::{IdVec, PopulationId};
-use crate::compile::partition::Members;
+use crate::compile::partition::lattice::Cut;
+use crate::compile::partition::members::Members;
 use crate::compile::resources::closed_form::Layer;
 use crate::compile::resources::receptive_field::Axis;
-use crate::compile::symbolic::layer::Cut;
 use crate::desc::target::Limits;
+use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 
 /// Channels that one task looks at.
@@ -32,7 +33,7 @@ pub struct Sends {
 
 /// What all sources send.
 #[derive(Debug, Clone)]
-pub struct AllSends {
+pub struct BoxFanOut {
     /// Of the channels of each population.
     pub inputs: IdVec<PopulationId, Vec<Sends>>,
     /// Of the compartments of each core.
@@ -158,12 +159,12 @@ fn listed(sends: BTreeMap<Vec<u32>, u64>) -> Vec<Sends> {
 
 /// What all sources of a network send.
 #[must_use]
-pub fn sends(
+pub fn fan_out(
     network: &Quantised,
     layers: &IdVec<PopulationId, Layer>,
     placed: &IdVec<PopulationId, Option<Placed>>,
     members: &Members,
-) -> AllSends {
+) -> BoxFanOut {
     let outgoing: IdVec<PopulationId, Outgoing<'_>> =
         network.populations().ids().map(|id| Outgoing::of(id, layers, placed)).collect();
     let mut inputs: IdVec<PopulationId, Vec<Sends>> = vec![Vec::new(); network.populations().len()].into();
@@ -188,7 +189,7 @@ pub fn sends(
             }
         }
     }
-    AllSends { inputs, cores }
+    BoxFanOut { inputs, cores }
 }
 
 /// Output axon slots of a core's compartments together and the most output axons of one, with cores numbered chip by chip.
@@ -200,6 +201,22 @@ pub fn axons(core: usize, sends: &[Sends], chips: &IdVec<crate::base::id::CoreId
         |to: &u32| u64::from(if chip(*to) == own { limits.axon_out_slots } else { limits.axon_out_slots_off_chip });
     let all = sends.iter().map(|sends| sends.sources * sends.to.iter().map(slots).sum::<u64>()).sum();
     (all, sends.iter().map(|sends| sends.to.len() as u32).max().unwrap_or(0))
+}
+
+/// Spikes of each source of a population in as many steps as rates count.
+pub type PopulationRates = IdVec<PopulationId, u64>;
+
+/// The same rate for all populations, as it is assumed.
+#[must_use]
+pub fn everywhere(network: &Quantised, rates: &Rates) -> PopulationRates {
+    vec![rates.of(0); network.populations().len()].into()
+}
+
+/// The rate of one population; others have that of what never spiked in a profile run.
+#[must_use]
+pub fn only(network: &Quantised, population: PopulationId, rates: &Rates) -> PopulationRates {
+    let never = Rates::assumed(0.0);
+    network.populations().ids().map(|id| if id == population { rates.of(0) } else { never.of(0) }).collect()
 }
 
 #[cfg(test)]

@@ -6,32 +6,23 @@
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
-use crate::compile::mapping_file::Membership;
+use crate::compile::partition::boxes::Lattices;
+use crate::compile::partition::lattice::{self, Lattice};
+use crate::compile::partition::members::Members;
 use crate::compile::resources::closed_form::Layer;
 use crate::compile::resources::packing::MOST_SLOTS;
-use crate::compile::symbolic::boxes::Lattices;
-use crate::compile::symbolic::layer::{self, Lattice};
 use crate::desc::mapping::{MappedLayer, MappingFile, OnChip};
 use crate::desc::target::Target;
 use crate::ir::placement::{Mesh, Placement, Site};
 use crate::ir::quantised::Quantised;
 
-/// Where layers are cut, and where the boxes sit, in the order of populations.
-#[derive(Debug, Clone)]
-pub struct Outline {
-    /// Of each population that is mapped.
-    pub lattices: Lattices,
-    /// Of each box.
-    pub placement: Placement,
-}
-
 /// The layers of a file.
 #[must_use]
-pub fn layers_of(network: &Quantised, outline: &Outline) -> Vec<MappedLayer> {
-    let (mesh, mut sites) = (outline.placement.mesh(), outline.placement.sites().iter());
+pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement) -> Vec<MappedLayer> {
+    let (mesh, mut sites) = (placement.mesh(), placement.sites().iter());
     let mut layers = Vec::new();
     for (id, population) in network.populations().enumerate() {
-        let Some(lattice) = &outline.lattices[id] else { continue };
+        let Some(lattice) = &lattices[id] else { continue };
         let mut places: Vec<OnChip> = Vec::new();
         for site in sites.by_ref().take(lattice.boxes() as usize) {
             let core = (site.y * mesh.width + site.x) * mesh.cores_per_tile + site.core;
@@ -57,7 +48,7 @@ pub fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site, Diagnostic> {
     site.ok_or_else(none)
 }
 
-/// What a file says of the boxes of a network of layers, all copies.
+/// Where a file cuts the layers of a network, all copies, and where it puts their boxes.
 ///
 /// # Errors
 /// A diagnostic that names the population whose boxes are missing, not of its layer, or too many or too few for their
@@ -67,7 +58,7 @@ pub fn outline(
     network: &Quantised,
     layers: &IdVec<PopulationId, Layer>,
     target: &Target,
-) -> Result<Outline, Diagnostic> {
+) -> Result<(Lattices, Placement), Diagnostic> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     if !file.cores.is_empty() {
         let message = "the mapping lists compartments core by core, where boxes of layers are wanted".to_string();
@@ -128,22 +119,26 @@ pub fn outline(
         }
     }
     let placement = Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))?;
-    Ok(Outline { lattices: found.iter().map(|found| found.map(|(lattice, _)| lattice)).collect(), placement })
+    Ok((found.iter().map(|found| found.map(|(lattice, _)| lattice)).collect(), placement))
 }
 
 /// The membership and the places that a file of boxes gives, for a network small enough to be written out.
 ///
 /// # Errors
 /// As [`outline`]; `mapping.layers` when the network is not made of layers.
-pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<Membership, Diagnostic> {
+pub fn membership(
+    file: &MappingFile,
+    network: &Quantised,
+    target: &Target,
+) -> Result<(Members, IdVec<CoreId, Site>), Diagnostic> {
     let not_layers = || {
         let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor all \
                        to all";
         Diagnostic::new("mapping.layers", message)
     };
-    let layers = layer::layers(network).filter(|_| network.pruned().is_none()).ok_or_else(not_layers)?;
-    let Outline { lattices, placement } = outline(file, network, &layers, target)?;
-    let mut members: IdVec<CoreId, Vec<CompartmentId>> = IdVec::new();
+    let layers = lattice::layers(network).filter(|_| network.pruned().is_none()).ok_or_else(not_layers)?;
+    let (lattices, placement) = outline(file, network, &layers, target)?;
+    let mut members = Members::new();
     for (id, population) in network.populations().enumerate() {
         let (Some(first), Some(lattice)) = (population.first_compartment(), lattices[id]) else { continue };
         for held in lattice.members(&layers[id]) {

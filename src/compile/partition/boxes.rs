@@ -1,25 +1,25 @@
 //! A network of layers cut into boxes, a core each, and what the boxes use and send.
 //!
-//! In comes a [`Layered`] network; out go its [`Boxes`]: the fewest that fit a target's limits, or those that lattices say.
-//! Where they are to be placed is not known yet: boxes stand in the order of populations and lattices, chip by chip, unless
-//! the chips are given.
+//! Input: the [`Layers`] of a network. Output: its [`Boxes`], the fewest that fit a target's limits or those of given
+//! lattices, in the order of populations and lattices.
 
 use std::collections::BTreeSet;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::compile::partition::{Members, row_of_chips};
+use crate::compile::error::CompileError;
+use crate::compile::options::Strategy;
+use crate::compile::partition::box_fan_out::{self, BoxFanOut, Placed, PopulationRates};
+use crate::compile::partition::lattice::{self, Cut, Lattice};
+use crate::compile::partition::members::{Members, partition_of, row_of_chips};
 use crate::compile::reason::Reason;
 use crate::compile::resources::closed_form::{BoxUse, Layer};
 use crate::compile::resources::exact::profiles;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::MOST_SLOTS;
-use crate::compile::symbolic::layer::{self, Cut, Lattice};
-use crate::compile::symbolic::sends::{self, AllSends, Placed};
-use crate::compile::{CompileError, Options, all_copies, does_not_fit};
 use crate::desc::target::{Limits, Target};
 use crate::ir::graph::PerCompartment;
-use crate::ir::partition::{CoreUsage, Resource};
+use crate::ir::partition::{CoreUsage, Partition, Resource};
 use crate::ir::quantised::{Neurons, Quantised, Units};
 
 /// Rounds of making boxes smaller because their output axons do not fit.
@@ -30,42 +30,33 @@ pub type Lattices = IdVec<PopulationId, Option<Lattice>>;
 
 /// A network of layers.
 #[derive(Debug, Clone)]
-pub struct Layered {
-    /// One copy.
-    pub one: Quantised,
-    /// All copies.
-    pub all: Quantised,
-    /// The layers of all copies.
+pub struct Layers<'n> {
+    /// The network, all copies.
+    pub network: &'n Quantised,
+    /// Its layers.
     pub layers: IdVec<PopulationId, Layer>,
     formats: Formats,
 }
 
-impl Layered {
-    /// So many copies of a network.
+impl<'n> Layers<'n> {
+    /// The layers of a network.
     ///
     /// # Errors
-    /// [`CompileError::DoesNotFit`] when it has more compartments than the target; [`CompileError::Input`] when it is not made
-    /// of layers or cannot be copied so often.
-    pub fn new(one: Quantised, target: &Target, options: &Options) -> Result<Self, CompileError> {
-        let (limits, compartments) = (target.limits(), u64::from(one.compartments()) * u64::from(options.copies));
-        if compartments > u64::from(target.cores()) * u64::from(limits.compartments) {
-            return Err(does_not_fit(Reason::of_compartments(target, limits, options.copies, compartments)));
-        }
-        let all = all_copies(&one, options)?;
+    /// [`CompileError::Input`] when it does not consist of layers.
+    pub fn new(network: &'n Quantised) -> Result<Self, CompileError> {
         let not_layers = || {
             let message =
                 "a projection is neither a window nor all to all, so the network cannot be described by layers";
-            CompileError::Input(Diagnostic::new("map.layers", message))
+            Diagnostic::new("map.layers", message)
         };
-        let layers = layer::layers(&all).ok_or_else(not_layers)?;
-        let formats = Formats::of(&all);
-        Ok(Layered { one, all, layers, formats })
+        let layers = lattice::layers(network).ok_or_else(not_layers)?;
+        Ok(Layers { network, layers, formats: Formats::of(network) })
     }
 
     /// The fewest boxes of which each fits a core with at most so many compartments, before output axons are counted.
     fn fewest(&self, most: &IdVec<PopulationId, u32>, limits: &Limits, cuts: &mut Cuts) -> Result<(), CompileError> {
         let mut reasons = Vec::new();
-        for (id, population) in self.all.populations().enumerate() {
+        for (id, population) in self.network.populations().enumerate() {
             if population.first_compartment().is_none() || cuts[id].is_some() {
                 continue;
             }
@@ -75,7 +66,7 @@ impl Layered {
                     alone
                         .usage
                         .excesses(limits)
-                        .map(|(resource, need, limit)| Reason::of_population(&population.name, resource, need, limit)),
+                        .map(|(resource, need, limit)| Reason::of_population(self.network, id, resource, need, limit)),
                 ),
             }
         }
@@ -86,14 +77,14 @@ impl Layered {
         vec![None; self.layers.len()].into()
     }
 
-    /// Whether boxes within these limits are no more than the cores of the target, as far as output axons leave it at that.
+    /// Whether the boxes of so many copies are no more than the cores of the target, before output axons are counted.
     #[must_use]
-    pub fn may_fit(&self, limits: &Limits, target: &Target) -> bool {
-        let most = vec![limits.compartments.min(MOST_SLOTS); self.layers.len()].into();
+    pub fn may_fit(&self, target: &Target, copies: u64) -> bool {
+        let most = vec![target.limits().compartments.min(MOST_SLOTS); self.layers.len()].into();
         let mut cuts = self.no_cuts();
-        let fewest = self.fewest(&most, limits, &mut cuts);
+        let fewest = self.fewest(&most, target.limits(), &mut cuts);
         let boxes: u64 = cuts.iter().flatten().map(|cut| u64::from(cut.lattice.boxes())).sum();
-        fewest.is_ok() && boxes <= u64::from(target.cores())
+        fewest.is_ok() && boxes * copies <= u64::from(target.cores())
     }
 }
 
@@ -107,7 +98,7 @@ pub struct Boxes {
     /// The compartments of every box, in slot order.
     pub members: Members,
     /// What boxes and inputs send.
-    pub sends: AllSends,
+    pub sends: BoxFanOut,
     /// The layer of each box.
     pub layer: IdVec<CoreId, PopulationId>,
     /// What each box uses.
@@ -119,7 +110,7 @@ impl Boxes {
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`].
-    pub fn fewest(network: &Layered, target: &Target, options: &Options) -> Result<Self, CompileError> {
+    pub fn fewest(network: &Layers<'_>, target: &Target, copies: u32) -> Result<Self, CompileError> {
         let limits = target.limits();
         let mut most: IdVec<PopulationId, u32> = vec![limits.compartments.min(MOST_SLOTS); network.layers.len()].into();
         let mut cuts = network.no_cuts();
@@ -127,20 +118,19 @@ impl Boxes {
             network.fewest(&most, limits, &mut cuts)?;
             let boxes: u64 = cuts.iter().flatten().map(|cut| u64::from(cut.lattice.boxes())).sum();
             if boxes > u64::from(target.cores()) {
-                return Err(does_not_fit(Reason::of_cores(target, options.copies, boxes)));
+                return Err(Reason::of_cores(target, copies, boxes).into());
             }
             let found = Boxes::of_cuts(network, &cuts);
             let chips = row_of_chips(found.members.len(), target);
-            let usage = found.usage(&network.all, &chips, limits);
+            let usage = found.usage(network.network, &chips, limits);
             let mut reasons: Vec<Reason> = Vec::new();
             for (core, used) in usage.enumerate() {
                 let id = found.layer[core];
-                let name = &network.all.populations()[id].name;
                 for (resource, need, limit) in used.excesses(limits) {
                     // What one compartment sends, and what is too much for one alone, no smaller box makes less.
                     let held = u64::from(used.compartments);
                     if resource == Resource::AxonsOutPerCompartment || held == 1 || round == ROUNDS {
-                        let reason = Reason::of_population(name, resource, need, limit);
+                        let reason = Reason::of_population(network.network, id, resource, need, limit);
                         if !reasons
                             .iter()
                             .any(|other| other.resource == resource && other.population == reason.population)
@@ -167,18 +157,18 @@ impl Boxes {
 
     /// The boxes of these lattices, whether or not they fit; none may hold more than [`MOST_SLOTS`] compartments.
     #[must_use]
-    pub fn of_lattices(network: &Layered, lattices: &Lattices, limits: &Limits) -> Self {
+    pub fn of_lattices(network: &Layers<'_>, lattices: &Lattices, limits: &Limits) -> Self {
         let cut = |(id, lattice): (PopulationId, &Option<Lattice>)| {
             lattice.map(|lattice| Cut::new(&network.layers[id], lattice, &network.formats, limits))
         };
         Boxes::of_cuts(network, &lattices.enumerate().map(cut).collect())
     }
 
-    fn of_cuts(network: &Layered, cuts: &Cuts) -> Self {
+    fn of_cuts(network: &Layers<'_>, cuts: &Cuts) -> Self {
         let mut next = 0;
         let mut placed: IdVec<PopulationId, Option<Placed>> = IdVec::new();
         let (mut members, mut layer, mut uses) = (Members::new(), IdVec::new(), Vec::new());
-        for (id, population) in network.all.populations().enumerate() {
+        for (id, population) in network.network.populations().enumerate() {
             let (Some(first), Some(cut)) = (population.first_compartment(), cuts[id].clone()) else {
                 placed.push(None);
                 continue;
@@ -192,7 +182,7 @@ impl Boxes {
             placed.push(Some(Placed { cut, first: next }));
             next += boxes;
         }
-        let sends = sends::sends(&network.all, &network.layers, &placed, &members);
+        let sends = box_fan_out::fan_out(network.network, &network.layers, &placed, &members);
         Boxes { placed, members, sends, layer, uses }
     }
 
@@ -210,12 +200,35 @@ impl Boxes {
             .flat_map(|Placed { cut, first }| cut.lattice.order().map(move |at| (*first, cut.kind(at))))
     }
 
+    /// One box of each kind.
+    #[must_use]
+    pub fn one_of_each_kind(&self) -> Vec<CoreId> {
+        let mut seen = BTreeSet::new();
+        let firsts = self.kinds().enumerate().filter_map(|(core, kind)| seen.insert(kind).then(|| CoreId::new(core)));
+        firsts.collect()
+    }
+
+    /// The boxes as a partition, whose members they then leave to it, with the chip of each given.
+    ///
+    /// # Errors
+    /// As [`partition_of`].
+    pub fn into_partition(
+        mut self,
+        network: &Quantised,
+        chips: &IdVec<CoreId, u32>,
+        limits: &Limits,
+    ) -> Result<(Partition, Self), CompileError> {
+        let usage = self.usage(network, chips, limits);
+        let partition = partition_of(network, std::mem::take(&mut self.members), usage, limits)?;
+        Ok((partition, self))
+    }
+
     /// What every core uses, with its chip given.
     #[must_use]
     pub fn usage(&self, network: &Quantised, chips: &IdVec<CoreId, u32>, limits: &Limits) -> IdVec<CoreId, CoreUsage> {
         let of = |(core, held): (CoreId, &Vec<CompartmentId>)| {
             let (axons_out, axons_out_per_compartment) =
-                sends::axons(core.index(), &self.sends.cores[core.index()], chips, limits);
+                box_fan_out::axons(core.index(), &self.sends.cores[core.index()], chips, limits);
             let axons_out = u32::try_from(axons_out).unwrap_or(u32::MAX);
             let (compartment_profiles, threshold_profiles) = profiles_of(network, held);
             CoreUsage {
@@ -228,6 +241,42 @@ impl Boxes {
         };
         self.members.enumerate().map(of).collect()
     }
+}
+
+impl Boxes {
+    /// What is sent, inputs first: by which core, none for inputs; to which cores, ascending; spikes in as many steps as
+    /// rates count.
+    pub fn flows<'a>(&'a self, rates: &'a PopulationRates) -> impl Iterator<Item = (Option<CoreId>, &'a [u32], u64)> {
+        let inputs = self.sends.inputs.enumerate().flat_map(move |(population, sends)| {
+            sends.iter().map(move |sends| (None, &sends.to[..], sends.sources * rates[population]))
+        });
+        let cores = self.layer.enumerate().flat_map(move |(core, &population)| {
+            let sends = self.sends.cores[core.index()].iter();
+            sends.map(move |sends| (Some(core), &sends.to[..], sends.sources * rates[population]))
+        });
+        inputs.chain(cores)
+    }
+}
+
+/// The fewest boxes of which each fits a core, as a partition with cores placed chip by chip.
+///
+/// # Errors
+/// [`CompileError`]; [`CompileError::Input`] when the network does not consist of layers or the strategy is sequential.
+pub fn partition(
+    all: &Quantised,
+    target: &Target,
+    strategy: Strategy,
+    copies: u32,
+) -> Result<(Partition, Option<Boxes>), CompileError> {
+    if strategy == Strategy::Sequential {
+        let message =
+            "a network that is described by its kernels is cut into boxes; there is no sequential mapping of it";
+        return Err(Diagnostic::new("map.strategy", message).into());
+    }
+    let boxes = Boxes::fewest(&Layers::new(all)?, target, copies)?;
+    let chips = row_of_chips(boxes.members.len(), target);
+    let (partition, boxes) = boxes.into_partition(all, &chips, target.limits())?;
+    Ok((partition, Some(boxes)))
 }
 
 /// Distinct compartment and threshold profiles of compartments of one population.

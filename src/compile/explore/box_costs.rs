@@ -4,35 +4,20 @@
 //! [`Score`] of a step, counted as [`crate::compile::explore::traffic`] and [`crate::compile::explore::cost_estimate`] count those of a program.
 
 use crate::base::diagnostic::Diagnostic;
-use crate::base::id::{CoreId, Id, IdVec, PopulationId};
-use crate::compile::explore::cost_estimate::{self, Score};
+use crate::base::id::{CoreId, Id};
+use crate::compile::explore::cost_estimate::{Score, score_of};
 use crate::compile::explore::traffic::{self, Links, Traffic};
-use crate::compile::symbolic::boxes::Boxes;
+use crate::compile::partition::box_fan_out::PopulationRates;
+use crate::compile::partition::boxes::Boxes;
 use crate::desc::target::Target;
 use crate::ir::activity::StepActivity;
-use crate::ir::firing_rates::{Rates, UNIT};
+use crate::ir::firing_rates::UNIT;
 use crate::ir::placement::Placement;
 use crate::ir::quantised::{Quantised, Units};
 
-/// Spikes of each source of a population in as many steps as rates count.
-pub type PopulationRates = IdVec<PopulationId, u64>;
-
-/// The same rate for all populations, as it is assumed.
-#[must_use]
-pub fn everywhere(network: &Quantised, rates: &Rates) -> PopulationRates {
-    vec![rates.of(0); network.populations().len()].into()
-}
-
-/// The rate of one population; others have that of what never spiked in a profile run.
-#[must_use]
-pub fn only(network: &Quantised, population: PopulationId, rates: &Rates) -> PopulationRates {
-    let never = Rates::assumed(0.0);
-    network.populations().ids().map(|id| if id == population { rates.of(0) } else { never.of(0) }).collect()
-}
-
 /// Boxes with their places.
 #[derive(Debug, Clone, Copy)]
-pub struct Whereabouts<'a> {
+pub struct PlacedBoxes<'a> {
     /// The network, all copies.
     pub network: &'a Quantised,
     /// Its boxes.
@@ -41,7 +26,13 @@ pub struct Whereabouts<'a> {
     pub placement: &'a Placement,
 }
 
-impl<'a> Whereabouts<'a> {
+impl<'a> PlacedBoxes<'a> {
+    /// These boxes at these places.
+    #[must_use]
+    pub fn new(network: &'a Quantised, boxes: &'a Boxes, placement: &'a Placement) -> Self {
+        PlacedBoxes { network, boxes, placement }
+    }
+
     fn flows(
         self,
         rates: &'a PopulationRates,
@@ -64,15 +55,15 @@ impl<'a> Whereabouts<'a> {
     /// What a mean step is expected to cost.
     ///
     /// # Errors
-    /// As [`cost_estimate::score`].
+    /// As [`score_of`].
     pub fn score(self, rates: &PopulationRates, target: &Target, copies: u32) -> Result<Score, Diagnostic> {
         self.score_with(rates, &self.traffic(rates), target, copies)
     }
 
-    /// [`Whereabouts::score`] where the traffic at these rates is known.
+    /// [`PlacedBoxes::score`] where the traffic at these rates is known.
     ///
     /// # Errors
-    /// As [`cost_estimate::score`].
+    /// As [`score_of`].
     pub fn score_with(
         self,
         rates: &PopulationRates,
@@ -80,7 +71,7 @@ impl<'a> Whereabouts<'a> {
         target: &Target,
         copies: u32,
     ) -> Result<Score, Diagnostic> {
-        let Whereabouts { network, boxes, placement } = self;
+        let PlacedBoxes { network, boxes, placement } = self;
         let mut sum = StepActivity::new(boxes.uses.len());
         for (core, used) in boxes.uses.iter().enumerate() {
             let core = CoreId::new(core);
@@ -116,21 +107,6 @@ impl<'a> Whereabouts<'a> {
                 sum.add_routes(route, weight);
             }
         }
-        cost_estimate::score_of(&sum, traffic, placement, target, copies)
-    }
-}
-
-impl Boxes {
-    /// What is sent, inputs first: by which core, none for inputs; to which cores, ascending; spikes in as many steps as
-    /// rates count.
-    pub fn flows<'a>(&'a self, rates: &'a PopulationRates) -> impl Iterator<Item = (Option<CoreId>, &'a [u32], u64)> {
-        let inputs = self.sends.inputs.enumerate().flat_map(move |(population, sends)| {
-            sends.iter().map(move |sends| (None, &sends.to[..], sends.sources * rates[population]))
-        });
-        let cores = self.layer.enumerate().flat_map(move |(core, &population)| {
-            let sends = self.sends.cores[core.index()].iter();
-            sends.map(move |sends| (Some(core), &sends.to[..], sends.sources * rates[population]))
-        });
-        inputs.chain(cores)
+        score_of(&sum, traffic, placement, target, copies)
     }
 }

@@ -1,0 +1,52 @@
+//! What a mapping is expected to carry and cost at the rates that it was made for, with or without a program.
+
+use crate::base::diagnostic::Diagnostic;
+use crate::compile::explore::box_costs::PlacedBoxes;
+use crate::compile::explore::cost_estimate::{Score, expected, score_of};
+use crate::compile::explore::traffic::{self, Links, Traffic};
+use crate::compile::mapping::{Mapping, Synapses};
+use crate::compile::partition::box_fan_out::everywhere;
+use crate::desc::target::Target;
+
+impl Mapping {
+    /// The expected traffic.
+    #[must_use]
+    pub fn traffic(&self) -> Traffic {
+        match &self.program {
+            Synapses::Written(program) => traffic::traffic(program, &self.rates),
+            Synapses::Symbolic(boxes) => PlacedBoxes::new(&self.quantised, boxes, &self.placement)
+                .traffic(&everywhere(&self.quantised, &self.rates)),
+        }
+    }
+
+    /// The expected messages over each link.
+    #[must_use]
+    pub fn links(&self) -> Links {
+        match &self.program {
+            Synapses::Written(program) => traffic::links(program, &self.rates),
+            Synapses::Symbolic(boxes) => PlacedBoxes::new(&self.quantised, boxes, &self.placement)
+                .links(&everywhere(&self.quantised, &self.rates)),
+        }
+    }
+
+    /// What a mean step with this traffic is expected to cost.
+    ///
+    /// # Errors
+    /// A diagnostic when the target's constants cannot be used or there are none.
+    pub fn score(&self, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
+        match &self.program {
+            Synapses::Written(program) => {
+                score_of(&expected(program, &self.rates), traffic, &self.placement, target, self.options.copies)
+            }
+            Synapses::Symbolic(boxes) => {
+                let rates = everywhere(&self.quantised, &self.rates);
+                PlacedBoxes::new(&self.quantised, boxes, &self.placement).score_with(
+                    &rates,
+                    traffic,
+                    target,
+                    self.options.copies,
+                )
+            }
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! Whether a network is mapped synapse by synapse or by its kernels.
+
+use crate::base::diagnostic::Diagnostic;
+use crate::compile::partition::lattice::layers;
+use crate::ir::quantised::Quantised;
+
+/// Synapses, of all copies, above which a network of layers is mapped by its kernels: the tables of twice as many take two
+/// gigabytes, and building them several more.
+pub const MOST_WRITTEN: u64 = 1 << 28;
+
+/// How far the synapses of a network are expanded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Form {
+    /// Every synapse is written into a program, which can run.
+    Written,
+    /// Kernels stay kernels: layers are cut into boxes and counted from their geometry. There is no program.
+    Symbolic,
+}
+
+impl Form {
+    /// The form of so many copies of a network: symbolic when it has more than [`MOST_WRITTEN`] synapses and consists of
+    /// layers, so that it can be.
+    #[must_use]
+    pub fn for_network(one: &Quantised, copies: u32) -> Form {
+        let synapses = one.synapses().saturating_mul(u64::from(copies));
+        match synapses > MOST_WRITTEN && layers(one).is_some() {
+            true => Form::Symbolic,
+            false => Form::Written,
+        }
+    }
+
+    /// Refuses `what`, which needs every synapse, for a network that is mapped by its kernels.
+    ///
+    /// # Errors
+    /// `map.described`.
+    pub fn require_written(what: &str, one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
+        if Form::for_network(one, copies) == Form::Written {
+            return Ok(());
+        }
+        let synapses = one.synapses().saturating_mul(u64::from(copies));
+        let name = &one.parts().name;
+        let message = format!("{what} needs every synapse of {name} written out: {synapses}, more than {MOST_WRITTEN}");
+        let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run --engine reference \
+                    simulates one copy of it in real numbers; for all else make it smaller, or map fewer copies";
+        Err(Diagnostic::new("map.described", message).help(help))
+    }
+}

@@ -1,0 +1,91 @@
+//! What the caller decides about a mapping: copies, strategy, objective, seed, effort.
+
+/// Spikes of a source in a step, when nothing is known: one in 100 steps.
+pub const DEFAULT_RATE: f64 = 0.01;
+/// The effort of a mapping unless another is given, in seconds.
+pub const DEFAULT_EFFORT_S: u32 = 4;
+
+/// What a mapping is optimised for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Objective {
+    /// Few cores.
+    #[default]
+    Cores,
+    /// Little energy.
+    Energy,
+    /// Short timesteps.
+    Latency,
+}
+
+impl Objective {
+    /// Every objective.
+    pub const ALL: [Objective; 3] = [Objective::Cores, Objective::Energy, Objective::Latency];
+
+    /// Its name on the command line and in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Objective::Cores => "cores",
+            Objective::Energy => "energy",
+            Objective::Latency => "latency",
+        }
+    }
+}
+
+/// How compartments are grouped into cores.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Strategy {
+    /// In the order of the model file.
+    Sequential,
+    /// By tiles and by growth.
+    Greedy,
+    /// By tiles and by levels of groups, refined.
+    #[default]
+    Multilevel,
+}
+
+impl Strategy {
+    /// Every strategy.
+    pub const ALL: [Strategy; 3] = [Strategy::Sequential, Strategy::Greedy, Strategy::Multilevel];
+
+    /// Its name on the command line and in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Strategy::Sequential => "sequential",
+            Strategy::Greedy => "greedy",
+            Strategy::Multilevel => "multilevel",
+        }
+    }
+}
+
+/// How to compile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Options {
+    /// Copies of the network, at least 1.
+    pub copies: u32,
+    /// How compartments are grouped into cores.
+    pub strategy: Strategy,
+    /// What for.
+    pub objective: Objective,
+    /// Seed of strategies that draw; recorded in any case.
+    pub seed: u64,
+    /// Whether cores are placed near those they exchange messages with; otherwise in the order of the partition.
+    pub place: bool,
+    /// Seconds that searching for a better partition and placement may take, counted in work, so that the result is the
+    /// same on every machine.
+    pub effort_s: u32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options {
+            copies: 1,
+            strategy: Strategy::default(),
+            objective: Objective::default(),
+            seed: 0,
+            place: true,
+            effort_s: DEFAULT_EFFORT_S,
+        }
+    }
+}

@@ -1,0 +1,307 @@
+//! The stages of the compiler: what each hands to the next.
+//!
+//! A [`Front`] is partitioned, a [`Partitioned`] network placed, a [`Placed`] one emitted, an [`Unchecked`] mapping checked.
+//! Comparing mappings begins again at any of them.
+
+use std::time::Instant;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{CoreId, IdVec};
+use crate::compile::check::{equivalence, sampled, verify};
+use crate::compile::emit::route::route;
+use crate::compile::emit::sample::{SampledCore, sample};
+use crate::compile::error::CompileError;
+use crate::compile::form::Form;
+use crate::compile::frontend::copies::copies;
+use crate::compile::frontend::integers;
+use crate::compile::frontend::lower::lower;
+use crate::compile::frontend::prune::{Plan, prune};
+use crate::compile::mapping::{Checked, Mapping, Synapses};
+use crate::compile::mapping_file::{self, pruned::plan};
+use crate::compile::options::{DEFAULT_RATE, Options};
+use crate::compile::partition::boxes::{self, Boxes};
+use crate::compile::partition::{self, partition, within_bounds};
+use crate::compile::place::{self, anneal};
+use crate::desc::mapping::MappingFile;
+use crate::desc::network::Network;
+use crate::desc::target::Target;
+use crate::ir::firing_rates::Rates;
+use crate::ir::partition::Partition;
+use crate::ir::placement::Placement;
+use crate::ir::quantised::Quantised;
+
+/// Measures stages.
+#[derive(Debug, Clone, Default)]
+struct Clock(Vec<(&'static str, f64)>);
+
+impl Clock {
+    fn stage<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = stage();
+        let seconds = start.elapsed().as_secs_f64();
+        tracing::debug!(stage = name, seconds, "compiled");
+        self.0.push((name, seconds));
+        result
+    }
+}
+
+/// A network in integers, before it is mapped.
+#[derive(Debug, Clone)]
+pub struct Front {
+    one: Quantised,
+    clock: Clock,
+}
+
+impl From<Quantised> for Front {
+    fn from(one: Quantised) -> Self {
+        Front { one, clock: Clock::default() }
+    }
+}
+
+impl Front {
+    /// A network in integers.
+    ///
+    /// # Errors
+    /// [`CompileError::Input`].
+    pub fn from_network(network: &Network) -> Result<Self, CompileError> {
+        let mut clock = Clock::default();
+        let graph = clock.stage("lower", || lower(network))?;
+        let one = clock.stage("quantise", || integers(&graph))?;
+        Ok(Front { one, clock })
+    }
+
+    /// The network.
+    #[must_use]
+    pub fn quantised(&self) -> &Quantised {
+        &self.one
+    }
+
+    /// The network.
+    #[must_use]
+    pub fn into_quantised(self) -> Quantised {
+        self.one
+    }
+
+    /// The network without what the plan makes superfluous.
+    ///
+    /// # Errors
+    /// [`CompileError::Fault`] when the plan is of another network, or the network has been pruned already.
+    pub fn prune(mut self, plan: &Plan) -> Result<Front, CompileError> {
+        self.one = self.clock.stage("prune", || prune(&self.one, plan)).map_err(CompileError::fault)?;
+        Ok(self)
+    }
+
+    /// Compartments on logical cores, for sources of one copy that spike this often.
+    ///
+    /// # Errors
+    /// [`CompileError`].
+    pub fn partition(
+        self,
+        target: &Target,
+        options: &Options,
+        rates: &Rates,
+        form: Form,
+    ) -> Result<Partitioned, CompileError> {
+        let search = partition::Search::new(options, rates);
+        let (front, all) = self.copied(target, options, search, form)?;
+        let Front { one, mut clock } = front;
+        let (partition, boxes) = clock.stage("partition", || match form {
+            Form::Written => Ok((partition(&one, &all, target, search)?, None)),
+            Form::Symbolic => boxes::partition(&all, target, search.strategy, options.copies),
+        })?;
+        Ok(Partitioned { one, all, partition, boxes, rates: rates.copies(options.copies), clock })
+    }
+
+    /// Compartments on the cores that a saved mapping says, of the network pruned as it was for the mapping.
+    ///
+    /// # Errors
+    /// [`CompileError::Input`] when the mapping is of another network, target or number of copies;
+    /// [`CompileError::DoesNotFit`] when a core exceeds a limit.
+    pub fn place_as(
+        self,
+        target: &Target,
+        options: &Options,
+        file: &MappingFile,
+        form: Form,
+    ) -> Result<Placed, CompileError> {
+        mapping_file::of_copies(file, options.copies)?;
+        let rates = Rates::assumed(DEFAULT_RATE);
+        let pruned = match form {
+            Form::Written => {
+                Form::require_written("running it on cores", &self.one, options.copies)?;
+                self.prune_as(file)?
+            }
+            Form::Symbolic => self,
+        };
+        let (front, all) = pruned.copied(target, options, partition::Search::new(options, &rates), form)?;
+        let Front { one, mut clock } = front;
+        let (partition, placement, boxes) = clock.stage("mapping", || mapping_file::load(file, &all, target, form))?;
+        Ok(Placed {
+            partitioned: Partitioned { one, all, partition, boxes, rates, clock },
+            placement,
+            name: place::SAVED,
+        })
+    }
+
+    /// All copies, if their sizes alone do not exceed the target.
+    fn copied(
+        mut self,
+        target: &Target,
+        options: &Options,
+        search: partition::Search<'_>,
+        form: Form,
+    ) -> Result<(Self, Quantised), CompileError> {
+        let (one, clock) = (&self.one, &mut self.clock);
+        clock.stage("bounds", || within_bounds(one, target, options.copies, form, search))?;
+        let all = clock.stage("copies", || copies(one, options.copies));
+        let all = all.map_err(|error| Diagnostic::new("map.copies", error.to_string()))?;
+        Ok((self, all))
+    }
+
+    /// The network pruned as a mapping says that it was.
+    fn prune_as(self, file: &MappingFile) -> Result<Front, CompileError> {
+        match (&file.pruned, self.one.pruned()) {
+            (Some(recorded), None) => {
+                let plan = plan(recorded, &self.one)?;
+                self.prune(&plan)
+            }
+            (None, Some(_)) => {
+                let message = "the mapping is of the whole network, not of a pruned one";
+                Err(Diagnostic::new("mapping.pruned", message).into())
+            }
+            // What was pruned in another way has other compartments, which the file's cores will show.
+            (None, None) | (Some(_), Some(_)) => Ok(self),
+        }
+    }
+}
+
+/// A network on logical cores, for placing in several ways.
+#[derive(Debug, Clone)]
+pub struct Partitioned {
+    one: Quantised,
+    /// The network, all copies.
+    pub all: Quantised,
+    /// Compartments on cores.
+    pub partition: Partition,
+    /// The boxes of a symbolic mapping.
+    pub boxes: Option<Boxes>,
+    rates: Rates,
+    clock: Clock,
+}
+
+impl Partitioned {
+    /// The same for a target with other limits than it was made for.
+    ///
+    /// # Errors
+    /// [`CompileError::Fault`] when a core exceeds them.
+    pub fn within(mut self, target: &Target) -> Result<Self, CompileError> {
+        self.partition = self.partition.within(target.limits()).map_err(CompileError::fault)?;
+        Ok(self)
+    }
+
+    /// Places of cores on the board, and the name of how they were found.
+    ///
+    /// # Errors
+    /// [`CompileError::DoesNotFit`] when there are more than the target has.
+    pub fn placement(&self, target: &Target, options: &Options) -> Result<(Placement, &'static str), CompileError> {
+        let Partitioned { all, partition, boxes, rates, .. } = self;
+        let search = anneal::Search::new(options, rates);
+        Ok(match boxes {
+            _ if !options.place => (place::sequential(partition.cores(), target)?, place::SEQUENTIAL),
+            None => place::place(all, partition, target, search)?,
+            Some(boxes) => place::place_boxes(all, boxes, target, search)?,
+        })
+    }
+
+    /// Cores on the board.
+    ///
+    /// # Errors
+    /// As [`Partitioned::placement`].
+    pub fn place(mut self, target: &Target, options: &Options) -> Result<Placed, CompileError> {
+        let mut clock = std::mem::take(&mut self.clock);
+        let (placement, name) = clock.stage("place", || self.placement(target, options))?;
+        self.clock = clock;
+        Ok(Placed { partitioned: self, placement, name })
+    }
+}
+
+/// A network on the cores of the board, and the name of how they were placed.
+#[derive(Debug, Clone)]
+pub struct Placed {
+    /// The network on logical cores.
+    pub partitioned: Partitioned,
+    /// Cores on the board.
+    pub placement: Placement,
+    /// Name of the placement.
+    pub name: &'static str,
+}
+
+impl Placed {
+    /// The tables of all cores; of a symbolic mapping those of one core of each kind.
+    ///
+    /// # Errors
+    /// [`CompileError::Fault`].
+    pub fn emit(self, target: &Target, options: &Options) -> Result<Unchecked, CompileError> {
+        let Placed { partitioned, placement, name: placed } = self;
+        let Partitioned { one, all: quantised, partition, boxes, rates, mut clock } = partitioned;
+        let limits = target.limits();
+        let (program, sample) = clock
+            .stage("route", || match boxes {
+                None => {
+                    let program = route(&quantised, &partition, &placement, limits)?;
+                    Ok((Synapses::Written(Box::new(program)), Vec::new()))
+                }
+                Some(boxes) => {
+                    let sample = sample(&quantised, &partition, &placement, &boxes.one_of_each_kind(), limits)?;
+                    Ok((Synapses::Symbolic(Box::new(boxes)), sample))
+                }
+            })
+            .map_err(CompileError::Fault)?;
+        let (seconds, target, options) = (clock.0, target.name().to_string(), *options);
+        let checked = Checked { how: "sampled", share: 0.0 };
+        let mapping =
+            Mapping { one, quantised, partition, placement, program, checked, seconds, target, options, placed, rates };
+        Ok(Unchecked { mapping, sample })
+    }
+}
+
+/// A mapping that has not been verified and checked, for comparing what mappings cost.
+#[derive(Debug, Clone)]
+pub struct Unchecked {
+    mapping: Mapping,
+    /// Tables of one core of each kind, of a symbolic mapping.
+    sample: Vec<SampledCore>,
+}
+
+impl Unchecked {
+    /// The mapping, which may be wrong.
+    #[must_use]
+    pub fn mapping(&self) -> &Mapping {
+        &self.mapping
+    }
+
+    /// The mapping once its limits have been verified and its synapses compared with the network's.
+    ///
+    /// # Errors
+    /// [`CompileError::Fault`].
+    pub fn check(self, target: &Target) -> Result<Mapping, CompileError> {
+        let Unchecked { mut mapping, sample } = self;
+        let mut clock = Clock(std::mem::take(&mut mapping.seconds));
+        let Mapping { quantised: network, partition, placement, .. } = &mapping;
+        mapping.checked = match &mapping.program {
+            Synapses::Written(program) => {
+                clock.stage("verify", || verify::verify(program, target)).map_err(CompileError::fault)?;
+                clock.stage("check", || equivalence::check(network, program)).map_err(CompileError::fault)?;
+                Checked { how: "whole", share: 1.0 }
+            }
+            Synapses::Symbolic(_) => {
+                let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
+                let check = || sampled::check(network, partition, &chips, &sample, target.limits());
+                clock.stage("check", check).map_err(CompileError::Fault)?;
+                Checked { how: "sampled", share: sample.len() as f64 / partition.cores().max(1) as f64 }
+            }
+        };
+        mapping.seconds = clock.0;
+        Ok(mapping)
+    }
+}
