@@ -1,6 +1,6 @@
 //! Rules that a finished program keeps, checked on its own tables.
 //!
-//! In come a [`Program`] and a target; out goes nothing, or the first [`Violation`]. Nothing is taken from the stages that
+//! Input: a [`Program`] and a target. Output: nothing, or the first [`Violation`]. Nothing is taken from the stages that
 //! made the program: every count is made again from what the machine would read. `Program::new` has checked that tables
 //! are closed; beyond that, of every core (each bullet is a variant of [`Violation`]):
 //!

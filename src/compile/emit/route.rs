@@ -1,6 +1,6 @@
 //! From seats and sites to tables: the program.
 //!
-//! In come a network, its partition and placement; out goes a [`Program`]. Each source sends one message to each core that
+//! Input: a network, its partition and placement. Output: a [`Program`]. Each source sends one message to each core that
 //! holds a target of it, the own core included; there an input axon of its own leads to the list of its synapses, which
 //! is one of a table where [`crate::compile::resources::axon_sharing`] says so.
 //! Input axons of a core are numbered by source: channels in order, then compartments in order. A list is sorted by

@@ -1,6 +1,6 @@
 //! What placed boxes are expected to carry and cost, at a rate for each population.
 //!
-//! In come boxes and places, and how often the sources of each population spike; out go traffic, link loads and the
+//! Input: boxes and places, and how often the sources of each population spike. Output: traffic, link loads and the
 //! [`Score`] of a step, counted as [`crate::compile::explore::traffic`] and [`crate::compile::explore::cost_estimate`] count those of a program.
 
 use crate::base::diagnostic::Diagnostic;

@@ -1,6 +1,6 @@
 //! What would make a network fit, tried.
 //!
-//! In come a network that does not fit its target and the target; out come [`Remedy`]s that were tried and made it fit, the
+//! Input: a network that does not fit its target and the target. Output: [`Remedy`]s that were tried and made it fit, the
 //! cheapest change first. What is tried:
 //!
 //! - fewer copies: the most that fit;

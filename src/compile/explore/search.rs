@@ -1,6 +1,6 @@
 //! Several mappings of a network, compared by what a step of them is expected to cost.
 //!
-//! In come a network, a target and an objective; out goes the best of several *candidates*. A candidate is a strategy and
+//! Input: a network, a target and an objective. Output: the best of several *candidates*. A candidate is a strategy and
 //! the part of each core that it may fill: cores that hold half as much take half as long and are twice as many. The first
 //! candidates are always the sequential order, unplaced as the public tools leave it and placed.
 //!

@@ -1,6 +1,6 @@
 //! How far messages go, at given rates of spikes.
 //!
-//! In come a program and a rate for every source; out goes a [`Traffic`]. Each source sends one message to each of its
+//! Input: a program and a rate for every source. Output: a [`Traffic`]. Each source sends one message to each of its
 //! cores. A message goes along its row of tiles first, then along its column (see [`crate::ir::placement`]); an input's
 //! message enters at the corner of its target's chip. Links are counted in both directions separately, over the whole
 //! board. Ways are added as differences at their ends, so that a message costs the same however long it is. A spike that

@@ -1,6 +1,6 @@
 //! Spike response neurons -> Loihi compartments, by analysis: the start from which `agree` searches on.
 //!
-//! Comes in: a graph with spike response populations. Goes out: the same graph with current-based ones in their place,
+//! Input: a graph with spike response populations. Output: the same graph with current-based ones in their place,
 //! which `quantise` brings into integers. Networks without spike response neurons pass through unchanged.
 //!
 //! With equal decays du = dv and r = 1 - du / 4096 a compartment answers a spike with `v(k) = (k + 1) r^k`, and the alpha

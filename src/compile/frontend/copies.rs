@@ -1,6 +1,6 @@
 //! Several copies of a network that share nothing.
 //!
-//! In comes a network; out goes one with every population and projection as many times, copy after copy. Populations of
+//! Input: a network. Output: one with every population and projection as many times, copy after copy. Populations of
 //! copy k are named `name@k` from k = 1 on; input channels are copied too, so that each copy has its own input axons.
 //! Weights are shared in memory, which no chip sees.
 

@@ -1,6 +1,6 @@
 //! `Network` -> [`Graph`]: names become nodes, arrays meet their shapes.
 //!
-//! Comes in: a parsed model with its arrays. Goes out: a graph whose endpoints exist, whose array sizes agree with its
+//! Input: a parsed model with its arrays. Output: a graph whose endpoints exist, whose array sizes agree with its
 //! populations and whose delays are in range; or the first thing that is not so, with its place in the model file. What
 //! a number means to the hardware is left to `quantise`.
 

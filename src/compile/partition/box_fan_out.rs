@@ -1,6 +1,6 @@
 //! What the cores of boxes send: whole boxes are reached, so destinations follow from positions.
 //!
-//! In come layers, their cuts and the compartments of each core; out go, core by core, the distinct sets of cores that its
+//! Input: layers, their cuts and the compartments of each core. Output: core by core, the distinct sets of cores that its
 //! compartments' spikes reach, with how many compartments; and the same of the input channels. Nothing is
 //! enumerated synapse by synapse: a source position reaches some rows and some columns of boxes, and all boxes where they
 //! cross.
@@ -49,32 +49,32 @@ pub struct Placed {
     pub first: u32,
 }
 
-/// What leaves a population over one projection.
-enum Way<'a> {
+/// Where one projection leads.
+enum Outlet<'a> {
     /// Every source reaches all of these cores.
     All(Range<u32>),
     /// Boxes by row, by column and by channel of the source.
     Window { to: &'a Placed, rows: Vec<Vec<u32>>, columns: Vec<Vec<u32>>, channels: Vec<Range<u32>> },
 }
 
-/// The ways out of a population, and its shape.
+/// The outlets out of a population, and its shape.
 struct Outgoing<'a> {
     shape: (u32, u32, u32),
-    ways: Vec<Way<'a>>,
+    outlets: Vec<Outlet<'a>>,
 }
 
 impl<'a> Outgoing<'a> {
-    fn of(
+    fn from_population(
         source: PopulationId,
         layers: &IdVec<PopulationId, Layer>,
         placed: &'a IdVec<PopulationId, Option<Placed>>,
     ) -> Self {
-        let mut ways = Vec::new();
+        let mut outlets = Vec::new();
         for (target, layer) in layers.enumerate() {
             let Some(to) = &placed[target] else { continue };
             for incoming in layer.incoming.iter().filter(|incoming| incoming.source == source) {
                 if incoming.all_to_all {
-                    ways.push(Way::All(to.first..to.first + to.cut.lattice.boxes()));
+                    outlets.push(Outlet::All(to.first..to.first + to.cut.lattice.boxes()));
                     continue;
                 }
                 let window = &incoming.window;
@@ -91,7 +91,7 @@ impl<'a> Outgoing<'a> {
                     let first = channel / sources * of_group;
                     first / to.cut.lattice.size.0..(first + of_group - 1) / to.cut.lattice.size.0 + 1
                 };
-                ways.push(Way::Window {
+                outlets.push(Outlet::Window {
                     to,
                     rows: boxes(Axis::rows(window), window.source.1, to.cut.lattice.size.1),
                     columns: boxes(Axis::columns(window), window.source.2, to.cut.lattice.size.2),
@@ -99,7 +99,7 @@ impl<'a> Outgoing<'a> {
                 });
             }
         }
-        Outgoing { shape: layers[source].shape, ways }
+        Outgoing { shape: layers[source].shape, outlets }
     }
 
     /// Whether two sources reach the same cores for certain.
@@ -107,9 +107,11 @@ impl<'a> Outgoing<'a> {
         let (_, height, width) = self.shape;
         let plane = height * width;
         one % plane == other % plane
-            && self.ways.iter().all(|way| match way {
-                Way::All(_) => true,
-                Way::Window { channels, .. } => channels[(one / plane) as usize] == channels[(other / plane) as usize],
+            && self.outlets.iter().all(|outlet| match outlet {
+                Outlet::All(_) => true,
+                Outlet::Window { channels, .. } => {
+                    channels[(one / plane) as usize] == channels[(other / plane) as usize]
+                }
             })
     }
 
@@ -118,10 +120,10 @@ impl<'a> Outgoing<'a> {
         let (_, height, width) = self.shape;
         let (channel, y, x) = (index / (height * width), index / width % height, index % width);
         let mut cores = Vec::new();
-        for way in &self.ways {
-            match way {
-                Way::All(all) => cores.extend(all.clone()),
-                Way::Window { to, rows, columns, channels } => {
+        for outlet in &self.outlets {
+            match outlet {
+                Outlet::All(all) => cores.extend(all.clone()),
+                Outlet::Window { to, rows, columns, channels } => {
                     for &row in &rows[y as usize] {
                         for &column in &columns[x as usize] {
                             let of = |c| to.first + to.cut.lattice.number((c, row, column));
@@ -166,7 +168,7 @@ pub fn fan_out(
     members: &Members,
 ) -> BoxFanOut {
     let outgoing: IdVec<PopulationId, Outgoing<'_>> =
-        network.populations().ids().map(|id| Outgoing::of(id, layers, placed)).collect();
+        network.populations().ids().map(|id| Outgoing::from_population(id, layers, placed)).collect();
     let mut inputs: IdVec<PopulationId, Vec<Sends>> = vec![Vec::new(); network.populations().len()].into();
     let mut cores: Vec<Vec<Sends>> = Vec::with_capacity(members.len());
     for (id, population) in network.populations().enumerate() {

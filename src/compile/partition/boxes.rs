@@ -60,7 +60,7 @@ impl<'n> Layers<'n> {
             if population.first_compartment().is_none() || cuts[id].is_some() {
                 continue;
             }
-            match Cut::of(&self.layers[id], &self.formats, limits, most[id]) {
+            match Cut::fewest_boxes(&self.layers[id], &self.formats, limits, most[id]) {
                 Ok(cut) => cuts[id] = Some(cut),
                 Err(alone) => reasons.extend(
                     alone

@@ -1,6 +1,6 @@
 //! A network as a hypergraph, and what a partition of it costs.
 //!
-//! In comes a network; out goes a [`Hypergraph`]: one hyperedge (*net*) for each source of spikes, or for all sources of a
+//! Input: a network. Output: a [`Hypergraph`]: one hyperedge (*net*) for each source of spikes, or for all sources of a
 //! population whose targets are the same (dense layers), with the compartments that it reaches as pins. One net per
 //! source rather than one edge per pair, because a spike is sent once to each core however many of its targets are there
 //! (Ronzani & Silvano, arXiv 2601.16118). The cost of a partition is the number of messages of a step: over all nets, the

@@ -1,6 +1,6 @@
 //! Ways of cutting the layers of a network into boxes, a core each.
 //!
-//! In comes a network in which every projection is a window or all to all; out go its [`Layer`]s, and of each the grid of
+//! Input: a network in which every projection is a window or all to all. Output: its [`Layer`]s, and of each the grid of
 //! boxes that takes the fewest cores, with what every box uses ([`crate::compile::resources::closed_form`]).
 
 use std::collections::HashMap;
@@ -126,7 +126,7 @@ impl Cut {
     ///
     /// # Errors
     /// What one compartment alone uses, when no grid was found.
-    pub fn of(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, BoxUse> {
+    pub fn fewest_boxes(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, BoxUse> {
         let most = most.min(limits.compartments).min(packing::MOST_SLOTS);
         let mut cut = None;
         tiles::first_that_fits(&tiles::grids(layer, formats, limits, most), TRIALS, |Grid { size, .. }| {

@@ -1,6 +1,6 @@
 //! Compartments gathered into ever larger groups, by what they share.
 //!
-//! In comes a hypergraph; out go levels of labels: on each level two groups of the level below have one label when they
+//! Input: a hypergraph. Output: levels of labels: on each level two groups of the level below have one label when they
 //! share more of their nets than either shares with any other group that is still free (heavy-connectivity matching, as
 //! multilevel partitioners coarsen: Karypis et al., "Multilevel hypergraph partitioning", DAC 1997; Catalyurek & Aykanat,
 //! "PaToH", 1999). A net of k pins counts 1 / (k - 1) of its weight for each pair; nets of many pins say nothing about

@@ -1,6 +1,6 @@
 //! Compartments onto logical cores.
 //!
-//! In comes a quantised network; out goes a [`Partition`] in which every core keeps every limit, or every reason why there
+//! Input: a quantised network. Output: a [`Partition`] in which every core keeps every limit, or every reason why there
 //! is none. Every strategy ends in the same way: an order of compartments is filled into cores ([`order`]), so that limits
 //! are kept exactly and cores are full. What differs is the order, and what is done afterwards:
 //!

@@ -1,6 +1,6 @@
 //! Filling cores along an order of compartments, until output axons fit too.
 //!
-//! In come segments of compartments in an order, out go the compartments of each core. A core is closed when the next
+//! Input: segments of compartments in an order. Output: the compartments of each core. A core is closed when the next
 //! compartment would break a limit. Two things are not known while filling, and are settled around it:
 //!
 //! - *Whether to keep a segment whole* that fits into an empty core but not into the rest of the current one. Both ways

@@ -1,6 +1,6 @@
 //! Populations over space, cut into tiles.
 //!
-//! In comes a population of `[channels, height, width]` that convolutions or poolings reach; out go segments, each a
+//! Input: a population of `[channels, height, width]` that convolutions or poolings reach. Output: segments, each a
 //! rectangle of positions with all or an equal share of the channels. A core that holds a rectangle needs the sources
 //! under the rectangle and its rim; a core that holds as many compartments in the order of the file, channel by channel,
 //! needs nearly all sources of the layer before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks

@@ -1,6 +1,6 @@
 //! Exchanging cores of a chip, and chips of the board, until messages go less far.
 //!
-//! In come nets, places to start from and how much may be tried; out go places, never worse under the objective. A
+//! Input: nets, places to start from and how much may be tried. Output: places, never worse under the objective. A
 //! proposal takes a core and another site of its chip, half of the time the one nearest to the middle of what the core
 //! talks to (the force-directed part), else any; who sits there changes places with it, and onto a tile that is not in use
 //! a whole tile moves, so that no more tiles are powered than before. It is accepted when it saves

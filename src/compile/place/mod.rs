@@ -1,6 +1,6 @@
 //! Logical cores onto physical ones.
 //!
-//! In come a network, its partition and a target; out goes a [`Placement`]. The partition has counted output axons for
+//! Input: a network, its partition and a target. Output: a [`Placement`]. The partition has counted output axons for
 //! cores numbered chip by chip (core k on the k / 128th chip), and a message to another chip takes more of them; so which
 //! cores share a chip stays as it is, and what is chosen is each core's tile on its chip and each chip's place on the board.
 //!

@@ -1,6 +1,6 @@
 //! What cores say to each other, and how far it goes.
 //!
-//! In come a network, its partition and rates; out go *nets*: a core, or the corner where a chip's inputs enter, and the
+//! Input: a network, its partition and rates. Output: *nets*: a core, or the corner where a chip's inputs enter, and the
 //! cores that its messages go to, with their rate. Sources of one core that reach the same cores are one net. Given places,
 //! a net costs links: those of the tree that its messages' ways form when a spike is sent once and copied where ways part
 //! (multicast), and those of all ways together (unicast). Ways are those of [`crate::ir::placement`]: east or west first.

@@ -1,6 +1,6 @@
 //! A bound on u and v that proves of some compartments that they can never spike.
 //!
-//! In comes what can fire at all; out goes which compartments can. A synapse delivers at most one spike a step, whatever
+//! Input: what can fire at all. Output: which compartments can. A synapse delivers at most one spike a step, whatever
 //! its delay, so what arrives in a step lies between the sum L of a compartment's negative scaled weights and the sum H of
 //! its positive ones, each times the payload of its source's spikes, counted over the sources that can fire. Equation numbers refer to `docs/semantics.md`.
 //!

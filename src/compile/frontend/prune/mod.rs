@@ -1,6 +1,6 @@
 //! Leaves out of a network what cannot change its output.
 //!
-//! In comes a [`Quantised`] network and a [`Plan`]; out goes a smaller one with the record ([`Pruned`]) of what was left out
+//! Input: a [`Quantised`] network and a [`Plan`]. Output: a smaller one with the record ([`Pruned`]) of what was left out
 //! and why. Every output spike of every sample is the same, and so is every spike of a compartment that is left, for every
 //! stimulus that fires no dead channel ([`check_stimulus`] refuses the others):
 //!
@@ -109,7 +109,7 @@ pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent
     let fires = bound::may_fire(network, &dead);
     let reaches = reaches(network, &fires, &whole);
     let mut tally = Tally::new(plan.scene.as_ref());
-    let survey = Survey::of(network, dead, fires, &reaches, &whole, &mut tally);
+    let survey = Survey::new(network, dead, fires, &reaches, &whole, &mut tally);
     let (parts, kept) = rebuilt(network, &survey, &mut tally);
     let record = Pruned {
         original: network.clone(),
@@ -246,7 +246,7 @@ struct Survey {
 }
 
 impl Survey {
-    fn of(
+    fn new(
         network: &Quantised,
         dead: IdVec<ChannelId, bool>,
         fires: IdVec<CompartmentId, bool>,

@@ -1,9 +1,8 @@
-//! Synapse memory, word by word, and back.
+//! An encoder and a decoder of synapse memory, for tests.
 //!
-//! In comes a core's image; out go its 64-bit words as the formats say, and the lists that these words decode to. It is
-//! the proof that what was counted can be stored and that what is stored is what was meant: as many words as
-//! [`crate::compile::resources::packing`] counts, and every synapse back. The simulator does not need it; `verify` counts words by
-//! the formula, and the tests hold the formula to this.
+//! Input: a core's image. Output: its 64-bit words as the formats say, and the lists that these words decode to. They show
+//! that what was counted can be stored: as many words as [`crate::compile::resources::packing`] counts, and every synapse
+//! back. `verify` counts words by the formula; the tests hold the formula to this.
 //!
 //! An entry: number of the format (4 bits), synapses less one (6 bits), the first slot (as wide as the core's indices; in
 //! run-length entries, and with NxTF's counting in dense ones), then the synapses: weight, delay, and run or index. A weight
