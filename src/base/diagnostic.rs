@@ -1,6 +1,6 @@
-//! What is told to a person whose input cannot be used.
+//! Diagnostics: messages about input that cannot be used.
 //!
-//! Comes in: what is wrong, where, and what would help. Goes out: one value that the command line prints as text with
+//! Input: what is wrong, where, and what would help. Output: one value that the command line prints as text with
 //! the lines of the file around the place, or as JSON. Stages return these inside their own error types.
 
 use std::fmt;

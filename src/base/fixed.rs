@@ -1,8 +1,8 @@
 //! Integers with the widths of the hardware's fields, and the operations by which the hardware narrows them.
 //!
-//! Goes in: any integer. Comes out: a value that is known to fit its field, or [`OutOfRange`] with the value and the
-//! limits. The operations have names for what they do at the edge: [`wrap`] (two's complement), [`clip`] (saturate),
-//! [`decay`] (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
+//! Input: any integer. Output: a value that is known to fit its field, or [`OutOfRange`] with the value and the limits.
+//! Operations are named after what they do at the edge: [`wrap`] (two's complement), [`clip`] (saturate), [`decay`]
+//! (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
 
 use std::fmt;
 
@@ -66,7 +66,7 @@ macro_rules! ranged {
 }
 
 ranged!(
-    /// Effective decay: what is taken away in a step, in 4096ths; 4096 forgets everything. The chip's register for `u`
+    /// Effective decay: the share that is lost in a step, in 4096ths; 4096 loses everything. The chip's register for `u`
     /// holds one less, the one for `v` the value itself (slayerPytorch and lava agree once that is taken into account).
     Decay(u16) in 0..=4096, "decay"
 );
@@ -112,13 +112,13 @@ ranged!(
     Payload(i32) in -8_388_608..=8_388_607, "payload"
 );
 
-/// Width of the dendritic accumulator without its sign (nengo-loihi: `Q_BITS`).
+/// Bits of the dendritic accumulator without its sign (nengo-loihi: `Q_BITS`).
 pub const Q_BITS: u32 = 21;
-/// Width of the current and voltage registers without their sign.
+/// Bits of the current and voltage registers without their sign.
 pub const UV_BITS: u32 = 23;
-/// The low bits that a scaled weight is shifted up by when its exponent is 0.
+/// Left shift of a scaled weight whose exponent is 0.
 pub const WEIGHT_SHIFT: u32 = 6;
-/// The low bits of the threshold.
+/// Left shift of the threshold mantissa.
 pub const THRESHOLD_SHIFT: u32 = 6;
 /// One in the fixed-point format of a decay.
 pub const DECAY_ONE: i64 = 4096;
@@ -153,8 +153,8 @@ pub const fn decay(x: i64, d: Decay) -> i64 {
     if x < 0 { -kept } else { kept }
 }
 
-/// Equation (1): what one spike over a synapse of weight `w` adds to the accumulator: `w * 2^(6 + exponent)`; for a
-/// negative exponent the low six bits are dropped toward zero, weight by weight (nengo-loihi `discretize.py`).
+/// Equation (1): what one spike over a synapse of weight `w` adds to the accumulator: `w * 2^(6 + exponent)`. For a
+/// negative exponent each weight is rounded toward zero to a multiple of 64 (nengo-loihi `discretize.py`).
 #[inline]
 #[must_use]
 pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {

@@ -2,10 +2,10 @@
 
 use super::rng;
 
-/// Keeps the draws of one class apart from those of another.
+/// First random stream of the classes; each class has its own.
 const CLASS: u64 = 2 << 32;
 
-/// 0..n in an order that the seed decides (Fisher and Yates).
+/// A seeded permutation of 0..n (Fisher and Yates).
 fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     for i in (1..n).rev() {
@@ -14,8 +14,8 @@ fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
     order
 }
 
-/// For each of `k` folds the samples that it tests on, ascending: the samples of each class are dealt out in a seeded
-/// order, one class after the other, so that folds differ by at most one in each class and in all.
+/// For each of `k` folds the samples that it tests on, ascending. Samples are assigned to folds in turn, class by class in
+/// a seeded order, so that folds differ by at most one sample in each class and in all.
 #[must_use]
 pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
     let mut folds = vec![Vec::new(); k];

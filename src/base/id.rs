@@ -1,6 +1,6 @@
 //! One id type for each index space, and vectors that only their own id can index.
 //!
-//! An id is a `u32` in a coat: it costs nothing and keeps a compartment from being used where a core is meant.
+//! An id is a newtype of `u32`: it costs nothing and keeps a compartment from being used where a core is meant.
 
 use std::fmt;
 use std::marker::PhantomData;

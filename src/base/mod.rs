@@ -1,6 +1,6 @@
-//! The ground floor: ids, range-checked integers, units, randomness, diagnostics.
+//! The lowest layer: ids, range-checked integers, units, random numbers, diagnostics.
 //!
-//! Nothing in here knows of networks or cores. Everything above may use it; it uses nothing above.
+//! Nothing here knows of networks or cores. Every other module may use it; it uses none of them.
 
 pub mod diagnostic;
 pub mod fixed;

@@ -1,4 +1,4 @@
-//! Randomness as a function of (seed, entity, step), never a sequence that threads could share.
+//! Random numbers as a function of (seed, entity, step): no sequence that threads would have to share.
 //!
 //! The mixer is the finaliser of SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators",
 //! OOPSLA 2014), applied once for each argument. It is for stimuli and test networks, not for cryptography.

@@ -21,7 +21,7 @@ use crate::ir::quantised::Quantised;
 use crate::report::train::{Run, StudyReport, TrainReport, history_csv};
 use crate::train::checkpoint;
 use crate::train::export;
-use crate::train::fit::{Example, Plan, State};
+use crate::train::fit::{Example, Plan, TrainingState};
 use crate::train::network::Weights;
 use crate::train::plan::plan;
 use crate::train::raster::Raster;
@@ -175,7 +175,7 @@ fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data, Error>
 }
 
 /// Trains to the end, from the checkpoint when there is one.
-fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<State, Error> {
+fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<TrainingState, Error> {
     let of = kept.map(|path| (path, checkpoint::fingerprint(plan, examples)));
     let state = of.as_ref().map(|(path, print)| checkpoint::load(path, plan, print)).transpose()?.flatten();
     let mut state = state.unwrap_or_else(|| plan.start());

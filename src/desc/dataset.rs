@@ -1,7 +1,7 @@
 //! The mirror of a data-set manifest (`dataset.ron`): which files hold the recordings of which sample, or of all samples
 //! together, and what is known about each.
 //!
-//! It names files and never reads them; `io::dataset` does, and checks that labels, folds and files agree.
+//! `io::spikes::manifest` reads the files that it names, and checks that labels, folds and files agree.
 
 use std::collections::BTreeMap;
 

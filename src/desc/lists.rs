@@ -1,10 +1,9 @@
-//! Lists of numbers in a RON text, read at the speed of a scan.
+//! Lists of numbers in a RON text, read in one pass.
 //!
-//! A model may hold megabytes of weights. RON's own parser looks at each of those numbers once for every value around it that
-//! remembers its place, and takes its time over each. So long lists go round it: [`blank`] gives the text with the inside
-//! of such lists blanked out, byte for byte, which is what RON parses; [`numbers`] and [`triples`] then read the list where
-//! it stands in the text as it was written. Both see what RON sees: comments, underscores, trailing commas, signs, other
-//! bases. What follows a number (`1.0f32`) is not read.
+//! A model may hold megabytes of weights, and RON's parser scans a list once for each enclosing value with a position. Long
+//! lists therefore bypass it: [`blank`] replaces their contents by spaces, byte for byte, and RON parses that text;
+//! [`numbers`] and [`triples`] then read each list from the original text. Both accept what RON accepts (comments,
+//! underscores, trailing commas, signs, other bases) except a type suffix (`1.0f32`).
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -22,7 +21,7 @@ fn wrong<T>(range: Range<usize>, message: impl Into<String>) -> Result<T, ListEr
     Err(ListError { span: Span { start: range.start, end: range.end }, message: message.into() })
 }
 
-/// A position in a text, and the few tokens of RON.
+/// A position in a text, and a scanner for the tokens of RON.
 struct Cursor<'a> {
     text: &'a str,
     at: usize,
@@ -37,7 +36,7 @@ impl<'a> Cursor<'a> {
         &self.text[self.at..]
     }
 
-    /// Past a comment that begins here; whether there was one. One that does not end goes to the end of the text.
+    /// Skips a comment that begins here and returns whether there was one. An unclosed one extends to the end of the text.
     fn comment(&mut self) -> bool {
         let bytes = self.text.as_bytes();
         match bytes.get(self.at..self.at + 2) {
@@ -63,7 +62,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Past blanks and comments.
+    /// Skips white space and comments.
     fn blanks(&mut self) {
         loop {
             match self.peek() {
@@ -79,7 +78,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Past a string, a raw string or a character that begins here; whether there was one.
+    /// Skips a string, a raw string or a character that begins here and returns whether there was one.
     fn quoted(&mut self) -> bool {
         let bytes = self.text.as_bytes();
         match bytes.get(self.at) {
@@ -128,7 +127,7 @@ impl<'a> Cursor<'a> {
         start..self.at
     }
 
-    /// The bracket that closes the one here, as the range of all between them.
+    /// Skips to the bracket that closes the one here and returns the range between them.
     fn inside(&mut self) -> Result<Range<usize>, ListError> {
         let start = self.at;
         let mut open: Vec<u8> = Vec::new();
@@ -161,7 +160,7 @@ impl<'a> Cursor<'a> {
     }
 }
 
-/// The text with the inside of each list that is the value of one of these fields blanked out; line breaks stay.
+/// The text with the contents of each list that is the value of one of these fields replaced by spaces, except line breaks.
 ///
 /// # Errors
 /// For such a list whose brackets do not close.
@@ -218,7 +217,7 @@ fn number(token: &str) -> Option<f64> {
         b'+' => (false, &bytes[1..]),
         _ => (false, bytes),
     };
-    // Nearly all numbers of nearly all files.
+    // The fast path: short decimal integers.
     if (1..=15).contains(&digits.len()) && digits.iter().all(u8::is_ascii_digit) {
         let whole = digits.iter().fold(0i64, |sum, digit| 10 * sum + i64::from(digit - b'0'));
         return Some(if negative { -(whole as f64) } else { whole as f64 });
@@ -243,7 +242,7 @@ fn number(token: &str) -> Option<f64> {
 }
 
 impl Cursor<'_> {
-    /// The number that must stand here.
+    /// Reads the number that must stand here.
     fn number(&mut self, or: &str) -> Result<f64, ListError> {
         let token = self.token();
         let text = &self.text[token.clone()];
@@ -259,7 +258,7 @@ impl Cursor<'_> {
         }
     }
 
-    /// Past the comma behind an entry, or to the bracket that closes the list.
+    /// Skips the comma after an entry, or stops at the bracket that closes the list.
     fn comma(&mut self, close: u8) -> Result<(), ListError> {
         self.blanks();
         match self.peek() {
@@ -276,7 +275,7 @@ impl Cursor<'_> {
     }
 }
 
-/// A list and its lists, with their bounds on depth and length.
+/// Reads nested lists and checks their depth and lengths.
 struct Lists<'a> {
     cursor: Cursor<'a>,
     deepest: usize,
@@ -284,13 +283,13 @@ struct Lists<'a> {
 }
 
 impl Lists<'_> {
-    /// From behind a bracket that opens to behind the one that closes it.
+    /// Reads a list from after its opening bracket to after its closing one.
     fn list(&mut self, depth: usize) -> Result<(), ListError> {
         let start = self.cursor.at;
         if depth == self.deepest {
             return wrong(start - 1..start, format!("lists are nested deeper than {}", self.deepest));
         }
-        // The first list met at a depth fixes how long all others there are.
+        // The first list at a depth fixes the length of all others there.
         let first = self.list.shape.len() == depth;
         if first && !self.list.numbers.is_empty() {
             return wrong(start - 1..start, "a list stands where the other rows have a number");

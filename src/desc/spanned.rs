@@ -1,8 +1,8 @@
-//! RON with positions: [`parse`] a text into mirrors whose values remember where they stood.
+//! RON with positions: [`parse`] reads a text into mirrors whose values know their place in it.
 //!
-//! RON hands out borrowed slices of raw values. The offset of such a slice in the text is where the value stands; while
-//! a text is being parsed its address is kept beside the parser (in a thread-local, since serde has no way to pass it
-//! along). A value that fails inside a raw slice reports its own position, not that of the slice's end.
+//! RON lends slices of raw values. The offset of such a slice in the text is the place of the value; while a text is being
+//! parsed, its address is kept in a thread-local, since serde cannot pass context to nested values. A value that fails
+//! inside a raw slice reports its own position, not that of the slice's end.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
@@ -18,13 +18,13 @@ use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 thread_local! {
     /// Address and length of the text that this thread is parsing.
     static TEXT: Cell<Option<(usize, usize)>> = const { Cell::new(None) };
-    /// The text as it was written, which may have long lists where the parsed one is blank.
+    /// The original text, with the lists that are blank in the parsed one.
     static WRITTEN: RefCell<Option<Arc<str>>> = const { RefCell::new(None) };
     /// The innermost error seen so far: its place in the text.
     static INNERMOST: Cell<Option<Span>> = const { Cell::new(None) };
 }
 
-/// A value and where it stood.
+/// A value and its place in the text.
 #[derive(Debug, Clone, Default)]
 pub struct Spanned<T> {
     /// The value.
@@ -92,12 +92,12 @@ fn nested<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> R
             let end = span.start + offset_of(text, error.span.end);
             INNERMOST.set(Some(Span { start: start.min(end), end }));
         }
-        E::custom(said::<T>(&error.code, text))
+        E::custom(message_for::<T>(&error.code, text))
     })
 }
 
-/// What is said about a value of this type that cannot be read from this text.
-fn said<T>(error: &ron::Error, text: &str) -> String {
+/// The message for a value of this type that cannot be read from this text.
+fn message_for<T>(error: &ron::Error, text: &str) -> String {
     use ron::Error::{ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
     let whole = match std::any::type_name::<T>() {
         "u32" | "u64" => "a whole number from 0",
@@ -105,7 +105,7 @@ fn said<T>(error: &ron::Error, text: &str) -> String {
         _ => return plain(error),
     };
     match error {
-        // What is left behind the digits is what makes the number another kind of number.
+        // What follows the digits makes it another kind of number.
         ExpectedInteger | IntegerOutOfBounds | TrailingCharacters => {
             format!("expected {whole} and found {}", text.chars().take(40).collect::<String>())
         }
@@ -134,7 +134,7 @@ impl<T: Serialize> Serialize for Spanned<T> {
     }
 }
 
-/// A value that is a plain number, a list, or a named source of numbers: what stands at the start decides.
+/// A value that is a plain number, a list, or a named source of numbers, decided by its first character.
 pub(crate) enum Shape<'de> {
     /// `3`, `-0.5`
     Number(f64),
@@ -149,7 +149,7 @@ pub(crate) fn raw<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(&'de st
     Ok(place_of(<&RawValue>::deserialize(deserializer)?))
 }
 
-/// Reads a value whose kind its first character tells, and its place.
+/// Reads a value whose first character decides its kind, and its place.
 pub(crate) fn shape_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Shape<'de>, Span), D::Error> {
     let (text, span) = raw(deserializer)?;
     let shape = match text.chars().next() {
@@ -168,7 +168,7 @@ pub(crate) fn parse_shape<T: DeserializeOwned, E: serde::de::Error>(text: &str, 
     nested(text, span)
 }
 
-/// Reads a list where it stands in the text as it was written.
+/// Reads a list from the original text.
 pub(crate) fn list_at<T>(span: Span, read: impl FnOnce(&str) -> Result<T, ListError>) -> Result<T, ListError> {
     let written = WRITTEN.with_borrow(Option::clone).unwrap_or_default();
     if written.get(span.start..span.end).is_none() {

@@ -1,6 +1,6 @@
 //! What a stimulus argument says: `POPULATION=SOURCE`, or a bare SOURCE.
 //!
-//! This is only the syntax; `io::stimulus` reads files and `scene` makes synthetic spikes.
+//! This is only the syntax; `io::spikes` reads files and `scene` makes synthetic spikes.
 
 use std::path::PathBuf;
 

@@ -1,6 +1,6 @@
 //! The mirror of a training file (`nsim train`; `docs/training.md` describes each field).
 //!
-//! What a single number may be is left to `train::plan`, which knows the whole and can point at the value.
+//! Ranges of single numbers are checked by `train::plan`, which knows the whole file.
 
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +30,7 @@ pub struct LayerDesc {
     /// Its neurons, when they differ from the network's.
     #[serde(default)]
     pub neuron: Option<NeuronDesc>,
-    /// What its learning rate is multiplied with.
+    /// Factor on the learning rate of its weights.
     #[serde(default = "one")]
     pub rate: f64,
     /// Initial weights are uniform within this many times `1 / sqrt(fan-in)` (slayerPytorch: 10).
@@ -52,7 +52,7 @@ fn ten() -> f64 {
 pub enum TimesDesc {
     /// The same for all.
     Same(f64),
-    /// So many values from one to another by equal factors, dealt out in turn.
+    /// So many values from one to another in a geometric series, assigned to the neurons in turn.
     Spread(f64, f64, u32),
 }
 
@@ -90,7 +90,7 @@ pub enum NeuronDesc {
         refractory: i64,
         /// Threshold in the units of the trained weights, when a neuron's response to a weight of 1 peaks at 1.
         theta: f64,
-        /// Which credit is assigned.
+        /// How credit is assigned.
         #[serde(default)]
         credit: CreditDesc,
     },
@@ -141,7 +141,7 @@ pub enum LossDesc {
     },
     /// Cross-entropy of the softmax of spike counts.
     CrossEntropy {
-        /// What a spike adds to its class's logit.
+        /// A spike's contribution to the logit of its class.
         scale: f64,
     },
 }
@@ -162,7 +162,7 @@ pub enum OptimiserDesc {
     },
 }
 
-/// Variations of the training samples.
+/// Augmentation of the training samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AugmentDesc {
@@ -219,7 +219,7 @@ pub struct TrainingFile {
     /// Share that the running mean of the weights keeps at each step; the mean is deployed. 0: the weights are.
     #[serde(default)]
     pub averaging: f64,
-    /// Variations of the training samples.
+    /// Augmentation of the training samples.
     #[serde(default)]
     pub augment: AugmentDesc,
     /// Sources of training samples, as `nsim run --input` takes them.

@@ -1,6 +1,6 @@
 //! What the fuzz targets of `tests/fuzz` and the tests of their corpora run: each parser on any bytes.
 //!
-//! Comes in: bytes. Goes out: nothing; a parser may refuse them, and may not panic or take memory beyond its bound. Models
+//! Input: bytes. Output: nothing; a parser may refuse them, and may not panic or take memory beyond its bound. Models
 //! that are read are turned into the text and back, as an import does.
 
 use std::path::Path;

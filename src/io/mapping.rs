@@ -1,6 +1,6 @@
 //! Saved mappings, and RON for people to read.
 //!
-//! Comes in: a path, or a [`MappingFile`] to be saved. Goes out: the other one.
+//! Input: a path, or a [`MappingFile`] to be saved. Output: the other one.
 
 use std::path::Path;
 
@@ -23,7 +23,7 @@ pub fn load_mapping(path: &Path) -> Result<MappingFile, Diagnostic> {
 /// A mapping as RON, one core a line, or one chip of a layer.
 ///
 /// # Errors
-/// `write.ron`, which no mapping brings about.
+/// `write.ron`, which does not happen for mappings.
 pub fn mapping_text(mapping: &MappingFile) -> Result<String, Diagnostic> {
     pretty(mapping, if mapping.layers.is_empty() { 2 } else { 4 })
 }

@@ -1,6 +1,6 @@
 //! Model files with every array that they refer to.
 //!
-//! Comes in: a path or the name of a shipped model. Goes out: a [`Network`]. A problem with an array is reported at the
+//! Input: a path or the name of a shipped model. Output: a [`Network`]. A problem with an array is reported at the
 //! place in the model file that names it, together with what is wrong with the array's file. Whether the numbers make
 //! sense is for `compile::frontend::lower`.
 

@@ -1,6 +1,6 @@
 //! NumPy's `.npy` files.
 //!
-//! Comes in: a file's bytes. Goes out: an [`Array`], whose header has been held against the bytes that are there, and from
+//! Input: a file's bytes. Output: an [`Array`], whose header has been held against the bytes that are there, and from
 //! it a [`Tensor`] in C order or the indices of its non-zero numbers. Object, complex, text, date and structured arrays
 //! are refused by name; `.npz` archives are not read. Also writes `u1`, `i4` and `f8` arrays as they come.
 
@@ -14,7 +14,7 @@ use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::tensor::{Numbers, Tensor};
 
-/// The longest header that is read; NumPy's own reader stops at 10,000 bytes unless told otherwise.
+/// The longest header that is read; NumPy's own reader stops at 10,000 bytes by default.
 const MOST_HEADER: usize = 64 << 10;
 /// The deepest brackets of a header: a structured type within a structured type.
 const DEEPEST_HEADER: usize = 8;
@@ -110,8 +110,8 @@ fn kind_of(dtype: &DType) -> &'static str {
     }
 }
 
-/// The header's text, once its length, its depth and the sizes that it claims are known to be reasonable. Nothing of this
-/// is checked by the parser behind it, which recurses, allocates and multiplies as it is told.
+/// Checks the header's length, its nesting and the sizes that it claims, and returns where the numbers begin. The parser
+/// behind it checks none of these: it recurses, allocates and multiplies as the header says.
 fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
     let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
     if !bytes.starts_with(NPY_MAGIC) {
@@ -368,8 +368,8 @@ impl Array {
         Tensor::new(self.shape.clone(), numbers).ok_or_else(|| self.failed("they do not fill the shape"))
     }
 
-    /// Calls `f` with the C-order index of each number that is not zero, in the order of the file, without holding the
-    /// others. Recordings are nearly all zeros: eight bytes of them are passed over at a time.
+    /// Calls `f` with the C-order index of each number that is not zero, in the order of the file. Recordings are
+    /// sparse, so zeros are skipped eight bytes at a time.
     ///
     /// # Errors
     /// As [`Array::tensor`], and whatever `f` says.

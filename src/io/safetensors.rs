@@ -1,6 +1,6 @@
 //! One tensor of a safetensors file.
 //!
-//! Comes in: a file and a key. Goes out: a [`Tensor`]. 8-bit floats and packed formats are left out.
+//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are left out.
 
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,6 @@
 //! Files as bytes and as text, with a bound on their size.
 //!
-//! Comes in: a path, `-` for stdin. Goes out: the content, or a diagnostic that says what stands at the path instead: no
+//! Input: a path, `-` for stdin. Output: the content, or a diagnostic that says what stands at the path instead: no
 //! file, a folder, a Git-LFS pointer, a binary file.
 
 use std::fs::File;

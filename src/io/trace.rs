@@ -1,6 +1,6 @@
 //! What probes recorded, in forms that other tools read.
 //!
-//! Comes in: numbers `[samples][compartments][steps]` of one register of one population. Goes out: CSV with a row for each
+//! Input: numbers `[samples][compartments][steps]` of one register of one population. Output: CSV with a row for each
 //! spike or each number, NIR data (spikes as events, other registers on a grid of time), or Parquet with CSV's columns (with
 //! the feature `parquet`). NumPy arrays are written in [`super::npy`].
 

@@ -1,7 +1,7 @@
-//! Files that appear whole or not at all.
+//! Atomic writing of files.
 //!
-//! Comes in: what to write and where, `-` for stdout. What is there afterwards: the complete file under its name, or
-//! nothing new. An existing file is replaced only when that was asked for.
+//! Input: what to write and where, `-` for stdout. Afterwards the complete file exists under its name, or nothing has
+//! changed. An existing file is replaced only on request.
 
 use std::io::{BufWriter, ErrorKind, Write};
 use std::path::Path;
@@ -19,7 +19,7 @@ fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
 }
 
-/// Whether a file may be written there: asked before a long run, so that it does not fail at its end.
+/// Checks that a file may be written there, before a long run that would otherwise fail at its end.
 ///
 /// # Errors
 /// `write.exists`, `write.folder`.
@@ -62,7 +62,7 @@ pub fn file(
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        // A temporary file is private unless told otherwise; this one becomes an ordinary one, as the umask allows.
+        // A temporary file is private by default; this one gets the permissions of an ordinary file.
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     let mut temporary = builder.tempfile_in(folder).map_err(fail)?;

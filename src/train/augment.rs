@@ -1,10 +1,10 @@
-//! Variations of training samples, drawn anew each epoch from (seed, sample, epoch).
+//! Data augmentation: variations of training samples, drawn in each epoch from (seed, sample, epoch).
 
 use super::raster::Raster;
 use crate::base::rng;
 use crate::desc::training::AugmentDesc;
 
-/// Entities of the draws; each kind of draw has its own.
+/// Streams of random numbers, one for each kind of variation.
 const SHIFT: u64 = 0;
 const STRETCH: u64 = 1;
 const DROP_CHANNEL: u64 = 2;

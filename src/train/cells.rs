@@ -1,7 +1,8 @@
-//! The neurons of a layer: what their potentials and spikes are, and how an error at the spikes becomes one at the inputs.
+//! The neurons of a layer: the forward pass to potentials and spikes, and the backward pass from errors at the spikes to
+//! errors at the inputs.
 //!
-//! Both kinds are a linear filter of their input followed by a threshold. Arrays are `[step][neuron]`, so that loops over
-//! the neurons of a step run over neighbours. Potentials are in the units of the trained weights, thresholds too.
+//! Both kinds are a linear filter of their input followed by a threshold. Arrays are `[step][neuron]`, so that the inner
+//! loop runs over contiguous memory. Potentials and thresholds are in the units of the trained weights.
 
 use super::raster::Raster;
 use super::surrogate::Surrogate;
@@ -14,7 +15,7 @@ use crate::reference::kernel::{Alpha, EPSILON, Kernel};
 /// The longest kernel in timesteps.
 const LONGEST: u32 = 100_000;
 
-/// What becomes of a potential.
+/// How a potential becomes a spike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spiking {
     /// Spikes and what follows them, as deployed.
@@ -66,10 +67,10 @@ const FREE: u8 = 0;
 const SPIKED: u8 = 1;
 const HELD: u8 = 2;
 
-/// What a forward pass leaves of a layer.
+/// What a forward pass records of a layer, for the backward pass.
 #[derive(Debug, Clone, Default)]
 pub struct Trace {
-    /// Potentials before what a spike does to them, `[step][neuron]`.
+    /// Potentials before the reset by a spike, `[step][neuron]`.
     pub potential: Vec<f32>,
     /// `FREE`, `SPIKED` or `HELD`, `[step][neuron]`.
     state: Vec<u8>,

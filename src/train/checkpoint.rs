@@ -1,6 +1,6 @@
-//! A training's state as a safetensors file, from which it goes on as if it had never been broken off.
+//! A training's state as a safetensors file. A training that resumes from it ends as one that was never interrupted.
 //!
-//! The file bears a fingerprint of plan and samples: a checkpoint of another training is refused, not continued.
+//! The file holds a fingerprint of plan and samples: a checkpoint of another training is refused.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -8,14 +8,15 @@ use std::path::Path;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 
-use super::fit::{EpochRow, Example, Plan, State};
+use super::fit::{EpochRow, Example, Plan, TrainingState};
 use super::network::Weights;
 use super::optimiser::Moments;
 use crate::base::diagnostic::Diagnostic;
 use crate::io::text::{MOST_ARRAY, read_bytes};
 use crate::io::write;
 
-/// What distinguishes a training from every other: its plan and its samples.
+/// A digest of a training's plan and samples. The plan is digested as it prints for debugging: names of its types and
+/// fields are part of the digest, so renaming one invalidates stored checkpoints.
 #[must_use]
 pub fn fingerprint(plan: &Plan, examples: &[Example]) -> String {
     let mut hash = Sha256::new();
@@ -36,7 +37,7 @@ const PARTS: [&str; 4] = ["weights", "average", "first", "second"];
 ///
 /// # Errors
 /// `write.*`.
-pub fn save(path: &Path, state: &State, fingerprint: &str) -> Result<(), Diagnostic> {
+pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<(), Diagnostic> {
     let parts = [&state.weights, &state.average, &state.moments.first, &state.moments.second];
     let bytes: Vec<(String, Vec<u8>)> = PARTS
         .iter()
@@ -67,7 +68,7 @@ pub fn save(path: &Path, state: &State, fingerprint: &str) -> Result<(), Diagnos
 ///
 /// # Errors
 /// `train.checkpoint` for a file that is no checkpoint, or one of another training; `io.*`.
-pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<State>, Diagnostic> {
+pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<TrainingState>, Diagnostic> {
     if !path.exists() {
         return Ok(None);
     }
@@ -97,7 +98,7 @@ pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<State>
         let [weights, average, first, second] = PARTS.map(read);
         let history: Vec<EpochRow> = serde_json::from_str(&fact("history")?).ok()?;
         let moments = Moments { first: first?, second: second?, steps: number("steps")? };
-        Some(State { epoch: number("epoch")? as u32, weights: weights?, average: average?, moments, history })
+        Some(TrainingState { epoch: number("epoch")? as u32, weights: weights?, average: average?, moments, history })
     };
     state().map(Some).ok_or_else(|| wrong("this checkpoint is not whole"))
 }

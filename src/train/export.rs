@@ -1,7 +1,7 @@
 //! Trained weights as a model file: RON beside a safetensors file with one tensor a projection.
 //!
 //! Loihi weights are stored as half their (even) mantissa in one byte each, SRM weights as f32; both are what the network
-//! was trained with, so the model decides as the training saw it decide.
+//! was trained with, so that the model decides as it did in training.
 
 use std::fmt::Write;
 
@@ -21,7 +21,7 @@ pub struct Model {
     pub weights: Vec<u8>,
 }
 
-/// Makes a model file whose weights lie in `weights_file` beside it; `comment` goes before it, line by line.
+/// A model file whose weights are in `weights_file` beside it; `comment` is put before it, line by line.
 ///
 /// # Errors
 /// `train.export` for neurons that a model file cannot describe.

@@ -1,7 +1,7 @@
-//! The loop of epochs: minibatches over threads, gradients summed in the order of samples, one step each.
+//! The training loop: minibatches run on threads, gradients are summed in the order of samples, one step each.
 //!
-//! Everything random is a function of (seed, entity, epoch), sums have a fixed order, and [`State`] is all that one epoch
-//! hands to the next: results do not depend on threads, nor on where a run was broken off and taken up again.
+//! Everything random is a function of (seed, entity, epoch), sums have a fixed order, and [`TrainingState`] is all that one
+//! epoch passes to the next: results depend neither on threads nor on where a run was interrupted and resumed.
 
 use rayon::prelude::*;
 
@@ -30,19 +30,19 @@ pub struct Plan {
     pub topology: Topology,
     /// What is minimised.
     pub loss: Loss,
-    /// By which steps.
+    /// The optimiser.
     pub optimiser: Optimiser,
     /// Learning rate of each layer at the first step.
     pub rates: Vec<f32>,
     /// Share of the learning rate that is left at the last step; it falls as half a cosine.
     pub last_rate: f32,
-    /// Samples of a step.
+    /// Samples of a minibatch.
     pub batch: usize,
-    /// Passes over the samples.
+    /// Epochs.
     pub epochs: u32,
-    /// Variations of the samples.
+    /// Data augmentation.
     pub augment: AugmentDesc,
-    /// Share that the running mean of the weights keeps at each step; the mean is what is deployed. 0: the weights.
+    /// Decay of the exponential moving average of the weights, which is what is deployed. 0: the weights themselves.
     pub averaging: f32,
     /// Initial weights are uniform within this many times `1 / sqrt(fan-in)`, for each layer.
     pub initial: Vec<f32>,
@@ -50,16 +50,16 @@ pub struct Plan {
     pub seed: u64,
 }
 
-/// Where a training stands after an epoch.
+/// The state of a training after an epoch.
 #[derive(Debug, Clone, PartialEq)]
-pub struct State {
+pub struct TrainingState {
     /// Epochs done.
     pub epoch: u32,
     /// Trained weights.
     pub weights: Weights,
     /// Their running mean.
     pub average: Weights,
-    /// What the optimiser remembers.
+    /// The optimiser's moments.
     pub moments: Moments,
     /// One row an epoch.
     pub history: Vec<EpochRow>,
@@ -91,9 +91,9 @@ const ORDER: u64 = 2 << 32;
 const VARY: u64 = 3;
 
 impl Plan {
-    /// Before the first epoch: initial weights.
+    /// The state before the first epoch, with initial weights.
     #[must_use]
-    pub fn start(&self) -> State {
+    pub fn start(&self) -> TrainingState {
         let mut weights = self.topology.zeros();
         for (index, (layer, weights)) in self.topology.layers.iter().zip(&mut weights).enumerate() {
             let bound = f64::from(self.initial[index]) / (layer.fan_in as f64).sqrt();
@@ -104,16 +104,16 @@ impl Plan {
         self.start_from(weights)
     }
 
-    /// Before the first epoch, from given weights.
+    /// The state before the first epoch, with given weights.
     #[must_use]
-    pub fn start_from(&self, weights: Weights) -> State {
+    pub fn start_from(&self, weights: Weights) -> TrainingState {
         let zeros = self.topology.zeros();
         let moments = Moments { first: zeros.clone(), second: zeros, steps: 0 };
-        State { epoch: 0, average: weights.clone(), weights, moments, history: Vec::new() }
+        TrainingState { epoch: 0, average: weights.clone(), weights, moments, history: Vec::new() }
     }
 
     /// One epoch over the examples.
-    pub fn epoch(&self, state: &mut State, examples: &[Example], workers: &mut Vec<Workspace>) {
+    pub fn epoch(&self, state: &mut TrainingState, examples: &[Example], workers: &mut Vec<Workspace>) {
         let epoch = u64::from(state.epoch);
         let order = permutation(examples.len(), self.seed, ORDER + epoch);
         workers.resize_with(self.batch.min(examples.len()), || Workspace::new(&self.topology));
@@ -157,7 +157,7 @@ impl Plan {
         state.history.push(EpochRow { epoch: state.epoch, loss: loss / samples, accuracy: right as f64 / samples });
     }
 
-    /// Weights whose mantissa would be clipped are held at the end of the range, where the gradient can still move them.
+    /// Clamps weights to the range of the mantissa, where the gradient can still move them.
     fn keep_in_range(&self, weights: &mut Weights) {
         for (layer, weights) in self.topology.layers.iter().zip(weights) {
             if let Some(m) = &layer.mantissas {
@@ -185,7 +185,7 @@ impl Plan {
         };
         self.topology.forward(deployed, inputs, Spiking::Hard, work);
         let output = std::mem::take(work.output_mut());
-        let loss = self.loss.of(&output, example.label, work.output_error());
+        let loss = self.loss.evaluate(&output, example.label, work.output_error());
         let right = class_of(&output.counts()) == Some(example.label);
         *work.output_mut() = output;
         self.topology.backward(deployed, inputs, work);
@@ -193,7 +193,7 @@ impl Plan {
     }
 
     /// Runs all epochs that are left; `after` sees the state after each and may end the run by returning false.
-    pub fn run(&self, state: &mut State, examples: &[Example], mut after: impl FnMut(&State) -> bool) {
+    pub fn run(&self, state: &mut TrainingState, examples: &[Example], mut after: impl FnMut(&TrainingState) -> bool) {
         let mut workers = Vec::new();
         while state.epoch < self.epochs {
             self.epoch(state, examples, &mut workers);
@@ -205,7 +205,7 @@ impl Plan {
 
     /// The weights that are deployed.
     #[must_use]
-    pub fn result<'a>(&self, state: &'a State) -> &'a Weights {
+    pub fn result<'a>(&self, state: &'a TrainingState) -> &'a Weights {
         if self.averaging > 0.0 { &state.average } else { &state.weights }
     }
 

@@ -50,8 +50,8 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// The loss of a sample; adds its derivative by each output spike to `error`, `[step][output]`.
-    pub fn of(&self, output: &Raster, label: u32, error: &mut [f32]) -> f64 {
+    /// Returns the loss of a sample and adds its derivative by each output spike to `error`, `[step][output]`.
+    pub fn evaluate(&self, output: &Raster, label: u32, error: &mut [f32]) -> f64 {
         let (n, steps) = (output.units(), output.steps());
         let target = |class: usize| if class == label as usize { self.right } else { self.wrong };
         let counts = output.counts();
@@ -125,7 +125,7 @@ mod tests {
 
     fn loss(form: Form) -> (f64, Vec<f32>) {
         let mut error = vec![0.0; 8];
-        let value = Loss { form, right: 2.0, wrong: 0.0 }.of(&output(), 1, &mut error);
+        let value = Loss { form, right: 2.0, wrong: 0.0 }.evaluate(&output(), 1, &mut error);
         (value, error)
     }
 

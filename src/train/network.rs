@@ -72,7 +72,7 @@ pub struct Topology {
     pub layers: Vec<Layer>,
 }
 
-/// Trained numbers, `[layer][source * targets + target]`.
+/// Trained weights, `[layer][source * targets + target]`.
 pub type Weights = Vec<Vec<f32>>;
 
 impl Topology {
@@ -95,7 +95,7 @@ impl Topology {
         }
     }
 
-    /// What the forward pass multiplies with, made of the trained weights once a minibatch.
+    /// The weights that the forward pass multiplies with, computed once a minibatch.
     #[must_use]
     pub fn deploy(&self, weights: &Weights, spiking: Spiking) -> Deployed {
         let mut deployed = Deployed::default();
@@ -123,16 +123,16 @@ impl Topology {
     }
 }
 
-/// Weights as a minibatch uses them.
+/// Weights as a minibatch uses them: rounded where the deployed network rounds.
 #[derive(Debug, Clone, Default)]
 pub struct Deployed {
-    /// What a spike adds to each target, `[layer][source * targets + target]`; whole numbers for Loihi cells.
+    /// The contribution of a spike to each target, `[layer][source * targets + target]`; whole numbers for Loihi cells.
     adds: Vec<Vec<f32>>,
     /// The same in the units of the trained weights, `[layer][target * sources + source]`.
     transposed: Vec<Vec<f32>>,
 }
 
-/// What one sample's passes need and leave; used again for the next sample.
+/// Buffers of the passes of one sample, reused for the next.
 #[derive(Debug, Clone, Default)]
 pub struct Workspace {
     drive: Vec<f32>,
@@ -306,7 +306,7 @@ mod tests {
                 let deployed = topology.deploy(weights, Spiking::Smooth);
                 topology.forward(&deployed, &inputs, Spiking::Smooth, work);
                 let output = work.output().clone();
-                let loss = plan.loss.of(&output, 1, work.output_error());
+                let loss = plan.loss.evaluate(&output, 1, work.output_error());
                 (loss, deployed)
             };
             let mut weights = plan.start().weights;

@@ -1,4 +1,4 @@
-//! Steps along a gradient: Adam (Kingma, Ba: ICLR 2015) and RMSprop (Hinton's lecture; constants as PyTorch's defaults).
+//! Gradient descent: Adam (Kingma, Ba: ICLR 2015) and RMSprop (Hinton's lecture; constants as PyTorch's defaults).
 
 use super::network::Weights;
 
@@ -22,7 +22,7 @@ pub struct Optimiser {
     pub decoupled: bool,
 }
 
-/// What an optimiser remembers.
+/// Running moments of the gradient.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Moments {
     /// Mean gradient (Adam).

@@ -1,4 +1,4 @@
-//! A training file becomes a plan whose values are in range.
+//! From a training file to a plan whose values are checked to be in range.
 
 use super::cells::{Cells, Loihi, Srm, response_peak};
 use super::fit::Plan;
@@ -153,7 +153,7 @@ fn times(
     }
 }
 
-/// The decay that forgets as an exponential with this time constant in steps does.
+/// The decay of an exponential with this time constant in steps.
 fn decay_of(tau: f64) -> Result<Decay, OutOfRange> {
     Decay::new((4096.0 * (1.0 - libm::exp(-1.0 / tau))).round() as i64)
 }

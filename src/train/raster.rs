@@ -1,6 +1,6 @@
 //! Spikes of one population over one sample, grouped by step.
 //!
-//! Each event bears a value, which is 1 for a spike; the smoothed network that the gradient is checked on has others.
+//! Each event has a value: 1 for a spike, any number in the smoothed network on which gradients are checked.
 
 /// Events of `units` channels or neurons over `steps` timesteps.
 #[derive(Debug, Clone, Default, PartialEq)]

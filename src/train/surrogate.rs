@@ -1,4 +1,4 @@
-//! The derivative that stands in for that of a spike (Shrestha, Orchard: "SLAYER", NeurIPS 2018, eq. 15; parameters as in
+//! The surrogate gradient of a spike (Shrestha, Orchard: "SLAYER", NeurIPS 2018, eq. 15; parameters as in
 //! slayerPytorch `spikeLayer.py`, `tauRho` and `scaleRho`).
 
 /// `rho(u) = scale / (tau * theta) * exp(-|u - theta| / (tau * theta))`.
@@ -19,7 +19,7 @@ impl Surrogate {
         Surrogate { theta, steepness: 1.0 / (tau_rho * theta), scale: scale_rho }
     }
 
-    /// The stand-in derivative at a potential.
+    /// The surrogate derivative at a potential.
     #[inline]
     #[must_use]
     pub fn slope(&self, u: f32) -> f32 {

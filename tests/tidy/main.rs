@@ -44,29 +44,6 @@ const BOARDLESS: [&str; 5] = ["compile", "cost", "report", "machine", "ir"];
 const CYCLES: &[&[&str]] = &[
     &["src/cli/energy/calibrate.rs", "src/cli/energy/mod.rs"],
     &["src/compile/partition/tiles.rs", "src/compile/resources/closed_form.rs"],
-    &[
-        "src/io/dataset.rs",
-        "src/io/event_csv.rs",
-        "src/io/events/address.rs",
-        "src/io/events/aedat.rs",
-        "src/io/events/bins.rs",
-        "src/io/events/evt.rs",
-        "src/io/events/mod.rs",
-        "src/io/events/nir_data.rs",
-        "src/io/events/tact.rs",
-        "src/io/stimulus.rs",
-    ],
-    &[
-        "src/io/foreign/mod.rs",
-        "src/io/foreign/netx/layer.rs",
-        "src/io/foreign/netx/mod.rs",
-        "src/io/foreign/netx/neuron.rs",
-        "src/io/foreign/nir/graph.rs",
-        "src/io/foreign/nir/mod.rs",
-        "src/io/foreign/nir/neuron.rs",
-        "src/io/foreign/slayer.rs",
-    ],
-    &["src/io/npy.rs", "src/io/text.rs"],
     &["src/ir/pruned.rs", "src/ir/quantised.rs"],
     &["src/machine/layout/flatten.rs", "src/machine/layout/image.rs"],
     &["src/machine/layout/lists.rs", "src/machine/layout/padded_runs.rs"],
@@ -82,7 +59,7 @@ const CYCLES: &[&[&str]] = &[
     &["src/stress/integers.rs", "src/stress/mod.rs", "src/stress/reals.rs"],
 ];
 /// Folders with more files than a dozen.
-const CROWDED: &[&str] = &["src/io"];
+const CROWDED: &[&str] = &[];
 /// Files with a function called just `of`.
 const NAMED_OF: &[&str] = &[
     "src/cli/args/input.rs",
@@ -100,19 +77,13 @@ const NAMED_OF: &[&str] = &[
     "src/cost/deployment.rs",
     "src/cost/meter.rs",
     "src/cost/transport.rs",
-    "src/io/dataset.rs",
-    "src/io/draft.rs",
-    "src/io/events/mod.rs",
     "src/io/foreign/hdf5.rs",
     "src/io/foreign/torch.rs",
-    "src/io/npy.rs",
-    "src/io/stimulus.rs",
     "src/ir/firing_rates.rs",
     "src/ir/placement.rs",
     "src/machine/count/routing_tables.rs",
     "src/machine/count/tally.rs",
     "src/reference/mod.rs",
-    "src/train/loss.rs",
 ];
 /// Files with the core counts of one published deployment.
 const DEPLOYMENT_COUNTS: &[&str] = &["src/cost/deployment.rs"];

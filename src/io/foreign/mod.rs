@@ -1,9 +1,9 @@
-//! Models that other tools wrote, as models of nsim's own.
+//! Models that other tools wrote, imported as nsim's own.
 //!
-//! Comes in: a file and [`Options`]. Goes out: an [`Imported`] model, which is a [`ModelBuilder`] and the notes that say by which
-//! conventions it was read and what was changed. The kind of a file is told by its content, never by its name alone; what
-//! is known but cannot be read is named (a Git-LFS pointer, SANA-FE's text netlist, a pickled module, an HDF5 file that is
-//! no network). Nothing in a file is executed. `docs/import.md` has the conventions and limits of each format.
+//! Input: a file and [`Options`]. Output: an [`Imported`] model with notes on the conventions by which it was read and on
+//! what was changed. The kind of a file is recognised by its content, never by its name alone. Errors name what is known but
+//! cannot be read (a Git-LFS pointer, SANA-FE's text netlist, a pickled module, an HDF5 file that is no network). Nothing in
+//! a file is executed. `docs/import.md` has the conventions and limits of each format.
 
 pub mod encode;
 pub mod hdf5;
@@ -112,7 +112,7 @@ fn network_name(path: &Path) -> String {
     }
 }
 
-/// What a file is that is not imported, as far as that can be told.
+/// The problem of a file that is not imported, with its kind as far as it is recognised.
 fn unknown(path: &Path, bytes: &[u8]) -> Diagnostic {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let begin = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
@@ -142,7 +142,7 @@ fn unknown(path: &Path, bytes: &[u8]) -> Diagnostic {
 /// A foreign model as a network.
 ///
 /// # Errors
-/// As [`read`], and `model.*` when the model is not a model.
+/// As [`read`], and `model.*` when it is not a valid model.
 pub fn network(path: &Path, options: &Options) -> Result<Network, Diagnostic> {
     read(path, options)?.model.build(path)
 }

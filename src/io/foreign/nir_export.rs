@@ -1,6 +1,6 @@
 //! A model as a NIR file, and back without loss.
 //!
-//! Comes in: a model. Goes out: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons with time
+//! Input: a model. Output: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons with time
 //! constants `4096 dt / du` in seconds, weights, thresholds and biases in units of the register divided by 64 for models in
 //! integers and in their own units for models in real numbers, `w_in` and `r` such that a weight counts 1. What NIR has no
 //! word for (weight exponents, refractory periods, clips, resets, semantics) stands in the graph's metadata, as the whole

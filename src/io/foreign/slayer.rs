@@ -1,7 +1,7 @@
 //! Weights that SLAYER trained for Loihi neurons, and the YAML that describes those neurons.
 //!
-//! Comes in: matrices by name, from a state dict or from `.npy` files as VT_SNN writes them, and a YAML network config.
-//! Goes out: a model of dense layers, in the order of the file, or the three layers of a network with a tactile and a
+//! Input: matrices by name, from a state dict or from `.npy` files as VT_SNN writes them, and a YAML network config.
+//! Output: a model of dense layers, in the order of the file, or the three layers of a network with a tactile and a
 //! visual encoder. Weights become `round(w / 2) * 2`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There
 //! is one step between layers, as on the chip and as `delayShift` does in training. The kernels `srmKernel` and
 //! `refKernel` that checkpoints carry are of the training only.
@@ -304,7 +304,7 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
         }
     };
     let input = |name: &str, units: usize| PopulationBuilder::input(name, vec![units as u64]);
-    // Which populations each layer hears.
+    // The sources of each layer.
     let joined = matrices.len() == 3 && matrices[2].sources == matrices[0].targets + matrices[1].targets;
     let chained = |k: usize| k == 0 || matrices[k].sources == matrices[k - 1].targets;
     let sources: Vec<Vec<String>> = if joined && !(chained(1) && chained(2)) {

@@ -1,7 +1,7 @@
 //! Windows that slide over a volume, synapse by synapse.
 //!
-//! Comes in: the geometry of a convolution or a pool, as checked numbers. Goes out: who hears whom over which place of the
-//! kernel, in the order of the targets. An output `o` hears the input `o * stride + k * dilation - padding` over the
+//! Input: the geometry of a convolution or a pool, as checked numbers. Output: pairs of source and target with their place in the
+//! kernel, in the order of the targets. An output `o` receives the input `o * stride + k * dilation - padding` over the
 //! kernel's place `k` (torch, `Conv2d`; what lies outside of the volume is silent).
 //!
 //! Left out on purpose: transposed convolutions, which only one format knows.
@@ -14,7 +14,7 @@ pub const MOST_LISTED: usize = 1 << 20;
 pub struct Sliding {
     /// The volume that it slides over.
     pub source: [usize; 3],
-    /// The volume that hears it.
+    /// The target volume.
     pub target: [usize; 3],
     /// Height and width.
     pub size: (usize, usize),
@@ -24,12 +24,12 @@ pub struct Sliding {
     pub padding: (usize, usize),
     /// Distance of the window's places.
     pub dilation: (usize, usize),
-    /// Groups of channels that only hear each other; divides the channels of both volumes.
+    /// Groups of channels that are connected among themselves only; divides the channels of both volumes.
     pub groups: usize,
 }
 
 impl Sliding {
-    /// Channels that an output hears.
+    /// Source channels of an output.
     #[must_use]
     pub fn per_group(&self) -> usize {
         self.source[0] / self.groups
@@ -71,7 +71,7 @@ mod tests {
 
     /// A window of 2 x 2 over 2 channels of 3 x 3 with a border of 1, in 2 groups, against sums written out.
     #[test]
-    fn each_output_hears_its_window() {
+    fn each_output_receives_its_window() {
         let sliding = Sliding {
             source: [2, 3, 3],
             target: [2, 2, 2],

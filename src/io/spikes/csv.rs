@@ -1,6 +1,6 @@
 //! Event lists in text: `timestep,channel` in each row.
 //!
-//! Comes in: a `.csv`. Goes out: its samples. A header may name the columns (`timestep`, `channel`, `sample`, in any
+//! Input: a `.csv`. Output: its samples. A header may name the columns (`timestep`, `channel`, `sample`, in any
 //! order); `# steps: N` and `# label: C` in comments say what rows cannot.
 
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::io::text::{MOST_EVENT_TEXT, decode, read_bytes};
 /// The most timesteps of all samples together: engines hold a number for each.
 const MOST_STEPS_TOGETHER: u64 = 1 << 27;
 
-/// Which column holds what.
+/// The column of each field.
 #[derive(Debug, Clone, Copy)]
 struct Columns {
     step: usize,

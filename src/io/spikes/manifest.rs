@@ -1,9 +1,9 @@
 //! Data-set manifests and the recordings that they name.
 //!
-//! Comes in: a `.ron` with a [`DataSet`]. Goes out: a [`Manifest`] whose labels, folds and files agree with each other,
-//! and from it the spikes of one population, sample by sample or all at once, and which samples each fold trains and tests
-//! on. Lists of samples in text files are those that clear-nus/VT_SNN leaves behind, `train_80_20_k.txt` and
-//! `test_80_20_k.txt`: rows of a sample's number, from 0, and its label.
+//! Input: a `.ron` with a [`DataSet`]. Output: a [`Manifest`] whose labels, folds and files agree with each other, and from
+//! it the spikes of one population, sample by sample or all at once, and the samples that each fold trains and tests on.
+//! Lists of samples in text files have the form of clear-nus/VT_SNN's `train_80_20_k.txt` and `test_80_20_k.txt`: rows of a
+//! sample's number, from 0, and its label.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -233,12 +233,12 @@ impl Manifest {
         let mut spikes = read_sample(&path, population, expected, &self.options_of(name))
             .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
         spikes.label = entry.label.or(spikes.label);
-        self.hold_to_steps(&mut spikes, file)?;
+        self.check_steps(&mut spikes, file)?;
         Ok(spikes)
     }
 
-    /// Every sample has as many timesteps as the manifest says.
-    fn hold_to_steps(&self, spikes: &mut PopulationSpikes, file: &Spanned<String>) -> Result<(), Diagnostic> {
+    /// Checks that a sample has as many timesteps as the manifest says.
+    fn check_steps(&self, spikes: &mut PopulationSpikes, file: &Spanned<String>) -> Result<(), Diagnostic> {
         match self.set.steps {
             // Rows of a .csv cannot say that silence follows them; the manifest can.
             Some(steps) if spikes.units.is_none() && spikes.steps < steps => spikes.steps = steps,
@@ -259,7 +259,7 @@ impl Manifest {
         let mut all = read(&path, population, expected, &self.options_of(name))
             .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
         for spikes in &mut all {
-            self.hold_to_steps(spikes, file)?;
+            self.check_steps(spikes, file)?;
         }
         Ok(all)
     }
@@ -389,7 +389,7 @@ mod tests {
     seed: 5,
 )"#;
 
-    fn of(units: u64) -> Expected {
+    fn expected(units: u64) -> Expected {
         Expected { units, volume: None, dt_ms: 1.0 }
     }
 
@@ -407,18 +407,18 @@ mod tests {
         let path = folder.path().join("d.ron");
         std::fs::write(&path, SET).unwrap();
         let manifest = read_manifest(&path).unwrap();
-        let touch = manifest.read("skin", &of(2)).unwrap();
+        let touch = manifest.read("skin", &expected(2)).unwrap();
         assert_eq!(touch.iter().map(|s| s.label).collect::<Vec<_>>(), [Some(1), None]);
         assert_eq!(touch[1].events, [(2, 0), (1, 1)]);
-        let sight = manifest.read_sample("eye", &of(5), 0).unwrap();
+        let sight = manifest.read_sample("eye", &expected(5), 0).unwrap();
         assert_eq!((sight.steps, sight.events.clone()), (3, vec![(0, 4)]));
-        let error = manifest.read_sample("eye", &of(4), 0).unwrap_err();
+        let error = manifest.read_sample("eye", &expected(4), 0).unwrap_err();
         assert_eq!((error.code, error.position().unwrap().line), ("input.channel", 7));
         assert!(error.message.contains("s0.csv:1:1: channel 4"), "{error}");
-        assert_eq!(manifest.read("hand", &of(2)).unwrap_err().code, "dataset.population");
-        assert_eq!(manifest.read_only(&of(2)).unwrap_err().code, "dataset.population");
+        assert_eq!(manifest.read("hand", &expected(2)).unwrap_err().code, "dataset.population");
+        assert_eq!(manifest.read_only(&expected(2)).unwrap_err().code, "dataset.population");
         std::fs::write(&path, SET.replace("steps: 3", "steps: 4")).unwrap();
-        assert_eq!(read_manifest(&path).unwrap().read("skin", &of(2)).unwrap_err().code, "dataset.steps");
+        assert_eq!(read_manifest(&path).unwrap().read("skin", &expected(2)).unwrap_err().code, "dataset.steps");
     }
 
     #[test]
@@ -484,17 +484,17 @@ mod tests {
             read_manifest(&at("d.ron"))
         };
         let good = manifest(set).unwrap();
-        let skin = good.read("skin", &of(6)).unwrap();
+        let skin = good.read("skin", &expected(6)).unwrap();
         assert_eq!(skin.iter().map(|s| s.label).collect::<Vec<_>>(), [Some(1), None, Some(0), Some(1)]);
         assert_eq!((&skin[2].events[..], skin[3].events.len()), (&[(0, 2)][..], 6));
-        let eye = good.read("eye", &of(3)).unwrap();
+        let eye = good.read("eye", &expected(3)).unwrap();
         assert_eq!((&eye[1].events[..], &eye[2].events[..]), (&[(0, 0)][..], &[(0, 1)][..]));
         let split = |train: &[u32], test: &[u32]| Split { train: train.to_vec(), test: test.to_vec() };
         assert_eq!(good.splits(4).unwrap(), [split(&[0, 2], &[3]), split(&[2, 3], &[0])]);
 
         let wrong = |rows: &str| {
             list("test_80_20_2.txt", rows);
-            let error = good.read("skin", &of(6)).unwrap_err();
+            let error = good.read("skin", &expected(6)).unwrap_err();
             (error.code, error.position().map(|at| (at.line, at.column)))
         };
         assert_eq!(wrong("0 1\n 1 x\n"), ("dataset.split", Some((2, 2))));
@@ -507,7 +507,7 @@ mod tests {
         assert_eq!(wrong("9 1\n"), ("dataset.samples", None));
         assert_eq!(wrong("1 2\n"), ("dataset.label", None));
         std::fs::remove_file(at("test_80_20_2.txt")).unwrap();
-        let error = good.read("skin", &of(6)).unwrap_err();
+        let error = good.read("skin", &expected(6)).unwrap_err();
         assert_eq!((error.code, error.position().unwrap().line), ("io.missing", 9));
 
         let cases = [
@@ -525,6 +525,6 @@ mod tests {
         let folds = manifest(&format!("{}    folds: [[1, 3]])", &set[..lists])).unwrap();
         assert_eq!(folds.splits(4).unwrap(), [split(&[0, 2], &[1, 3])]);
         let beyond = manifest(&format!("{}    folds: [[4]])", &set[..lists])).unwrap();
-        assert_eq!(beyond.read("skin", &of(6)).unwrap_err().code, "dataset.samples");
+        assert_eq!(beyond.read("skin", &expected(6)).unwrap_err().code, "dataset.samples");
     }
 }

@@ -1,6 +1,6 @@
 //! The kinds of layers that have weights.
 //!
-//! Comes in: a layer and what reaches it. Goes out: a population and the projection to it. Kernels are cross-correlated as
+//! Input: a layer and what reaches it. Output: a population and the projection to it. Kernels are cross-correlated as
 //! stored; shapes and counts of weights are checked before anything is made of them.
 
 use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
@@ -111,7 +111,7 @@ impl Reader<'_> {
         self.delays(layer)
     }
 
-    /// A transposed convolution, synapse by synapse: output `i * stride - padding + k * dilation` hears input `i` over
+    /// A transposed convolution, synapse by synapse: output `i * stride - padding + k * dilation` receives input `i` over
     /// the kernel's place `k` (torch, ConvTranspose; the kernel is `[in][out / groups][kh][kw]`).
     pub(super) fn transposed(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
         let shape = volume(layer)?;

@@ -1,6 +1,6 @@
 //! A layer of a file: its arrays, shape and window.
 //!
-//! Comes in: the group of a layer. Goes out: finite numbers, pairs, shapes, the geometry of a window; errors that name the layer.
+//! Input: the group of a layer. Output: finite numbers, pairs, shapes, the geometry of a window; errors that name the layer.
 
 use super::reader::wrong;
 use crate::base::diagnostic::Diagnostic;
@@ -99,7 +99,7 @@ pub(super) fn geometry(layer: &Layer<'_>) -> Result<Geometry, Diagnostic> {
     })
 }
 
-/// The input that a first layer with a window must have: given, or told by the window when its step is 1.
+/// The input that a first layer with a window must have: given, or implied by a window of stride 1.
 pub(super) fn input_of_window(
     layer: &Layer<'_>,
     given: Option<Vec<u64>>,

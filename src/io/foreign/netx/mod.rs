@@ -1,6 +1,6 @@
 //! Networks that lava-dl exports for its netx (`.net`, HDF5).
 //!
-//! Comes in: the tree of a file. Goes out: a model with one population a layer. Layers are taken in the order of their
+//! Input: the tree of a file. Output: a model with one population a layer. Layers are taken in the order of their
 //! numbers. `iDecay` is the effective decay of the current, the threshold is `vThMant` times 64, a bias is a mantissa
 //! with exponent 6 (lava-dl d825ac5, `netx/hdf5.py`, `netx/blocks/models.py`). Kernels are cross-correlated as stored;
 //! what is flattened is flattened in the order C, H, W. A network of chip time has one step between layers; one with the
@@ -168,7 +168,7 @@ impl Reader<'_> {
         if self.model.threshold == ThresholdTest::Inclusive {
             self.notes.push("a neuron spikes at v >= threshold, as in SLAYER 2; the chip compares with >".to_string());
         }
-        // Layer k hears layer k - 1 a step later; in SLAYER's time all begin together at step 1.
+        // Layer k receives the spikes of layer k - 1 a step later; in SLAYER's time all begin together at step 1.
         let first = self.options.first_step.or_else(|| {
             let staggered = self.slayer_time || self.options.reset_interval.is_some() || self.options.image.is_some();
             staggered.then_some(u32::from(self.slayer_time || self.options.image.is_some()))

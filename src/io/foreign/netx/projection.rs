@@ -1,6 +1,6 @@
 //! Weights and delays of a layer as projections.
 //!
-//! Comes in: weights of any range, delays of synapses, channels or units. Goes out: a projection in a synapse format, or one for
+//! Input: weights of any range, delays of synapses, channels or units. Output: a projection in a synapse format, or one for
 //! each delay, listed synapse by synapse where delays differ.
 
 use std::collections::BTreeMap;

@@ -1,6 +1,6 @@
 //! What stands between two populations as one linear map.
 //!
-//! Comes in: the nodes on a connection. Goes out: its shape, linear part, bias and delays.
+//! Input: the nodes on a connection. Output: its shape, linear part, bias and delays.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::io::foreign::imported::LONGEST_DELAY;
 use crate::io::foreign::window::{MOST_LISTED, Sliding};
 
 impl Reader<'_> {
-    /// What arrives at the end of nodes that are passed from a population of this shape.
+    /// The linear map of these nodes behind a population of this shape.
     pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection, Diagnostic> {
         let mut connection =
             Connection { shape: source.to_vec(), linear: Linear::Diagonal(vec![1.0]), bias: None, delay: None };

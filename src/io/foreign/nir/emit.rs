@@ -1,6 +1,6 @@
 //! Paths and neurons as projections and populations of a model.
 //!
-//! Comes in: paths that end at a population. Goes out: its projections, biases, and the population that decides.
+//! Input: paths that end at a population. Output: its projections, biases, and the population that decides.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 
 impl Reader<'_> {
-    /// Everything that a population hears: projections, and its bias.
+    /// All input of a population: projections, and its bias.
     pub(super) fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<(), Diagnostic> {
         let shape = self.shapes[name].clone();
         let units = product(&shape).unwrap_or(0);

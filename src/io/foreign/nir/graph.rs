@@ -1,6 +1,6 @@
 //! The graph of a file: graphs within graphs unfolded, populations named and given shapes, the paths between them.
 //!
-//! Comes in: groups of the file. Goes out: nodes and edges without nesting, and what leads from which population to which.
+//! Input: groups of the file. Output: nodes and edges without nesting, and what leads from which population to which.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,12 +1,12 @@
 //! Linear maps from one population to another, as far as they can stay what they are: one factor a unit, a matrix, a window, a
 //! list of synapses.
 //!
-//! Comes in: the arrays of nodes. Goes out: products and scaled copies; nothing where a product has too many synapses.
+//! Input: the arrays of nodes. Output: products and scaled copies; nothing where a product has too many synapses.
 
 use super::reader::product;
 use crate::io::foreign::window::{MOST_LISTED, Sliding};
 
-/// What one population does to another over the nodes between them.
+/// The linear map from one population to another over the nodes between them.
 #[derive(Clone)]
 pub(super) struct Connection {
     /// The shape that arrives.

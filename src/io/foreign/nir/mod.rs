@@ -1,15 +1,15 @@
 //! Networks in the neuromorphic intermediate representation (`.nir`, HDF5).
 //!
-//! Comes in: the tree of a file. Goes out: a model with one population for each node that keeps a state. What stands
+//! Input: the tree of a file. Output: a model with one population for each node that has a state. The nodes
 //! between two populations (`Linear`, `Affine`, `Scale`, `Conv1d`, `Conv2d`, `SumPool2d`, `AvgPool2d`, `Flatten`,
-//! `Delay`) becomes one projection; graphs within graphs are unfolded; edges may form cycles.
+//! `Delay`) become one projection; graphs within graphs are unfolded; edges may form cycles.
 //!
 //! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are discretised as their
 //! exporters do, by Euler's rule with the new current: `I <- (1 - dt / tau_syn) I + (dt / tau_syn) w_in x`,
 //! `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I + v_leak)`. So the effective decays are `4096 dt / tau`, rounded to even, and
 //! a weight counts `(dt / tau_syn) w_in (dt / tau_mem) R` in the units of the threshold. The timestep is not in a file:
 //! it is `tau_mem / R` where that agrees with `tau_syn / w_in` in every node, or it has to be said. A bias goes to v where
-//! the current has no memory; where it has one, a compartment that spikes in every step brings it, from step 1 on. A
+//! the current has no memory; where it has one, a compartment that spikes in every step delivers it, from step 1 on. A
 //! model that nsim exported is recognised and restored as it was ([`super::nir_export`]).
 //!
 //! Left out on purpose: reset by subtraction and resets to other values than zero, for which a core has no circuit.

@@ -1,6 +1,6 @@
 //! Neurons in continuous time as compartments in steps.
 //!
-//! Comes in: time constants, resistances, thresholds of a node. Goes out: the timestep of the file, and decays, gain, threshold
+//! Input: time constants, resistances, thresholds of a node. Output: the timestep of the file, and decays, gain, threshold
 //! and bias in that step.
 
 use std::cmp::Ordering;

@@ -1,14 +1,14 @@
-//! From events to the bins that are spikes.
+//! Sorts events into bins of time and space, which become spikes.
 //!
-//! Comes in: events one by one. Goes out: the spikes of a sample. Only bins that are not empty are kept, each with its
-//! number of events; what has come lately is sorted into them in batches.
+//! Input: events one by one. Output: the spikes of a sample. Only occupied bins are kept, each with its number of events;
+//! new events are sorted into them in batches.
 
 use super::event::{Counts, Event, Sink, wrong};
 use crate::base::diagnostic::Diagnostic;
 use crate::io::spikes::options::{EventOptions, Origin, Polarity};
 use crate::io::spikes::population::{Expected, MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
 
-/// Events between two sortings.
+/// Events of a batch, at least.
 const BATCH: usize = 1 << 16;
 
 /// The window in space and time that is kept.
@@ -17,9 +17,9 @@ pub struct Window {
     options: EventOptions,
     bin_us: f64,
     start: Origin,
-    /// The size that is assumed when nothing says it.
+    /// The size that is assumed when nothing else says it.
     assumed: Option<(u32, u32)>,
-    /// Whether the polarities of a place are neighbours, and not planes of their own.
+    /// Whether the polarities of a place are adjacent channels instead of separate planes.
     interleaved: bool,
     expected: Expected,
 }
@@ -45,7 +45,7 @@ impl Window {
     }
 }
 
-/// Columns, rows and what falls into them, once the size is known.
+/// The part of the sensor that is kept and its pooled columns and rows, once the size is known.
 #[derive(Debug, Clone, Copy)]
 struct Grid {
     left: u32,
@@ -68,7 +68,7 @@ pub struct Bins {
     counts: Counts,
     /// (step, channel) as one number.
     recent: Vec<u64>,
-    /// Sorted, each with its events.
+    /// Sorted, each with its number of events.
     settled: Vec<(u64, u32)>,
 }
 
@@ -89,7 +89,7 @@ impl Bins {
         }
     }
 
-    /// The grid, from what is said, what the file tells, what the population has, what is usual; in this order.
+    /// The grid, from the options, the file, the population or the format's usual sensor, in this order.
     fn grid(&mut self) -> Result<Grid, Diagnostic> {
         if let Some(grid) = self.grid {
             return Ok(grid);
@@ -255,7 +255,7 @@ impl Sink for Bins {
         };
         self.last_step = self.last_step.max(step);
         self.recent.push(u64::from(step) << 32 | u64::from(channel));
-        // A batch as large as what is there already keeps the work near to that of one sort.
+        // Batches that grow with the table keep the total work near that of one sort.
         if self.recent.len() >= BATCH.max(self.settled.len()) {
             self.settle()?;
         }
