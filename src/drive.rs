@@ -5,6 +5,9 @@
 //! drains at its end. A sample that is decided early did what the first steps of the whole sample do, count by count.
 
 pub mod decision;
+pub mod inputs;
+pub mod priced;
+pub mod samples;
 
 use decision::{Decision, EarlyExit};
 use sha2::{Digest, Sha256};

@@ -1,4 +1,4 @@
-//! Everything that can end a command early, and the exit status that goes with it.
+//! Everything that can end a command early, and its exit status.
 
 use crate::base::diagnostic::Diagnostic;
 
@@ -8,10 +8,10 @@ pub enum Error {
     /// An input cannot be read or is not supported: exit status 3.
     #[error("{0}")]
     Input(Box<Diagnostic>),
-    /// The command line asks for something that makes no sense: exit status 2.
+    /// What is asked for makes no sense: exit status 2.
     #[error("{0}")]
     Usage(String),
-    /// A fault of nsim itself: exit status 4.
+    /// An internal error: exit status 4.
     #[error("this is a fault of nsim: {0}")]
     Fault(String),
 }

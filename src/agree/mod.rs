@@ -7,6 +7,7 @@
 //! Results do not depend on threads: samples are taken in parallel, their sums added in the order of the run.
 
 pub mod attribution;
+pub mod compare;
 pub mod ladder;
 pub mod metrics;
 pub mod trace;

@@ -6,6 +6,7 @@
 //! Left out on purpose: goals. Whether a figure is good is for documents to say, not for the program.
 
 pub mod cpu;
+pub mod early;
 pub mod environment;
 pub mod gpu;
 pub mod mapping;

@@ -2,8 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::base::id::Id;
-use crate::cli::args::inputs;
 use crate::cli::args::jobs::{self, JobArgs};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -11,12 +9,12 @@ use crate::compile::explore::{self, remedy};
 use crate::compile::{self, CompileError, DEFAULT_RATE, Form, Objective, Options, Strategy};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
+use crate::drive::inputs;
+use crate::drive::samples::firing_rates;
 use crate::error::Error;
-use crate::golden::Golden;
 use crate::io;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Engine;
 use crate::report::charts::board;
 use crate::report::map::{self as report, Outcome, Question};
 
@@ -182,20 +180,7 @@ fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Resu
         given => given.to_vec(),
     };
     let stimulus = inputs::stimulus(network, &sources, scene, None)?;
-    let mut channels = vec![0u64; network.channels() as usize];
-    let mut compartments = vec![0u64; network.compartments() as usize];
-    let mut engine = Golden::new(network);
-    let mut steps = 0;
-    for sample in stimulus.samples.iter().take(MOST_SAMPLES) {
-        engine.begin(sample.steps());
-        for step in 0..sample.steps() {
-            engine.step(sample.at(step));
-            sample.at(step).iter().for_each(|channel| channels[channel.index()] += 1);
-            engine.spikes().iter().for_each(|id| compartments[id.index()] += 1);
-        }
-        steps += u64::from(sample.steps());
-    }
-    Ok(Rates::profile(&channels, &compartments, steps))
+    Ok(firing_rates(network, stimulus.samples.iter().take(MOST_SAMPLES)))
 }
 
 /// Shipped targets with more cores than this one, ascending.

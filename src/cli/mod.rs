@@ -14,9 +14,9 @@ pub mod import;
 pub mod inspect;
 pub mod map;
 pub mod output;
+pub mod probes;
 pub mod run;
 pub mod scene;
-pub mod simulate;
 pub mod stress;
 pub mod train;
 

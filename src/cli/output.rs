@@ -5,7 +5,9 @@ use std::path::Path;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::base::diagnostic::Diagnostic;
+use crate::bench::Environment;
 use crate::cli::context::{Context, Format};
+use crate::drive::samples::Progress;
 use crate::error::Error;
 use crate::io;
 use crate::report::text::replaced;
@@ -28,6 +30,19 @@ pub fn print(
     Ok(io::write::stdout(&out)?)
 }
 
+/// Works under a progress bar; the work calls what it is given after each of `length` parts.
+pub fn with_progress<T>(
+    context: Context,
+    length: usize,
+    what: &'static str,
+    work: impl FnOnce(Progress<'_>) -> T,
+) -> T {
+    let bar = progress(context, length as u64, what);
+    let result = work(&|| bar.inc(1));
+    bar.finish_and_clear();
+    result
+}
+
 /// A progress bar on stderr that appears after a second, or none.
 #[must_use]
 pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBar {
@@ -46,6 +61,13 @@ pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBa
         }
     });
     bar
+}
+
+/// Warns that times of a build without optimisation mean nothing.
+pub fn warn_of_debug_build(environment: &Environment) {
+    if environment.profile == "debug" {
+        tracing::warn!("this nsim was built without --release; its times mean nothing");
+    }
 }
 
 /// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section shows.

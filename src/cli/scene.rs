@@ -75,23 +75,21 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
         }
     }
-    let bar = output::progress(context, u64::from(scene.samples()), "scenes");
-    let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> = (0..scene.samples())
-        .into_par_iter()
-        .map(|sample| {
-            let recording = scene.recording(sample);
-            let files = match &args.output {
-                Some(folder) => store(folder, sample, &recording, context.force)?,
-                None => [String::new(), String::new()],
-            };
-            bar.inc(1);
-            let [touch, vision] = files.map(Spanned::from);
-            let files = [(TOUCH.0.to_string(), touch), (VISION.0.to_string(), vision)].into();
-            let entry = SampleEntry { files, label: Some(recording.label), onset_ms: recording.onset_ms };
-            Ok((Facts::of(&recording), entry))
-        })
-        .collect();
-    bar.finish_and_clear();
+    let make = |sample: u32| {
+        let recording = scene.recording(sample);
+        let files = match &args.output {
+            Some(folder) => store(folder, sample, &recording, context.force)?,
+            None => [String::new(), String::new()],
+        };
+        let [touch, vision] = files.map(Spanned::from);
+        let files = [(TOUCH.0.to_string(), touch), (VISION.0.to_string(), vision)].into();
+        let entry = SampleEntry { files, label: Some(recording.label), onset_ms: recording.onset_ms };
+        Ok((Facts::from_recording(&recording), entry))
+    };
+    let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> =
+        output::with_progress(context, scene.samples() as usize, "scenes", |done| {
+            (0..scene.samples()).into_par_iter().map(make).inspect(|_| done()).collect()
+        });
     let (facts, entries): (Vec<Facts>, Vec<SampleEntry>) =
         made.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
     if let Some(path) = &args.plot {
@@ -148,7 +146,7 @@ struct Facts {
 }
 
 impl Facts {
-    fn of(recording: &Recording) -> Facts {
+    fn from_recording(recording: &Recording) -> Facts {
         let spikes = [recording.touch.len(), recording.vision.len()];
         Facts { label: recording.label, onset_ms: recording.onset_ms, spikes, wire: recording.wire }
     }

@@ -38,17 +38,14 @@ fn case(name: &str) -> Result<&'static Case, String> {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let cases: Vec<&Case> = if args.case.is_empty() { CASES.iter().collect() } else { args.case.clone() };
     let target = io::target::load_target("loihi1-chip")?;
-    let bar = output::progress(context, cases.len() as u64, "cases");
-    let verdicts: Vec<Verdict> = cases
-        .par_iter()
-        .with_max_len(1)
-        .map(|case| {
+    let verdicts: Vec<Verdict> = output::with_progress(context, cases.len(), "cases", |done| {
+        let verdict = |case: &&Case| {
             let verdict = case.run(&target);
-            bar.inc(1);
+            done();
             verdict
-        })
-        .collect();
-    bar.finish_and_clear();
+        };
+        cases.par_iter().with_max_len(1).map(verdict).collect()
+    });
     let report = StressReport { verdicts: &verdicts };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(if verdicts.iter().all(|verdict| verdict.pass) { Answer::Yes } else { Answer::No })

@@ -7,12 +7,12 @@ use serde_json::Value;
 
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::base::folds::stratified_folds;
-use crate::cli::args::inputs;
 use crate::cli::args::values::SampleRange;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile;
 use crate::desc::training::TrainingFile;
+use crate::drive::inputs;
 use crate::drive::{Outcome, digest};
 use crate::error::Error;
 use crate::io;

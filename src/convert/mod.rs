@@ -1,3 +1,4 @@
 //! Networks in real numbers -> integers, searched on samples.
 
+pub mod calibration;
 pub mod search;

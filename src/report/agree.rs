@@ -5,21 +5,10 @@ use serde_json::{Value, json};
 
 use super::text::{count, wrapped};
 use crate::agree::attribution::{Attribution, Share};
-use crate::agree::trace::Comparison;
+use crate::agree::compare::LayerRow;
 use crate::compile::frontend::analytic::Fit;
 use crate::convert::search::{Found, Score};
 use crate::report::charts::plot::{self, Axis};
-
-/// A layer of the two networks.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LayerRow {
-    /// The population.
-    pub name: String,
-    /// Steps by which the deployed network answers later; negative, earlier.
-    pub shift: i32,
-    /// What was seen.
-    pub comparison: Comparison,
-}
 
 /// Everything that the report says.
 #[derive(Debug)]

@@ -19,6 +19,7 @@ use source::Sources;
 /// Rooms of `src` from the lowest layer up. A room names itself and rooms of lower lines, not its neighbours on a line.
 const LAYERS: [&[&str]; 14] = [
     &["base"],
+    &["error"],
     &["desc"],
     &["io", "ir"],
     &["neuron"],
@@ -29,7 +30,6 @@ const LAYERS: [&[&str]; 14] = [
     &["convert"],
     &["bench", "sweep"],
     &["report"],
-    &["error"],
     &["cli", "python"],
     &["main"],
 ];
@@ -62,10 +62,6 @@ const CYCLES: &[&[&str]] = &[
 const CROWDED: &[&str] = &[];
 /// Files with a function called just `of`.
 const NAMED_OF: &[&str] = &[
-    "src/cli/args/input.rs",
-    "src/cli/args/inputs.rs",
-    "src/cli/bench/mod.rs",
-    "src/cli/scene.rs",
     "src/compile/resources/axon_sharing.rs",
     "src/compile/resources/closed_form.rs",
     "src/compile/resources/exact.rs",

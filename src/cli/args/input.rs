@@ -26,7 +26,7 @@ pub struct InputArgs {
 impl InputArgs {
     /// All samples of these sources, once.
     #[must_use]
-    pub fn of(sources: &[String]) -> Self {
+    pub fn from_sources(sources: &[String]) -> Self {
         InputArgs { input: sources.to_vec(), samples: None, repeat: 1, seed: None }
     }
 }

@@ -2,7 +2,6 @@
 
 pub mod conversion;
 pub mod input;
-pub mod inputs;
 pub mod jobs;
 pub mod prune;
 pub mod values;

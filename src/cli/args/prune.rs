@@ -1,8 +1,8 @@
 //! `--prune none|static|INPUT` -> what to leave out of a network before it is mapped.
 
 use crate::base::id::PopulationId;
-use crate::cli::args::inputs;
 use crate::compile::frontend::prune::Plan;
+use crate::drive::inputs;
 use crate::error::Error;
 use crate::ir::quantised::Quantised;
 

@@ -117,23 +117,22 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
         given => given.to_vec(),
     };
     let environment = Environment::here();
-    if environment.profile == "debug" {
-        tracing::warn!("this nsim was built without --release; its times mean nothing");
-    }
+    output::warn_of_debug_build(&environment);
     let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
-    let bar = output::progress(context, (cases.len() * ways) as u64, "mappings");
-    let mut rows = Vec::new();
-    for case in &cases {
-        let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
-        let target = io::target::load_target(bench.target)?;
-        mapping::map_all(case, &bench, &target, args.time_budget, |row| {
-            tracing::info!("{} {} placed {}: {:.1} s", row.network, row.strategy.name(), row.placed, row.seconds);
-            rows.push(row);
-            bar.inc(1);
-        })
-        .map_err(|error| Error::Fault(error.to_string()))?;
-    }
-    bar.finish_and_clear();
+    let rows = output::with_progress(context, cases.len() * ways, "mappings", |done| {
+        let mut rows = Vec::new();
+        for case in &cases {
+            let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
+            let target = io::target::load_target(bench.target)?;
+            mapping::map_all(case, &bench, &target, args.time_budget, |row| {
+                tracing::info!("{} {} placed {}: {:.1} s", row.network, row.strategy.name(), row.placed, row.seconds);
+                rows.push(row);
+                done();
+            })
+            .map_err(|error| Error::Fault(error.to_string()))?;
+        }
+        Ok::<_, Error>(rows)
+    })?;
     let report = MapReport { environment: &environment, rows: &rows };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
@@ -146,9 +145,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         given => given.to_vec(),
     };
     let environment = Environment::here();
-    if environment.profile == "debug" {
-        tracing::warn!("this nsim was built without --release; its times mean nothing");
-    }
+    output::warn_of_debug_build(&environment);
     let budget = args.steps.map_or(Budget::Time(args.seconds), Budget::Steps);
     let bar = output::progress(context, networks.len() as u64, "networks");
     let mut rows = Vec::new();
@@ -157,7 +154,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         let build = |standard: Standard| standard.build().map_err(|e| fault(standard, &e));
         let Bench { network, target, .. } = build(same[0])?;
         let program = map(same[0], network, target)?;
-        let images = Images::of(&program);
+        let images = Images::new(&program);
         for standard in same {
             let Bench { period, .. } = build(*standard)?;
             rows.extend(step_rows(*standard, &images, &period, budget, context)?);
@@ -178,7 +175,7 @@ struct Images<'p> {
 }
 
 impl<'p> Images<'p> {
-    fn of(program: &'p Program) -> Self {
+    fn new(program: &'p Program) -> Self {
         Images { program, one: OnceCell::new(), shared: OnceCell::new() }
     }
 

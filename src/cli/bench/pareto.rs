@@ -6,14 +6,14 @@ use std::time::Duration;
 use crate::base::diagnostic::Diagnostic;
 use crate::bench::Environment;
 use crate::bench::pareto::{ParetoError, Subject, Variant, mark_front};
-use crate::cli::args::conversion::{Conversion, fits};
+use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::{InputArgs, select};
-use crate::cli::args::inputs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::Form;
 use crate::compile::frontend::real_and_integers;
+use crate::drive::inputs;
 use crate::error::Error;
 use crate::io;
 use crate::report::bench::pareto::ParetoReport;
@@ -33,12 +33,8 @@ pub struct ParetoArgs {
     model: String,
     #[command(flatten)]
     input: InputArgs,
-    /// How a spike response network becomes integers
-    #[arg(long, value_enum, default_value = "search")]
-    conversion: Conversion,
-    /// Samples to search on, as --input takes them [default: the scene with another seed, or the first of the input]
-    #[arg(long, value_name = "SOURCE")]
-    calibrate: Vec<String>,
+    #[command(flatten)]
+    conversion: ConversionArgs,
     /// Seconds that each variant is measured for, five repeats at least
     #[arg(long, value_name = "S", default_value = "0.5", value_parser = values::seconds)]
     seconds: Duration,
@@ -63,6 +59,9 @@ impl From<ParetoError> for Error {
     }
 }
 
+/// Samples that a conversion is searched on.
+const CALIBRATION_SAMPLES: usize = 100;
+
 /// The command; the answer is no when a variant that claims to be exact is not.
 ///
 /// # Errors
@@ -72,9 +71,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
         io::write::check_free(svg, context.force)?;
     }
     let environment = Environment::here();
-    if environment.profile == "debug" {
-        tracing::warn!("this nsim was built without --release; its times mean nothing");
-    }
+    output::warn_of_debug_build(&environment);
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
@@ -82,18 +79,15 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();
-    let (fits, _) =
-        fits(args.conversion, &args.calibrate, 100, &args.input, &graph, &analytic, scene.as_deref(), &samples)?;
+    let networks = (&graph, &analytic);
+    let (fits, _) = args.conversion.fits(networks, &args.input, scene.as_deref(), &samples, CALIBRATION_SAMPLES)?;
     let target = io::target::load_target(&args.target)?;
     let subject = Subject::new(&graph, &fits, &target, samples, args.seconds)?;
     let variants = Variant::all(graph.has_srm());
-    let bar = output::progress(context, variants.len() as u64, "variants");
-    let mut rows = Vec::new();
-    for variant in variants {
-        rows.push(subject.measure(variant)?);
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
+    let mut rows = output::with_progress(context, variants.len(), "variants", |done| {
+        let measured = variants.into_iter().map(|variant| subject.measure(variant)).inspect(|_| done());
+        measured.collect::<Result<Vec<_>, _>>()
+    })?;
     mark_front(&mut rows);
     let name = &graph.facts().name;
     let report = ParetoReport {

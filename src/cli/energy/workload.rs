@@ -3,17 +3,18 @@
 use std::sync::Arc;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select};
-use crate::cli::args::inputs;
 use crate::cli::args::jobs::Job;
 use crate::cli::context::Context;
-use crate::cli::simulate;
+use crate::cli::output;
 use crate::compile::Compiled;
 use crate::cost::{CostTable, Deployment, Metered, StepMeter, Transport, Ways};
 use crate::desc::target::Target;
 use crate::drive::Keep;
 use crate::drive::decision::EarlyExit;
+use crate::drive::inputs;
+use crate::drive::priced::{run_metered, steps_per_sample};
+use crate::drive::samples::{Run, Running};
 use crate::error::Error;
-use crate::ir::activity::StepActivity;
 use crate::ir::spikes::Sample;
 
 /// A mapped network of one or several copies, and what it is shown.
@@ -64,8 +65,7 @@ impl<'j> Workload<'j> {
     /// Timesteps of a sample; `None` when samples differ.
     #[must_use]
     pub fn steps_per_sample(&self) -> Option<u32> {
-        let same = self.samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
-        self.samples.first().filter(|_| same).map(Sample::steps)
+        steps_per_sample(&self.samples)
     }
 
     /// Runs all samples; meters are merged in run order.
@@ -78,15 +78,13 @@ impl<'j> Workload<'j> {
         early_exit: Option<EarlyExit>,
         skip: bool,
         context: Context,
-    ) -> Result<(simulate::Run<StepMeter>, StepMeter), Error> {
+    ) -> Result<(Run<StepMeter>, StepMeter), Error> {
         let program = &self.compiled.program;
         let keep = Keep { output: program.output(), probes: Vec::new(), early_exit };
-        let prototype = StepMeter::new(metered.clone());
-        let add = |meter: &mut StepMeter, step: &StepActivity, times: u32| meter.add(step, times);
         let copied: Vec<&Sample> = self.copied.iter().collect();
-        let run = simulate::fast(program, &copied, &keep, (skip, true), context, || prototype.fresh(), add)?;
-        let mut meter = prototype.fresh();
-        run.meters.iter().for_each(|sample| meter.merge(sample));
-        Ok((run, meter))
+        let run = output::with_progress(context, copied.len(), "samples", |progress| {
+            run_metered(program, &copied, metered, Running { keep: &keep, skip, per_step: true, progress })
+        })?;
+        Ok(run)
     }
 }

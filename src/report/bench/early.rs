@@ -3,36 +3,15 @@
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
+use crate::bench::early::{Trial, TrialGroup};
 use crate::report::charts::plot::{Axis, Series, chart};
 use crate::report::train::mean_sd;
-
-/// One model on its samples.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Trial {
-    /// Milliseconds of a timestep.
-    pub timestep_ms: f64,
-    /// Share of the samples that are right on the spikes up to each step.
-    pub accuracy: Vec<f64>,
-    /// Mean energy that one copy has spent up to the end of each step.
-    pub energy_uj: Vec<f64>,
-    /// For each sample when it was right for good; `None` where it never is.
-    pub decided_ms: Vec<Option<f64>>,
-}
-
-/// Models of one kind: the folds of a cross-validation, or a single one.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Group {
-    /// What they have in common.
-    pub name: String,
-    /// Each of them.
-    pub trials: Vec<Trial>,
-}
 
 /// Everything that the report says.
 #[derive(Debug)]
 pub struct EarlyReport<'a> {
     /// The groups.
-    pub groups: &'a [Group],
+    pub groups: &'a [TrialGroup],
     /// Copies on the target.
     pub copies: u32,
     /// Whether steps are held to the timestep.
@@ -46,7 +25,7 @@ struct Point {
     energy_uj: (f64, f64),
 }
 
-impl Group {
+impl TrialGroup {
     fn points(&self) -> Vec<Point> {
         let steps = self.trials.iter().map(|trial| trial.accuracy.len()).min().unwrap_or(0);
         let over = |f: &dyn Fn(&Trial) -> f64| mean_sd(&self.trials.iter().map(f).collect::<Vec<_>>());
@@ -62,11 +41,11 @@ impl Group {
     /// The time from which samples that end right are right for good, in the mean of each model: mean and median over the
     /// models.
     fn decided_ms(&self) -> Option<(f64, f64)> {
-        let of = |trial: &Trial| {
+        let mean = |trial: &Trial| {
             let times: Vec<f64> = trial.decided_ms.iter().copied().flatten().collect();
             (!times.is_empty()).then(|| mean_sd(&times).0)
         };
-        let mut means: Vec<f64> = self.trials.iter().filter_map(of).collect();
+        let mut means: Vec<f64> = self.trials.iter().filter_map(mean).collect();
         means.sort_by(f64::total_cmp);
         Some((mean_sd(&means).0, *means.get(means.len() / 2)?))
     }
@@ -81,7 +60,7 @@ impl EarlyReport<'_> {
     /// `nsim.bench/1`.
     #[must_use]
     pub fn json(&self) -> Value {
-        let group = |group: &Group| {
+        let group = |group: &TrialGroup| {
             let points = group.points();
             let column =
                 |f: &dyn Fn(&Point) -> f64| points.iter().map(|p| (f(p) * 1e6).round() / 1e6).collect::<Vec<_>>();
@@ -125,7 +104,7 @@ impl EarlyReport<'_> {
     }
 
     fn lines(&self, x: fn(&Point) -> f64) -> Vec<Series> {
-        let line = |group: &Group| {
+        let line = |group: &TrialGroup| {
             let points = group.points();
             let band = match group.trials.len() {
                 1 => Vec::new(),
@@ -204,7 +183,7 @@ mod tests {
             energy_uj: vec![1.0, 2.0],
             decided_ms: vec![Some(2.0 + late), None],
         };
-        let groups = [Group { name: "a".into(), trials: vec![trial(0.0), trial(0.5), trial(0.25)] }];
+        let groups = [TrialGroup { name: "a".into(), trials: vec![trial(0.0), trial(0.5), trial(0.25)] }];
         let report = EarlyReport { groups: &groups, copies: 1, realtime: false };
         let json = report.json();
         let row = &json["rows"][0];

@@ -59,7 +59,7 @@ pub fn stimulus(
             }
         };
         let (manifest, options) = match is_manifest {
-            true => (Some(Part::of(read_manifest(path)?, pairs)?), EventOptions::default()),
+            true => (Some(Part::new(read_manifest(path)?, pairs)?), EventOptions::default()),
             false => (None, EventOptions::parse(pairs)?),
         };
         for index in wanted {
@@ -96,7 +96,7 @@ struct Part {
 
 impl Part {
     /// With what stands after the `?`: nothing, `train=K` or `test=K` for fold K from 1.
-    fn of(manifest: Manifest, pairs: &[(String, String)]) -> Result<Part, Error> {
+    fn new(manifest: Manifest, pairs: &[(String, String)]) -> Result<Part, Error> {
         let (key, value) = match pairs {
             [] => return Ok(Part { manifest, fold: None }),
             [(key, value)] if key == "train" || key == "test" => (key, value),

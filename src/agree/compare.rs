@@ -1,0 +1,244 @@
+//! The deployed network beside its counterpart, layer by layer.
+//!
+//! Input: both networks, samples. Output: spikes and potentials compared per layer, classes compared per sample.
+//! Errors: recordings of another number of samples, a program whose sums could leave their integers.
+
+use rayon::prelude::*;
+
+use super::ladder::{Ladder, layers};
+use super::trace::{Comparison, Layer, Trace, measured_shift};
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::CompartmentId;
+use crate::compile::frontend::analytic::{self, Fit};
+use crate::drive::samples::Progress;
+use crate::golden::Golden;
+use crate::io::spikes::PopulationSpikes;
+use crate::ir::graph::{self, Graph, PopulationKind, ThresholdParameter};
+use crate::ir::program::Program;
+use crate::ir::quantised::{Population, Quantised, Units};
+use crate::ir::spikes::{Engine, Sample};
+use crate::machine::{Image, Machine, Settings};
+use crate::reference::{self, Model, Reference};
+
+/// What the deployed network is compared with.
+#[derive(Debug)]
+pub enum Counterpart {
+    /// Spike response neurons, as they were trained.
+    Srm,
+    /// Current-based neurons in real numbers.
+    Cuba,
+    /// The golden interpreter of the same integers.
+    Golden,
+    /// Recorded spikes: a population's samples each.
+    Recorded(Vec<(Layer, Vec<PopulationSpikes>)>),
+}
+
+impl Counterpart {
+    /// As it is printed.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Counterpart::Srm => "srm",
+            Counterpart::Cuba => "cuba",
+            Counterpart::Golden => "golden",
+            Counterpart::Recorded(_) => "recorded spikes",
+        }
+    }
+
+    /// Whether its disagreement can be attributed to causes: it is in real numbers.
+    #[must_use]
+    pub fn is_real(&self) -> bool {
+        matches!(self, Counterpart::Srm | Counterpart::Cuba)
+    }
+}
+
+/// A network, what it became, and what both are shown.
+#[derive(Debug, Clone, Copy)]
+pub struct Deployed<'a> {
+    /// The network in real numbers.
+    pub graph: &'a Graph,
+    /// What stands for each spike response population.
+    pub fits: &'a [Option<Fit>],
+    /// The steps from real numbers to integers.
+    pub ladder: &'a Ladder,
+    /// The integers, mapped.
+    pub program: &'a Program,
+    /// In run order.
+    pub samples: &'a [&'a Sample],
+    /// Compare only so many steps of each sample.
+    pub steps: Option<u32>,
+}
+
+/// A layer of the two networks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerRow {
+    /// The population.
+    pub name: String,
+    /// Steps by which the deployed network answers later; negative, earlier.
+    pub shift: i32,
+    /// How far they agree.
+    pub comparison: Comparison,
+}
+
+/// How far a deployed network and its counterpart agree.
+#[derive(Debug)]
+pub struct Agreement {
+    /// Layer by layer.
+    pub layers: Vec<LayerRow>,
+    /// Samples of the same class; `None` when no classes were recorded.
+    pub same_class: Option<usize>,
+    /// Share of right classes of the counterpart and of the deployed network, when samples have labels.
+    pub accuracy: Option<(f64, f64)>,
+}
+
+/// Samples that are run and compared at once: bounds the traces in memory.
+const BATCH: usize = 64;
+
+/// The output population as a layer.
+#[must_use]
+pub fn output_layer(network: &Quantised) -> Layer {
+    let output = &network.populations()[network.parts().output];
+    Layer {
+        name: output.name.clone(),
+        first: output.first_compartment().map_or(0, |first| first.0),
+        count: output.shape.len(),
+    }
+}
+
+/// The thresholds of all compartments in register units.
+fn integer_thresholds(network: &Quantised) -> Vec<f64> {
+    let thresholds = |population: &Population| match &population.units {
+        Units::Loihi { neurons, .. } => {
+            (0..population.shape.len()).map(|i| f64::from(neurons.vth.get(i).get().max(1)) * 64.0).collect()
+        }
+        Units::Input(_) => Vec::new(),
+    };
+    network.populations().iter().flat_map(thresholds).collect()
+}
+
+/// The thresholds of all neurons of a network in real numbers, in its own units.
+fn real_thresholds(graph: &Graph) -> Vec<f64> {
+    let thresholds = |population: &graph::Population| -> Vec<f64> {
+        let count = population.shape.len();
+        match &population.kind {
+            PopulationKind::Input => Vec::new(),
+            PopulationKind::Srm(srm) => vec![srm.theta; count as usize],
+            PopulationKind::Loihi(p) => match &p.threshold {
+                ThresholdParameter::Real(values) => (0..count).map(|i| values.each.get(i)).collect(),
+                ThresholdParameter::Mantissa(values) => {
+                    (0..count).map(|i| values.each.get(i).max(1.0) * 64.0).collect()
+                }
+            },
+        }
+    };
+    graph.populations().flat_map(|(_, population)| thresholds(population)).collect()
+}
+
+/// An engine's potential as a share of the threshold.
+fn relative<E: Engine>(engine: &E, compartment: CompartmentId, thresholds: &[f64]) -> f64 {
+    f64::from(engine.v(compartment)) / thresholds[compartment.0 as usize]
+}
+
+/// Recorded spikes of one sample as a trace, up to the shortest recording.
+fn recorded_trace(
+    recorded: &[(Layer, Vec<PopulationSpikes>)],
+    index: usize,
+    sample: &Sample,
+    compartments: u32,
+) -> Trace {
+    let mut trace =
+        Trace { steps: sample.steps(), trains: vec![Vec::new(); compartments as usize], potentials: Vec::new() };
+    for (layer, samples) in recorded {
+        trace.steps = trace.steps.min(samples[index].steps);
+        let mut events = samples[index].events.clone();
+        events.sort_unstable();
+        events.dedup();
+        let spikes = events.into_iter().filter(|event| event.1 < layer.count);
+        spikes.for_each(|(step, neuron)| trace.trains[(layer.first + neuron) as usize].push(step));
+    }
+    trace
+}
+
+/// Runs both networks on all samples and compares them.
+///
+/// # Errors
+/// `agree.samples` when a recording has another number of samples; `run.too-large`.
+pub fn compare(
+    deployed: Deployed<'_>,
+    counterpart: &Counterpart,
+    progress: Progress<'_>,
+) -> Result<Agreement, Diagnostic> {
+    let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
+    let network = ladder.deployed();
+    let (compartments, output) = (network.compartments(), output_layer(network));
+    let thresholds = integer_thresholds(network);
+    let real = match counterpart {
+        Counterpart::Srm => Some(graph.clone()),
+        Counterpart::Cuba => Some(analytic::with_fits(graph, fits)),
+        Counterpart::Golden | Counterpart::Recorded(_) => None,
+    };
+    let model =
+        real.as_ref().map(|real| (Model::<f64>::new(real, reference::Options::default()), real_thresholds(real)));
+    let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
+    let compared: Vec<Layer> = match counterpart {
+        Counterpart::Recorded(recorded) => recorded.iter().map(|(layer, _)| layer.clone()).collect(),
+        _ => layers(network),
+    };
+    if let Counterpart::Recorded(recorded) = counterpart
+        && let Some((layer, spikes)) = recorded.iter().find(|(_, spikes)| spikes.len() != samples.len())
+    {
+        let message =
+            format!("'{}' was recorded in {} samples, the input has {}", layer.name, spikes.len(), samples.len());
+        return Err(Diagnostic::new("agree.samples", message).help("choose samples with --samples"));
+    }
+    let counterpart_trace = |index: usize, sample: &Sample| match (counterpart, &model) {
+        (Counterpart::Recorded(recorded), _) => recorded_trace(recorded, index, sample, compartments),
+        (_, Some((model, thresholds))) => {
+            let potential =
+                |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
+            Trace::record(&mut Reference::new(model), sample, compartments, potential)
+        }
+        (_, None) => Trace::record(&mut Golden::new(network), sample, compartments, |g, c| relative(g, c, &thresholds)),
+    };
+    let limit = steps.unwrap_or(u32::MAX);
+    let pair = |(index, sample): (usize, &&Sample)| {
+        let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+        let second = Trace::record(&mut machine, sample, compartments, |m, c| relative(m, c, &thresholds));
+        let first = counterpart_trace(index, sample).until(limit);
+        progress();
+        (first, second.until(limit))
+    };
+    let mut comparisons: Vec<(Comparison, i32)> = Vec::new();
+    let (mut same, mut right) = (0usize, (0usize, 0usize));
+    for (batch, some) in samples.chunks(BATCH).enumerate() {
+        let indexed: Vec<(usize, &&Sample)> = some.iter().enumerate().map(|(i, s)| (batch * BATCH + i, s)).collect();
+        let traces: Vec<(Trace, Trace)> = indexed.into_par_iter().map(pair).collect();
+        if comparisons.is_empty() {
+            let pairs: Vec<(&Trace, &Trace)> = traces.iter().map(|(a, b)| (a, b)).collect();
+            let shift = |layer: &Layer| match counterpart {
+                Counterpart::Srm => -1,
+                Counterpart::Cuba | Counterpart::Golden => 0,
+                Counterpart::Recorded(_) => measured_shift(layer, &pairs),
+            };
+            comparisons = compared.iter().map(|layer| (Comparison::default(), shift(layer))).collect();
+        }
+        for (i, ((a, b), sample)) in traces.iter().zip(some).enumerate() {
+            for (layer, (comparison, shift)) in compared.iter().zip(&mut comparisons) {
+                comparison.add(batch * BATCH + i, layer, a, b, *shift);
+            }
+            let (class_a, class_b) = (a.class(&output), b.class(&output));
+            same += usize::from(class_a == class_b);
+            right.0 += usize::from(class_a == sample.label());
+            right.1 += usize::from(class_b == sample.label());
+        }
+    }
+    let known = compared.contains(&output);
+    let labelled = known && samples.iter().all(|sample| sample.label().is_some());
+    let share = |count: usize| count as f64 / samples.len().max(1) as f64;
+    let rows = compared.into_iter().zip(comparisons);
+    Ok(Agreement {
+        layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
+        same_class: known.then_some(same),
+        accuracy: labelled.then(|| (share(right.0), share(right.1))),
+    })
+}

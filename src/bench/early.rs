@@ -1,0 +1,132 @@
+//! How soon, and for how much energy, a network decides as it will in the end.
+//!
+//! Input: outcomes of labelled samples, the energy of each step. Output: accuracy and energy after each step.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::drive::Outcome;
+use crate::error::Error;
+use crate::io;
+use crate::ir::spikes::Sample;
+use crate::train::loss::class_of;
+
+/// One model on its samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trial {
+    /// Milliseconds of a timestep.
+    pub timestep_ms: f64,
+    /// Share of the samples that are right on the spikes up to each step.
+    pub accuracy: Vec<f64>,
+    /// Mean energy that one copy has spent up to the end of each step.
+    pub energy_uj: Vec<f64>,
+    /// For each sample when it was right for good; `None` where it never is.
+    pub decided_ms: Vec<Option<f64>>,
+}
+
+/// What one model did with samples of one length.
+#[derive(Debug, Clone, Copy)]
+pub struct TrialRun<'a> {
+    /// The samples, with labels.
+    pub samples: &'a [Sample],
+    /// Of each sample.
+    pub outcomes: &'a [Outcome],
+    /// Timesteps of a sample.
+    pub steps: usize,
+    /// Milliseconds of a timestep.
+    pub timestep_ms: f64,
+    /// Energy of each step of each sample.
+    pub spent_uj: &'a [f64],
+}
+
+impl Trial {
+    /// Accuracy and energy over the samples of these numbers.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a number that the run does not have, or a sample without a label.
+    pub fn new(run: TrialRun<'_>, chosen: &[usize]) -> Result<Trial, Error> {
+        let TrialRun { samples, outcomes, steps, timestep_ms, spent_uj } = run;
+        let mut trial =
+            Trial { timestep_ms, accuracy: vec![0.0; steps], energy_uj: vec![0.0; steps], decided_ms: Vec::new() };
+        let share = 1.0 / chosen.len().max(1) as f64;
+        for &index in chosen {
+            let Some((outcome, sample)) = outcomes.get(index).zip(samples.get(index)) else {
+                return Err(Error::Usage(format!("the study tested sample {index}, which the input does not have")));
+            };
+            let Some(label) = sample.label() else {
+                return Err(Error::Usage(format!("sample {index} has no label")));
+            };
+            let mut counts = vec![0.0f32; outcome.counts.len()];
+            let mut spikes = outcome.spikes.iter().peekable();
+            let mut energy = 0.0;
+            let mut right_since = None;
+            for step in 0..steps {
+                while let Some(&(_, output)) = spikes.next_if(|spike| spike.0 as usize == step) {
+                    counts[output as usize] += 1.0;
+                }
+                energy += spent_uj[index * steps + step];
+                trial.energy_uj[step] += share * energy;
+                if class_of(&counts) == Some(label) {
+                    trial.accuracy[step] += share;
+                    right_since.get_or_insert(step);
+                } else {
+                    right_since = None;
+                }
+            }
+            trial.decided_ms.push(right_since.map(|step| (step + 1) as f64 * timestep_ms));
+        }
+        Ok(trial)
+    }
+}
+
+/// Models of one kind: the folds of a cross-validation, or a single one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrialGroup {
+    /// What they have in common.
+    pub name: String,
+    /// Each of them.
+    pub trials: Vec<Trial>,
+}
+
+/// A model of a study and what it is tested on.
+#[derive(Debug)]
+pub struct StudyModel {
+    /// Its training and setting.
+    pub group: String,
+    /// The model file.
+    pub model: String,
+    /// Samples that its training left out; `None` for all.
+    pub tested: Option<Vec<usize>>,
+}
+
+/// The models that a study of `nsim train` left in a folder, by group and name.
+///
+/// # Errors
+/// `study.run` when the folder cannot be read or holds anything else in its `.json` files.
+pub fn study_models(folder: &Path) -> Result<Vec<StudyModel>, Diagnostic> {
+    let unreadable = |path: &Path, why: String| Diagnostic::new("study.run", why).in_file(path);
+    let entries = std::fs::read_dir(folder).map_err(|error| unreadable(folder, error.to_string()))?;
+    let mut models = Vec::new();
+    for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+        if path.extension().is_none_or(|extension| extension != "json") {
+            continue;
+        }
+        let bytes = io::text::read_bytes(&path, 1 << 26)?;
+        let run: Value = serde_json::from_slice(&bytes).map_err(|error| unreadable(&path, error.to_string()))?;
+        let text = |key: &str| run[key].as_str().map(str::to_string);
+        let (Some(name), Some(setting)) = (text("name"), text("setting")) else {
+            return Err(unreadable(&path, "this is no run of a study".to_string()));
+        };
+        let group = if setting.is_empty() { name } else { format!("{name} {setting}") };
+        let indices = |list: &Vec<Value>| list.iter().filter_map(|index| Some(index.as_u64()? as usize)).collect();
+        let model = path.with_extension("ron").display().to_string();
+        models.push(StudyModel { group, model, tested: run["tested"].as_array().map(indices) });
+    }
+    models.sort_by(|a, b| (&a.group, &a.model).cmp(&(&b.group, &b.model)));
+    match models.is_empty() {
+        true => Err(unreadable(folder, "there is no run of a study in this folder".to_string())),
+        false => Ok(models),
+    }
+}

@@ -1,0 +1,204 @@
+//! Runs many samples on an engine, in parallel where that pays.
+//!
+//! Input: a program or network, samples, what to keep of each. Output: outcomes in run order, whatever the number of
+//! threads. Errors: a program whose sums could leave their integers.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use super::{Keep, Outcome, Probe, Quantity, run_sample};
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{CompartmentId, Id};
+use crate::golden::Golden;
+use crate::ir::activity::{Activity, StepActivity};
+use crate::ir::firing_rates::Rates;
+use crate::ir::program::Program;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::{Engine, Sample};
+use crate::machine::{Image, Machine, Settings};
+use crate::reference::{Model, Real, Reference};
+
+/// With more synapses than this, threads share the cores of one sample instead of the samples, so that one image serves all.
+const LARGE: u64 = 4_000_000;
+/// With fewer synapses than this, sharing the cores of a sample costs more than it gains.
+const SHARED: u64 = 100_000;
+
+/// Called after each sample, from any thread.
+pub type Progress<'a> = &'a (dyn Fn() + Sync);
+
+/// How the machine runs samples.
+#[derive(Clone, Copy)]
+pub struct Running<'a> {
+    /// What to keep of each sample.
+    pub keep: &'a Keep,
+    /// Whether work that cannot change anything is left out.
+    pub skip: bool,
+    /// Whether the counts of each step are kept, for a meter.
+    pub per_step: bool,
+    /// Called after each sample.
+    pub progress: Progress<'a>,
+}
+
+/// What a run on the machine yields.
+#[derive(Debug)]
+pub struct Run<M> {
+    /// In run order.
+    pub outcomes: Vec<Outcome>,
+    /// Of all samples.
+    pub activity: Activity,
+    /// One meter a sample, in run order.
+    pub meters: Vec<M>,
+    /// Compartment updates that were left out because the compartment was at rest.
+    pub skipped_updates: u64,
+    /// Seconds spent.
+    pub wall_s: f64,
+}
+
+/// Runs samples on the machine; a meter is made for each sample and sees each step and how often it happened in a row.
+///
+/// # Errors
+/// `run.too-large` when the program's sums could not be exact.
+pub fn fast<M: Send>(
+    program: &Program,
+    samples: &[&Sample],
+    running: Running<'_>,
+    new_meter: impl Fn() -> M + Sync,
+    meter: impl Fn(&mut M, &StepActivity, u32) + Sync,
+) -> Result<Run<M>, Diagnostic> {
+    let Running { keep, skip, per_step, progress } = running;
+    let synapses: u64 = program.cores().iter().map(|image| image.inputs.count()).sum();
+    let large = synapses > LARGE || samples.len() == 1;
+    let shards = if large && synapses > SHARED { rayon::current_num_threads() } else { 1 };
+    let image = Image::new(program, shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
+    let begin = Instant::now();
+    let run = |part: &[&Sample]| {
+        let mut machine = Machine::new(&image, Settings { skip, per_step });
+        let mut results = Vec::with_capacity(part.len());
+        for sample in part {
+            let mut seen = new_meter();
+            let outcome =
+                run_sample(&mut machine, sample, keep, |machine, times| meter(&mut seen, machine.last_step(), times));
+            progress();
+            results.push((outcome, seen, machine.skipped_updates()));
+        }
+        (results, machine.take_activity())
+    };
+    let parts: Vec<_> = if shards > 1 {
+        // A step that is shared from outside the pool would wake a thread each time.
+        vec![rayon::scope(|_| run(samples))]
+    } else if large {
+        vec![run(samples)]
+    } else {
+        samples.par_chunks(chunk(samples)).map(run).collect()
+    };
+    let mut result = Run {
+        outcomes: Vec::with_capacity(samples.len()),
+        activity: Activity::new(program.cores().len()),
+        meters: Vec::with_capacity(samples.len()),
+        skipped_updates: 0,
+        wall_s: 0.0,
+    };
+    for (results, activity) in parts {
+        result.activity.merge(&activity);
+        for (outcome, meter, skipped) in results {
+            result.outcomes.push(outcome);
+            result.meters.push(meter);
+            result.skipped_updates += skipped;
+        }
+    }
+    result.wall_s = begin.elapsed().as_secs_f64();
+    Ok(result)
+}
+
+/// Samples that a thread takes at once: four parts a thread balance samples of different lengths.
+fn chunk(samples: &[&Sample]) -> usize {
+    samples.len().div_ceil(rayon::current_num_threads() * 4).max(1)
+}
+
+/// Runs samples on the golden interpreter; returns outcomes and seconds.
+#[must_use]
+pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> (Vec<Outcome>, f64) {
+    let begin = Instant::now();
+    let run = |engine: &mut Golden, sample: &&Sample| {
+        let outcome = run_sample(engine, sample, keep, |_, _| ());
+        progress();
+        outcome
+    };
+    let part = |part: &[&Sample]| {
+        let mut engine = Golden::new(network);
+        part.iter().map(|sample| run(&mut engine, sample)).collect::<Vec<_>>()
+    };
+    let outcomes = samples.par_chunks(chunk(samples)).flat_map_iter(part).collect();
+    (outcomes, begin.elapsed().as_secs_f64())
+}
+
+/// For each probe `[compartments][steps]`, in real numbers.
+pub type Traces = Vec<Vec<f64>>;
+
+/// Runs samples on the reference engine; the probes come as real numbers beside the outcomes, with the seconds spent.
+#[must_use]
+pub fn reference<F: Real>(
+    model: &Model<F>,
+    samples: &[&Sample],
+    keep: &Keep,
+    progress: Progress<'_>,
+) -> (Vec<Outcome>, Vec<Traces>, f64) {
+    let begin = Instant::now();
+    let plain = Keep { probes: Vec::new(), ..keep.clone() };
+    let run = |engine: &mut Reference<'_, F>, sample: &Sample| {
+        let steps = sample.steps() as usize;
+        let mut traces: Traces = keep.probes.iter().map(|probe| vec![0.0; probe.count as usize * steps]).collect();
+        let mut step = 0;
+        let outcome = run_sample(engine, sample, &plain, |engine, _| {
+            for (probe, trace) in keep.probes.iter().zip(&mut traces) {
+                record(engine, probe, step, steps, trace);
+            }
+            step += 1;
+        });
+        progress();
+        (outcome, traces)
+    };
+    let part = |part: &[&Sample]| {
+        let mut engine = Reference::new(model);
+        part.iter().map(|sample| run(&mut engine, sample)).collect::<Vec<_>>()
+    };
+    let (outcomes, traces) = samples.par_chunks(chunk(samples)).flat_map_iter(part).unzip();
+    (outcomes, traces, begin.elapsed().as_secs_f64())
+}
+
+fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps: usize, trace: &mut [f64]) {
+    let first = probe.first.0;
+    match probe.quantity {
+        Quantity::Spikes => {
+            let own = engine.spikes().iter().filter_map(|spike| spike.0.checked_sub(first));
+            own.filter(|&i| i < probe.count).for_each(|i| trace[i as usize * steps + step] = 1.0);
+        }
+        quantity => (0..probe.count).for_each(|i| {
+            let compartment = CompartmentId(first + i);
+            trace[i as usize * steps + step] = match quantity {
+                Quantity::U => engine.current(compartment),
+                _ => engine.potential(compartment),
+            };
+        }),
+    }
+}
+
+/// How often each channel and compartment fires over samples, on the golden interpreter: it needs no mapping.
+#[must_use]
+pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &'s Sample>) -> Rates {
+    let mut channels = vec![0u64; network.channels() as usize];
+    let mut compartments = vec![0u64; network.compartments() as usize];
+    let mut engine = Golden::new(network);
+    let mut steps = 0;
+    for sample in samples {
+        engine.begin(sample.steps());
+        for step in 0..sample.steps() {
+            engine.step(sample.at(step));
+            sample.at(step).iter().for_each(|channel| channels[channel.index()] += 1);
+            engine.spikes().iter().for_each(|id| compartments[id.index()] += 1);
+        }
+        steps += u64::from(sample.steps());
+    }
+    Rates::profile(&channels, &compartments, steps)
+}
