@@ -6,6 +6,7 @@
 
 mod common;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use common::drive::Drive;
@@ -14,13 +15,24 @@ use nsim::base::id::CompartmentId;
 use nsim::desc::network::Semantics;
 use nsim::ir::graph::Shape;
 
-/// Runs one regime; false when it has no recording under these semantics.
-fn matches_recording(folder: &Path, semantics: Semantics, prefix: &str) -> bool {
-    let files = ["s", "u", "v"].map(|kind| folder.join(format!("{prefix}_{kind}.npy")));
-    if !files.iter().all(|file| file.is_file()) {
-        return false;
-    }
-    let [s, u, v] = files.map(|file| Array::read(&file));
+/// The regimes that were recorded, each under all three.
+const REGIMES: [&str; 9] = [
+    "base",
+    "bias",
+    "decay_edges",
+    "first_step_input",
+    "q0_overflow21",
+    "refractory_1_63",
+    "u_overflow23",
+    "v_equals_threshold",
+    "v_saturate23",
+];
+const SEMANTICS: [(Semantics, &str); 3] =
+    [(Semantics::Hardware, "hardware"), (Semantics::Lava, "lava"), (Semantics::Slayer, "slayer")];
+
+/// Runs one regime under one of the named semantics.
+fn matches_recording(folder: &Path, semantics: Semantics, prefix: &str) {
+    let [s, u, v] = ["s", "u", "v"].map(|kind| Array::read(&folder.join(format!("{prefix}_{kind}.npy"))));
     let read = |name: &str| Array::read(&folder.join(name).with_extension("npy"));
     let acc = read("acc");
     let (compartments, steps) = (acc.shape[0], acc.shape[1]);
@@ -54,35 +66,38 @@ fn matches_recording(folder: &Path, semantics: Semantics, prefix: &str) -> bool 
             }
         }
     }
-    true
 }
 
 #[test]
 fn every_recorded_regime_matches_bit_for_bit() {
     let Some(folder) = data("neuron") else { return };
-    let regimes = [
-        "base",
-        "bias",
-        "decay_edges",
-        "first_step_input",
-        "q0_overflow21",
-        "refractory_1_63",
-        "u_overflow23",
-        "v_equals_threshold",
-        "v_saturate23",
-    ];
-    let mut compared = 0;
-    for regime in regimes {
-        for (semantics, prefix) in
-            [(Semantics::Hardware, "hardware"), (Semantics::Lava, "lava"), (Semantics::Slayer, "slayer")]
-        {
-            if matches_recording(&folder.join(regime), semantics, prefix) {
-                compared += 1;
-            } else {
-                common::say(&format!("skipped: no data for {regime} under {prefix}"));
+    for regime in REGIMES {
+        for (semantics, prefix) in SEMANTICS {
+            matches_recording(&folder.join(regime), semantics, prefix);
+        }
+    }
+}
+
+/// A copy without one of the recordings, or with one that no regime names, is not what was compared.
+#[test]
+fn every_recording_is_there_and_no_other() {
+    let Some(folder) = data("neuron") else { return };
+    let mut expected = BTreeSet::new();
+    for regime in REGIMES {
+        for (_, prefix) in SEMANTICS {
+            expected.extend(["s", "u", "v"].map(|kind| format!("{regime}/{prefix}_{kind}.npy")));
+        }
+    }
+    let mut found = BTreeSet::new();
+    for regime in std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap()).filter(|entry| entry.path().is_dir())
+    {
+        for file in std::fs::read_dir(regime.path()).unwrap() {
+            let name = file.unwrap().file_name().into_string().unwrap();
+            if ["_s.npy", "_u.npy", "_v.npy"].iter().any(|kind| name.ends_with(kind)) {
+                found.insert(format!("{}/{name}", regime.file_name().to_str().unwrap()));
             }
         }
     }
-    println!("compared {compared} of {} recordings", 3 * regimes.len());
-    assert!(compared > 0, "{} holds no recording", folder.display());
+    assert_eq!(found, expected, "{}", folder.display());
+    assert_eq!(expected.len(), 9 * 3 * 3);
 }

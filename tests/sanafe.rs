@@ -3,13 +3,15 @@
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
+mod common;
+
 use std::process::Command;
 
 /// `NSIM_SANAFE` names a Python with `sanafe` 2.2 and numpy; without one the comparison is skipped.
 #[test]
 fn energy_is_equal_and_queued_time_within_five_percent() {
     let Some(python) = std::env::var_os("NSIM_SANAFE") else {
-        println!("skipped: NSIM_SANAFE names no Python with sanafe (pip install sanafe numpy)");
+        common::say("skipped: NSIM_SANAFE names no Python with sanafe (pip install sanafe numpy)");
         return;
     };
     let folder = tempfile::tempdir().unwrap();

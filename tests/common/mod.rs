@@ -43,14 +43,20 @@ pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
 }
 
-/// Recorded data outside the project: the folder of this name under `$NSIM_DATA` or `../shared/data`, or a message.
+/// Where recorded data lies: `$NSIM_DATA`, or `../shared/data` beside the repository.
+pub fn data_root() -> PathBuf {
+    std::env::var_os("NSIM_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from)
+}
+
+/// A folder of recorded data; without it a message and nothing, or a failure where `NSIM_REQUIRE_DATA` is 1.
 pub fn data(folder: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("NSIM_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = root.join(folder);
+    let path = data_root().join(folder);
     if path.is_dir() {
         return Some(path);
     }
+    let required = std::env::var_os("NSIM_REQUIRE_DATA").is_some_and(|value| value == "1");
+    assert!(!required, "no data at {}, and NSIM_REQUIRE_DATA is set", path.display());
     say(&format!("skipped: no data at {}", path.display()));
     None
 }

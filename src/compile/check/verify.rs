@@ -4,7 +4,7 @@
 //! made the program: every count is made again from what the machine would read. `Program::new` has checked that tables
 //! are closed; beyond that, of every core (each bullet is a variant of [`Violation`]):
 //!
-//! - the mesh is the target's (`Mesh`);
+//! - the mesh is the target's (`Mesh`), and no two cores stand at one place of it (`Site`);
 //! - an output axon table names each destination core once, in ascending order (`Multicast`);
 //! - a list that is selected is not empty, one that is not is (`EmptyAxon`);
 //! - population axons have atoms, bases and numbers that messages and tables can hold, tables are the same or apart, no two
@@ -41,6 +41,12 @@ pub enum Violation {
     /// The program is for another board.
     #[error("the program's mesh is not the target's")]
     Mesh,
+    /// Two cores stand at one place.
+    #[error("{core} stands where another core stands")]
+    Site {
+        /// The later of the two.
+        core: CoreId,
+    },
     /// Messages of one source are not one for each core, ascending.
     #[error("{0} does not name each destination core once, in ascending order")]
     Multicast(String),
@@ -126,6 +132,10 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     let limits = target.limits();
     if *program.mesh() != Mesh::of(target) {
         return Err(Violation::Mesh);
+    }
+    let mut taken = BTreeSet::new();
+    if let Some(core) = program.cores().ids().find(|&core| !taken.insert(program.cores()[core].site)) {
+        return Err(Violation::Site { core });
     }
     let populations = program.cores().iter().any(|image| !image.inputs.populations.is_empty());
     for (channel, messages) in program.parts().channels.iter().enumerate() {

@@ -1,0 +1,24 @@
+//! Maps a shipped network onto a chip and prints what each core uses.
+
+use std::error::Error;
+
+use nsim::compile::{CompileError, Options, compile, front};
+use nsim::io::model::load_model;
+use nsim::io::target::load_target;
+
+pub fn main() -> Result<(), Box<dyn Error>> {
+    let network = load_model("vtsnn-slip")?;
+    let target = load_target("loihi1-chip")?;
+    match compile(front(&network)?, &target, &Options::default()) {
+        Ok(compiled) => {
+            for (core, used) in compiled.partition.usage().iter().enumerate() {
+                let site = compiled.program.cores().as_slice()[core].site;
+                println!("core {core} at tile ({}, {}): {} compartments", site.x, site.y, used.compartments);
+            }
+        }
+        // Each reason names a core, a resource, what is needed and what could be done.
+        Err(CompileError::DoesNotFit(reasons)) => reasons.iter().for_each(|reason| println!("{reason}")),
+        Err(error) => return Err(error.into()),
+    }
+    Ok(())
+}

@@ -1,0 +1,35 @@
+//! Runs one sample and prints what its events cost under a preset of constants.
+
+use std::error::Error;
+
+use nsim::base::id::ChannelId;
+use nsim::compile::{Options, compile, front};
+use nsim::cost::CostTable;
+use nsim::cost::deployment::powered_cores;
+use nsim::cost::model::energy;
+use nsim::drive::{Keep, run_sample};
+use nsim::io::model::load_model;
+use nsim::io::target::{load_constants, load_target};
+use nsim::ir::spikes::Sample;
+use nsim::machine::{Image, Machine, Settings};
+
+pub fn main() -> Result<(), Box<dyn Error>> {
+    let target = load_target("loihi1-chip")?;
+    let compiled = compile(front(&load_model("vtsnn-slip")?)?, &target, &Options::default())?;
+    let image = Image::new(&compiled.program, 1)?;
+    let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+
+    let spikes: Vec<_> = (0..100).map(|step| (step, ChannelId(step % compiled.program.channels()))).collect();
+    let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+    run_sample(&mut machine, &Sample::new(100, &spikes, None)?, &keep, |_, _| ());
+
+    // The machine counts; energy is a function of the counts, the constants and the cores that draw power.
+    let table = CostTable::new(&load_constants("vtsnn-calibrated")?)?;
+    let powered = powered_cores(&compiled.placement, target.chip());
+    let spent = energy(&machine.take_activity(), &table, powered);
+    for (part, energy) in spent.parts() {
+        println!("{part}: {:.3} nJ", energy.0 as f64 / 1e6);
+    }
+    println!("total: {:.3} nJ in 100 steps on {powered} powered cores", spent.total().0 as f64 / 1e6);
+    Ok(())
+}

@@ -1,0 +1,32 @@
+//! Runs one sample through the machine and prints the output spikes.
+
+use std::error::Error;
+
+use nsim::base::id::ChannelId;
+use nsim::compile::{Options, compile, front};
+use nsim::drive::{Keep, run_sample};
+use nsim::io::model::load_model;
+use nsim::io::target::load_target;
+use nsim::ir::spikes::Sample;
+use nsim::machine::{Image, Machine, Settings};
+
+pub fn main() -> Result<(), Box<dyn Error>> {
+    let compiled = compile(front(&load_model("vtsnn-slip")?)?, &load_target("loihi1-chip")?, &Options::default())?;
+    let program = &compiled.program;
+
+    // A hundred timesteps; every third step a tenth of the channels spikes, others in turn.
+    let spikes: Vec<(u32, ChannelId)> = (0..100)
+        .step_by(3)
+        .flat_map(|step| (step % 10..program.channels()).step_by(10).map(move |channel| (step, ChannelId(channel))))
+        .collect();
+    let sample = Sample::new(100, &spikes, None)?;
+
+    let image = Image::new(program, 1)?;
+    let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let outcome = run_sample(&mut machine, &sample, &keep, |_, _| ());
+
+    println!("class {:?}, spikes of each output {:?}", outcome.class(), outcome.counts);
+    println!("{} synaptic events in {} steps", outcome.totals.synaptic_events, outcome.steps);
+    Ok(())
+}

@@ -1,0 +1,542 @@
+//! The kinds of mutations: each changes one thing of a program, drawn at random, and says who should notice first.
+
+use nsim::base::fixed::{
+    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
+    WeightBits, WeightExponent,
+};
+use nsim::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use nsim::compile::check::verify::Violation;
+use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Synapse};
+use nsim::ir::quantised::{Neuron, Reset};
+
+use crate::common::random::Draw;
+
+/// What `Program::new` and the verifier say of a mutated program.
+pub enum Expected {
+    /// `Program::new` refuses it.
+    NotClosed,
+    /// The verifier names this rule.
+    Breaks(fn(&Violation) -> bool),
+    /// The verifier finds nothing.
+    Verified,
+    /// It is closed; the verifier may find something, depending on what was drawn.
+    Closed,
+    /// Depends on what was drawn.
+    Anything,
+}
+
+use Expected::{Anything, Breaks, Closed, NotClosed, Verified};
+
+/// Changes a program; nothing where it has no place for the change.
+pub type Kind = fn(&mut Parts, &mut Draw) -> Option<Expected>;
+
+/// Every kind with its name.
+pub const KINDS: &[(&str, Kind)] = &[
+    // Compartments.
+    ("current decay", |p, d| field(p, d, |n, d| n.du = Decay::new(d.from(0, 4096)).unwrap())),
+    ("voltage decay", |p, d| field(p, d, |n, d| n.dv = Decay::new(d.from(0, 4096)).unwrap())),
+    ("threshold", |p, d| field(p, d, |n, d| n.vth = ThresholdMantissa::new(d.from(0, 131_071)).unwrap())),
+    ("bias mantissa", |p, d| field(p, d, |n, d| n.bias_mant = BiasMantissa::new(d.from(-4096, 4095)).unwrap())),
+    ("bias exponent", |p, d| field(p, d, |n, d| n.bias_exp = BiasExponent::new(d.from(0, 7)).unwrap())),
+    ("refractory period", |p, d| field(p, d, |n, d| n.refractory = Refractory::new(d.from(0, 63)).unwrap())),
+    ("lower clip", |p, d| field(p, d, |n, d| n.vmin = VminExponent::new(d.from(0, 23)).unwrap())),
+    ("upper clip", |p, d| field(p, d, |n, d| n.vmax = VmaxExponent::new(d.from(0, 7)).unwrap())),
+    ("start step", |p, d| {
+        let (core, slot) = compartment(p, d);
+        p.cores[core].compartments[slot].start_step += d.from(1, 9) as u32;
+        Some(Verified)
+    }),
+    ("parameters of two compartments swapped", |p, d| {
+        let (core, slot) = compartment(p, d);
+        let other = d.from(0, p.cores[core].compartments.len() as i64 - 1) as usize;
+        p.cores[core].compartments.swap(slot, other);
+        Some(Verified)
+    }),
+    ("seats of two compartments swapped", |p, d| {
+        let [a, b] = [0, 1].map(|_| CompartmentId::new(d.from(0, p.seats.len() as i64 - 1) as usize));
+        let (at_a, at_b) = (p.seats[a], p.seats[b]);
+        (p.seats[a], p.seats[b]) = (at_b, at_a);
+        p.cores[at_a.core].ids[usize::from(at_a.slot)] = b;
+        p.cores[at_b.core].ids[usize::from(at_b.slot)] = a;
+        Some(Verified)
+    }),
+    ("seat of another compartment", |p, d| {
+        let [a, b] = [0, 1].map(|_| CompartmentId::new(d.from(0, p.seats.len() as i64 - 1) as usize));
+        p.seats[a] = p.seats[b];
+        Some(NotClosed)
+    }),
+    ("identity of another compartment", |p, d| {
+        let (core, slot) = compartment(p, d);
+        let id = CompartmentId::new(d.from(0, p.seats.len() as i64) as usize);
+        p.cores[core].ids[slot] = id;
+        Some(NotClosed)
+    }),
+    ("a compartment too many", |p, d| {
+        let (core, slot) = compartment(p, d);
+        let image = &mut p.cores[core];
+        image.compartments.push(image.compartments[slot]);
+        Some(NotClosed)
+    }),
+    ("a compartment too few", |p, d| {
+        let (core, _) = compartment(p, d);
+        let image = &mut p.cores[core];
+        image.compartments.pop();
+        image.ids.pop();
+        edit(&mut image.axons_out, |lists| drop(lists.pop()));
+        Some(NotClosed)
+    }),
+    // Synapse words.
+    ("weight by a step", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        let format = format_of(&p.cores[core], at).synapse;
+        let (low, high) = format.sign.range(format.bits);
+        let (step, weight) = (format.sign.step(format.bits), &mut p.cores[core].inputs.lists.items_mut()[at].weight);
+        let up = (*weight + step <= high) && (d.chance(50) || *weight - step < low);
+        *weight += if up { step } else { -step };
+        (low..=high).contains(weight).then_some(Verified)
+    }),
+    ("weight between steps", |p, d| {
+        let (core, at) = synapse(p, d, |image, at| {
+            let format = format_of(image, at).synapse;
+            format.sign.step(format.bits) > 1
+        })?;
+        p.cores[core].inputs.lists.items_mut()[at].weight += 1;
+        Some(Breaks(|v| matches!(v, Violation::Weight { .. })))
+    }),
+    ("weight outside its bits", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        let format = format_of(&p.cores[core], at).synapse;
+        let (low, high) = format.sign.range(format.bits);
+        let step = format.sign.step(format.bits);
+        p.cores[core].inputs.lists.items_mut()[at].weight = if d.chance(50) { low - step } else { high + step };
+        Some(Breaks(|v| matches!(v, Violation::Weight { .. })))
+    }),
+    ("weight of zero", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        p.cores[core].inputs.lists.items_mut()[at].weight = 0;
+        Some(Verified)
+    }),
+    ("weight of another synapse", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        let synapses = p.cores[core].inputs.lists.items_mut();
+        let other = d.from(0, synapses.len() as i64 - 1) as usize;
+        let weight = synapses[other].weight;
+        let same = synapses[other].format == synapses[at].format;
+        synapses[at].weight = weight;
+        Some(if same { Verified } else { Closed })
+    }),
+    ("target of a synapse", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        let slots = p.cores[core].compartments.len() as i64;
+        p.cores[core].inputs.lists.items_mut()[at].slot = d.from(0, slots - 1) as u16;
+        // The lists of population axons are shifted, and may then lead outside.
+        Some(if p.cores[core].inputs.populations.is_empty() { Closed } else { Anything })
+    }),
+    ("target outside the core", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        let slots = p.cores[core].compartments.len() as i64;
+        p.cores[core].inputs.lists.items_mut()[at].slot = (slots + d.from(0, 100)) as u16;
+        Some(NotClosed)
+    }),
+    ("neighbours swapped", |p, d| {
+        let (core, at) = synapse(p, d, |image, at| {
+            let same = |a: Synapse, b: Synapse| a.format == b.format && a.slot != b.slot;
+            next_of(image, at).is_some_and(|next| same(image.inputs.lists.items()[at], next))
+        })?;
+        p.cores[core].inputs.lists.items_mut().swap(at, at + 1);
+        Some(Breaks(|v| matches!(v, Violation::Slots { .. })))
+    }),
+    ("delay without bits for it", |p, d| {
+        let (core, at) = synapse(p, d, |image, at| format_of(image, at).delay_bits == 0)?;
+        let longest = p.cores[core].inputs.lists.items().iter().map(|s| s.delay).max()?;
+        if longest == Delay::MIN {
+            // The first delay of a core gives it delay fields; its formats have none.
+            p.cores[core].inputs.lists.items_mut()[at].delay = Delay::new(d.from(1, 62)).unwrap();
+        } else {
+            p.cores[core].inputs.lists.items_mut()[at].delay = longest;
+        }
+        Some(Breaks(|v| matches!(v, Violation::Delay { .. })))
+    }),
+    ("delay beyond its bits", |p, d| {
+        let (core, at) = synapse(p, d, |image, at| (1..6).contains(&format_of(image, at).delay_bits))?;
+        let bits = format_of(&p.cores[core], at).delay_bits;
+        p.cores[core].inputs.lists.items_mut()[at].delay = Delay::new(d.from(1 << bits, 62)).unwrap();
+        // Then the core's delays are wider than its formats say.
+        Some(Breaks(|v| matches!(v, Violation::Format { .. } | Violation::Delay { .. })))
+    }),
+    ("another delay", |p, d| {
+        let (core, at) = synapse(p, d, |image, at| format_of(image, at).delay_bits > 0)?;
+        p.cores[core].inputs.lists.items_mut()[at].delay = Delay::new(d.from(0, 62)).unwrap();
+        Some(Closed)
+    }),
+    ("format that is not there", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        let formats = p.cores[core].formats.len() as i64;
+        p.cores[core].inputs.lists.items_mut()[at].format = d.from(formats, 255) as u8;
+        Some(NotClosed)
+    }),
+    ("format of others", |p, d| {
+        let (core, at) = synapse(p, d, |image, _| image.formats.len() > 1)?;
+        let formats = p.cores[core].formats.len() as i64;
+        p.cores[core].inputs.lists.items_mut()[at].format = d.from(0, formats - 1) as u8;
+        Some(Closed)
+    }),
+    ("a synapse too few", |p, d| {
+        let (core, list) = list(p, d, |list| list.len() > 1)?;
+        edit(&mut p.cores[core].inputs.lists, |lists| shorten(&mut lists[list]));
+        Some(Closed)
+    }),
+    ("a synapse twice", |p, d| {
+        let (core, list) = list(p, d, |list| !list.is_empty())?;
+        let image = &mut p.cores[core];
+        let last = *image.inputs.lists.get(list).last()?;
+        let format = image.formats[usize::from(last.format)];
+        edit(&mut image.inputs.lists, |lists| lists[list].push(last));
+        let repeats = format.index_bits.is_some() && format.skip_bits.is_none();
+        Some(if repeats { Verified } else { Breaks(|v| matches!(v, Violation::Slots { .. })) })
+    }),
+    ("a list without synapses", |p, d| {
+        let (core, list) = list(p, d, |list| !list.is_empty())?;
+        edit(&mut p.cores[core].inputs.lists, |lists| lists[list].clear());
+        // Its delays may have been the only long ones of the core, whose formats then have bits too many.
+        Some(Breaks(|v| matches!(v, Violation::EmptyAxon { .. } | Violation::Format { .. })))
+    }),
+    ("two lists swapped", |p, d| {
+        let (core, a) = list(p, d, |_| true)?;
+        let b = d.from(0, p.cores[core].inputs.lists.len() as i64 - 1) as usize;
+        edit(&mut p.cores[core].inputs.lists, |lists| lists.swap(a, b));
+        Some(if p.cores[core].inputs.populations.is_empty() { Verified } else { Anything })
+    }),
+    ("a list too many", |p, d| {
+        let (core, list) = list(p, d, |_| true)?;
+        edit(&mut p.cores[core].inputs.lists, |lists| lists.push(lists[list].clone()));
+        Some(NotClosed)
+    }),
+    // Formats.
+    ("exponent of a format", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        let image = &mut p.cores[core];
+        let new = WeightExponent::new(d.from(-8, 7)).unwrap();
+        if image.formats.iter().any(|format| format.synapse.exponent == new) {
+            return None;
+        }
+        image.formats[at].synapse.exponent = new;
+        Some(Verified)
+    }),
+    ("sign mode of a format", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        p.cores[core].formats[at].synapse.sign =
+            d.one_of(&[SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory]);
+        Some(Closed)
+    }),
+    ("weights of seven bits", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        p.cores[core].formats[at].synapse.bits = WeightBits::new(7).unwrap();
+        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
+    }),
+    ("bits of a format", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        p.cores[core].formats[at].synapse.bits = WeightBits::new(d.one_of(&[2, 3, 4, 5, 6, 8])).unwrap();
+        Some(Closed)
+    }),
+    ("delay bits of a format", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        // Neither none nor what any core has.
+        p.cores[core].formats[at].delay_bits = d.from(7, 20) as u8;
+        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
+    }),
+    ("index bits of a format", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        p.cores[core].formats[at].index_bits = Some(d.from(12, 20) as u8);
+        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
+    }),
+    ("run bits of a format", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        p.cores[core].formats[at].skip_bits = Some(d.from(9, 20) as u8);
+        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
+    }),
+    ("a format twice", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        let image = &mut p.cores[core];
+        image.formats.push(image.formats[at]);
+        Some(Breaks(|v| matches!(v, Violation::Format { what, .. } if what.contains("twice"))))
+    }),
+    ("a format that nothing uses", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        let image = &mut p.cores[core];
+        let mut format: CoreFormat = image.formats[at];
+        format.synapse.exponent = WeightExponent::new(d.from(-8, 7)).unwrap();
+        if image.formats.contains(&format) {
+            return None;
+        }
+        image.formats.push(format);
+        Some(Breaks(|v| matches!(v, Violation::Format { what, .. } if what.contains("not used"))))
+    }),
+    // Axon tables.
+    ("base of a population axon off by one", |p, d| {
+        let axon = population(p, d)?;
+        axon.base += 1;
+        Some(Anything)
+    }),
+    ("base of a population axon off by four", |p, d| {
+        let axon = population(p, d)?;
+        axon.base += 4;
+        Some(Anything)
+    }),
+    ("table of a population axon", |p, d| {
+        let axon = population(p, d)?;
+        axon.table += 1;
+        Some(Anything)
+    }),
+    ("atoms of a population axon", |p, d| {
+        let axon = population(p, d)?;
+        axon.atoms += 1;
+        Some(Anything)
+    }),
+    ("a population axon without atoms", |p, d| {
+        let axon = population(p, d)?;
+        axon.atoms = 0;
+        Some(NotClosed)
+    }),
+    ("a population axon too many", |p, d| {
+        let copy = *population(p, d)?;
+        let core = p.cores.ids().find(|&core| p.cores[core].inputs.populations.contains(&copy))?;
+        p.cores[core].inputs.populations.push(copy);
+        // It has lists, and no source selects them.
+        Some(Breaks(|v| matches!(v, Violation::EmptyAxon { .. } | Violation::Population { .. })))
+    }),
+    ("input axons swapped", |p, d| {
+        let core = core(p, d, |image| image.inputs.axons.len() > 1)?;
+        let axons = &mut p.cores[core].inputs.axons;
+        let [a, b] = [0, 1].map(|_| d.from(0, axons.len() as i64 - 1) as usize);
+        axons.swap(a, b);
+        Some(Closed)
+    }),
+    ("atom of an input axon", |p, d| {
+        let core = core(p, d, |image| image.inputs.axons.iter().any(|a| matches!(a, InputAxon::Member { .. })))?;
+        let members = p.cores[core].inputs.axons.iter_mut().filter(|axon| matches!(axon, InputAxon::Member { .. }));
+        let mut members: Vec<&mut InputAxon> = members.collect();
+        let chosen = d.from(0, members.len() as i64 - 1) as usize;
+        if let InputAxon::Member { atom, .. } = &mut *members[chosen] {
+            *atom += 1;
+        }
+        Some(Anything)
+    }),
+    // Routes.
+    ("a message too few", |p, d| {
+        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
+        edit(lists, |lists| shorten(&mut lists[at]));
+        Some(NotClosed)
+    }),
+    ("a message twice", |p, d| {
+        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
+        edit(lists, |lists| {
+            let copy = lists[at][0];
+            lists[at].push(copy);
+        });
+        Some(NotClosed)
+    }),
+    ("a message to a core that is not there", |p, d| {
+        let cores = p.cores.len() as i64;
+        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
+        lists.get_mut(at)[0].core = CoreId(d.from(cores, cores + 99) as u32);
+        Some(NotClosed)
+    }),
+    ("a message to another core", |p, d| {
+        let cores = p.cores.len() as i64;
+        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
+        lists.get_mut(at)[0].core = CoreId(d.from(0, cores - 1) as u32);
+        // Two messages then meet at one axon, or none does at another.
+        Some(NotClosed)
+    }),
+    ("a message to another axon", |p, d| {
+        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
+        lists.get_mut(at)[0].axon ^= d.from(1, 9) as u16;
+        Some(NotClosed)
+    }),
+    ("messages in descending order", |p, d| {
+        let (lists, at) = messages(p, d, |list| list.len() > 1)?;
+        lists.get_mut(at).reverse();
+        Some(Breaks(|v| matches!(v, Violation::Multicast(_))))
+    }),
+    ("messages of two channels swapped", |p, d| {
+        let [a, b] = [0, 1].map(|_| d.from(0, p.channels.len() as i64 - 1) as usize);
+        edit(&mut p.channels, |lists| lists.swap(a, b));
+        // Population axons are in the core's own tables, which stay.
+        Some(Verified)
+    }),
+    ("messages of two compartments swapped", |p, d| {
+        let (core, a) = compartment(p, d);
+        let b = d.from(0, p.cores[core].compartments.len() as i64 - 1) as usize;
+        edit(&mut p.cores[core].axons_out, |lists| lists.swap(a, b));
+        Some(Verified)
+    }),
+    ("axons of two messages swapped", |p, d| {
+        let (lists, a) = messages(p, d, |list| !list.is_empty())?;
+        let first = lists.get(a)[0];
+        let at_core = |list: &[AxonTarget]| list.iter().any(|m| m.core == first.core && m.axon != first.axon);
+        let others: Vec<usize> = (0..lists.len()).filter(|&b| b != a && at_core(lists.get(b))).collect();
+        let b = *others.get(d.from(0, others.len().max(1) as i64 - 1) as usize)?;
+        let second = lists.get_mut(b).iter_mut().find(|m| m.core == first.core)?;
+        let axon = std::mem::replace(&mut second.axon, first.axon);
+        lists.get_mut(a)[0].axon = axon;
+        let populations = p.cores.iter().any(|image| !image.inputs.populations.is_empty());
+        Some(if populations { Closed } else { Verified })
+    }),
+    // Sites.
+    ("a core outside its mesh", |p, d| {
+        let (core, _) = compartment(p, d);
+        let (width, height) = (p.mesh.width, p.mesh.height);
+        let site = &mut p.cores[core].site;
+        match d.from(0, 3) {
+            0 => site.x = width + d.from(0, 9) as u32,
+            1 => site.y = height + d.from(0, 9) as u32,
+            2 => site.core = 4 + d.from(0, 9) as u32,
+            _ => site.chip += d.from(1, 9) as u32,
+        }
+        Some(NotClosed)
+    }),
+    ("two cores at one place", |p, d| {
+        if p.cores.len() < 2 {
+            return None;
+        }
+        let a = d.from(0, p.cores.len() as i64 - 2) as usize;
+        let b = d.from(a as i64 + 1, p.cores.len() as i64 - 1) as usize;
+        p.cores[CoreId::new(b)].site = p.cores[CoreId::new(a)].site;
+        Some(Breaks(|v| matches!(v, Violation::Site { .. })))
+    }),
+    ("a core at a free place", |p, d| {
+        let (core, _) = compartment(p, d);
+        let site = p.mesh.site(d.from(0, i64::from(p.mesh.cores()) - 1) as u32)?;
+        if p.cores.iter().any(|image| image.site == site) {
+            return None;
+        }
+        p.cores[core].site = site;
+        // It changes what a run costs, not what it computes.
+        Some(Verified)
+    }),
+    ("a larger board", |p, d| {
+        p.mesh.chips_x += d.from(1, 3) as u32;
+        Some(Breaks(|v| matches!(v, Violation::Mesh)))
+    }),
+    // The frame.
+    ("a channel too many", |p, _| {
+        p.channels.push([]);
+        Some(Verified)
+    }),
+    ("another output", |p, d| {
+        let count = p.populations.len() as i64;
+        p.output = PopulationId::new(d.from(0, count - 1) as usize);
+        let compartments = p.populations[p.output].is_some();
+        Some(if compartments { Verified } else { NotClosed })
+    }),
+    ("size of a population", |p, d| {
+        let count = p.populations.len() as i64;
+        let population = p.populations[PopulationId::new(d.from(0, count - 1) as usize)].as_mut()?;
+        population.1 += 1;
+        Some(Verified)
+    }),
+    ("semantics", |p, d| {
+        p.semantics = d.one_of(&[Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
+        Some(Verified)
+    }),
+    ("threshold test", |p, _| {
+        p.threshold = match p.threshold {
+            ThresholdTest::Strict => ThresholdTest::Inclusive,
+            ThresholdTest::Inclusive => ThresholdTest::Strict,
+        };
+        Some(Verified)
+    }),
+    ("reset", |p, d| {
+        p.reset = d.chance(70).then(|| Reset { interval: d.from(1, 20) as u32, offset: d.from(0, 5) as u32 });
+        Some(Verified)
+    }),
+];
+
+/// Changes lists, which may then have other lengths.
+fn edit<T: Copy>(lists: &mut Lists<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
+    let mut all: Vec<Vec<T>> = lists.iter().map(<[T]>::to_vec).collect();
+    change(&mut all);
+    *lists = Lists::default();
+    all.into_iter().for_each(|list| lists.push(list));
+}
+
+/// Takes the last item off.
+fn shorten<T>(list: &mut Vec<T>) {
+    list.pop();
+}
+
+/// Any core that something is true of.
+fn core(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreImage) -> bool) -> Option<CoreId> {
+    let fitting: Vec<CoreId> = parts.cores.ids().filter(|&core| fits(&parts.cores[core])).collect();
+    (!fitting.is_empty()).then(|| draw.one_of(&fitting))
+}
+
+/// Any compartment: its core and slot.
+fn compartment(parts: &Parts, draw: &mut Draw) -> (CoreId, usize) {
+    let seat = parts.seats[CompartmentId::new(draw.from(0, parts.seats.len() as i64 - 1) as usize)];
+    (seat.core, usize::from(seat.slot))
+}
+
+/// Changes a field of any compartment.
+fn field(parts: &mut Parts, draw: &mut Draw, change: fn(&mut Neuron, &mut Draw)) -> Option<Expected> {
+    let (core, slot) = compartment(parts, draw);
+    change(&mut parts.cores[core].compartments[slot].neuron, draw);
+    Some(Verified)
+}
+
+/// Any stored synapse that something is true of: its core, and its number among all of the core.
+fn synapse(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreImage, usize) -> bool) -> Option<(CoreId, usize)> {
+    let fitting = |image: &CoreImage| (0..image.inputs.lists.items().len()).filter(|&at| fits(image, at)).collect();
+    let core = core(parts, draw, |image| (0..image.inputs.lists.items().len()).any(|at| fits(image, at)))?;
+    let fitting: Vec<usize> = fitting(&parts.cores[core]);
+    Some((core, draw.one_of(&fitting)))
+}
+
+fn format_of(image: &CoreImage, synapse: usize) -> CoreFormat {
+    image.formats[usize::from(image.inputs.lists.items()[synapse].format)]
+}
+
+/// The synapse after this one in the same list.
+fn next_of(image: &CoreImage, synapse: usize) -> Option<Synapse> {
+    let ends = image.inputs.lists.firsts().contains(&(synapse as u32 + 1));
+    (!ends).then(|| image.inputs.lists.items()[synapse + 1])
+}
+
+/// Any stored list that something is true of.
+fn list(parts: &Parts, draw: &mut Draw, fits: impl Fn(&[Synapse]) -> bool) -> Option<(CoreId, usize)> {
+    let core = core(parts, draw, |image| image.inputs.lists.iter().any(&fits))?;
+    let lists = &parts.cores[core].inputs.lists;
+    let fitting: Vec<usize> = (0..lists.len()).filter(|&list| fits(lists.get(list))).collect();
+    Some((core, draw.one_of(&fitting)))
+}
+
+/// Any format.
+fn format_at(parts: &Parts, draw: &mut Draw) -> Option<(CoreId, usize)> {
+    let core = core(parts, draw, |image| !image.formats.is_empty())?;
+    Some((core, draw.from(0, parts.cores[core].formats.len() as i64 - 1) as usize))
+}
+
+/// Any population axon.
+fn population<'a>(parts: &'a mut Parts, draw: &mut Draw) -> Option<&'a mut PopulationAxon> {
+    let core = core(parts, draw, |image| !image.inputs.populations.is_empty())?;
+    let axons = &mut parts.cores[core].inputs.populations;
+    let chosen = draw.from(0, axons.len() as i64 - 1) as usize;
+    Some(&mut axons[chosen])
+}
+
+/// The messages of all channels or of a core's compartments, and any of the lists that something is true of.
+fn messages<'a>(
+    parts: &'a mut Parts,
+    draw: &mut Draw,
+    fits: impl Fn(&[AxonTarget]) -> bool,
+) -> Option<(&'a mut Lists<AxonTarget>, usize)> {
+    let from_core = core(parts, draw, |image| image.axons_out.iter().any(&fits)).filter(|_| draw.chance(50));
+    let lists = match from_core {
+        Some(core) => &mut parts.cores[core].axons_out,
+        None => &mut parts.channels,
+    };
+    let fitting: Vec<usize> = (0..lists.len()).filter(|&at| fits(lists.get(at))).collect();
+    (!fitting.is_empty()).then(|| (lists, draw.one_of(&fitting)))
+}

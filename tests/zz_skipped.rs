@@ -1,0 +1,83 @@
+//! The last test file to run (files run by name): says once more, together, which tests were skipped for want of recordings.
+//!
+//! A passing test is silent, and cargo starts a process for each file, so this one does not ask the others: it reads their
+//! source, finds the folder that each test asks `common::data` for, and looks whether it is there.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use syn::visit::{self, Visit};
+
+/// The folders of recordings that tests ask for; one that is not listed is a slip of the pen and would be skipped for ever.
+const FOLDERS: [&str; 8] =
+    ["silicon", "neuron", "vtsnn-random", "ev-containers", "oxford-slayer", "netx", "nir", "events"];
+
+/// The folders that the tests of a file ask for.
+#[derive(Default)]
+struct Asked {
+    within: String,
+    folders: Vec<(String, String)>,
+}
+
+impl<'ast> Visit<'ast> for Asked {
+    fn visit_item_fn(&mut self, node: &'ast syn::ItemFn) {
+        self.within = node.sig.ident.to_string();
+        visit::visit_item_fn(self, node);
+    }
+
+    fn visit_expr_call(&mut self, node: &'ast syn::ExprCall) {
+        if let (syn::Expr::Path(function), Some(syn::Expr::Lit(argument))) = (&*node.func, node.args.first())
+            && function.path.segments.last().is_some_and(|segment| segment.ident == "data")
+            && let syn::Lit::Str(folder) = &argument.lit
+        {
+            self.folders.push((folder.value(), self.within.clone()));
+        }
+        visit::visit_expr_call(self, node);
+    }
+}
+
+fn test_files() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let as_file = |path: PathBuf| if path.is_dir() { path.join("main.rs") } else { path };
+    let mut files: Vec<PathBuf> = entries.map(as_file).filter(|path| path.is_file()).collect();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "rs"));
+    files.sort();
+    files
+}
+
+#[test]
+fn skipped_tests_are_named() {
+    let root = common::data_root();
+    let mut skipped: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let (mut asking, mut unknown) = (0, Vec::new());
+    for path in test_files() {
+        let mut asked = Asked::default();
+        asked.visit_file(&syn::parse_file(&std::fs::read_to_string(&path).unwrap()).unwrap());
+        let relative = path.strip_prefix(env!("CARGO_MANIFEST_DIR")).unwrap().display().to_string();
+        for (folder, test) in asked.folders {
+            asking += 1;
+            if !FOLDERS.contains(&folder.as_str()) {
+                unknown.push(format!("{relative}: {test} asks for {folder}"));
+            }
+            if !root.join(&folder).is_dir() {
+                skipped.entry(folder).or_default().push(format!("{relative} {test}"));
+            }
+        }
+    }
+    assert!(unknown.is_empty() && asking > 10, "{asking} requests, of unknown folders: {unknown:?}");
+    if skipped.is_empty() {
+        return;
+    }
+    let count: usize = skipped.values().map(Vec::len).sum();
+    common::say(&format!("\n==== {count} tests skipped: no recordings at {} ====", root.display()));
+    for (folder, tests) in skipped {
+        common::say(&format!("no {folder}: {}", tests.join(", ")));
+    }
+    common::say("NSIM_DATA names another folder; NSIM_REQUIRE_DATA=1 makes a missing recording fail\n");
+}
