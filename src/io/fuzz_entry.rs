@@ -73,15 +73,7 @@ pub fn arrays(data: &[u8]) {
 /// Event recordings; the first byte chooses the format.
 pub fn events(data: &[u8]) {
     let Some((&first, mut rest)) = data.split_first() else { return };
-    let formats = [
-        EventFormat::Bs2,
-        EventFormat::Bs1,
-        EventFormat::Dat,
-        EventFormat::Raw,
-        EventFormat::Aedat4,
-        EventFormat::Tact,
-    ];
-    let format = formats[usize::from(first) % formats.len()];
+    let format = EventFormat::ALL[usize::from(first) % EventFormat::ALL.len()];
     let expected = Expected { units: 128, volume: Some((2, 8, 8)), dt_ms: 1.0 };
     let options = EventOptions {
         crop: Some((0, 0, 16, 16)),

@@ -25,6 +25,18 @@ pub enum EventFormat {
     Tact,
 }
 
+impl EventFormat {
+    /// Every format.
+    pub const ALL: [EventFormat; 6] = [
+        EventFormat::Bs2,
+        EventFormat::Bs1,
+        EventFormat::Dat,
+        EventFormat::Raw,
+        EventFormat::Aedat4,
+        EventFormat::Tact,
+    ];
+}
+
 /// The formats of spike sources.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SpikeFormat {
