@@ -3,6 +3,7 @@
 use std::error::Error;
 
 use nsim::compile::{CompileError, Options, compile, front};
+use nsim::desc::resource::Resource;
 use nsim::io::model::load_model;
 use nsim::io::target::load_target;
 
@@ -13,7 +14,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         Ok(compiled) => {
             for (core, used) in compiled.partition.usage().iter().enumerate() {
                 let site = compiled.program.cores().as_slice()[core].site;
-                println!("core {core} at tile ({}, {}): {} compartments", site.x, site.y, used.compartments);
+                println!("core {core} at tile ({}, {}): {} compartments", site.x, site.y, used[Resource::Compartments]);
             }
         }
         // Each reason names a core, a resource, what is needed and what could be done.

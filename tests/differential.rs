@@ -11,6 +11,7 @@ use nsim::base::id::{CompartmentId, Id};
 use nsim::bench::networks::{Random, random as random_network};
 use nsim::compile::frontend::prune::{Plan, prune};
 use nsim::compile::{Compiled, Options, compile, compile_saved, front};
+use nsim::desc::resource::Resource;
 use nsim::desc::stimulus::SceneArg;
 use nsim::desc::target::Target;
 use nsim::golden::Golden;
@@ -74,13 +75,14 @@ fn assert_same(golden: &Trace, fast: &Trace, what: &str) {
 fn partitions(network: &Quantised, chip: &Target, seed: u64) -> Vec<(&'static str, Compiled)> {
     let options = Options::default();
     let mut compiled = Vec::new();
-    let mut limits = *chip.limits();
+    let mut limits = chip.limits().clone();
     // Mixed parameters and long delays are not what this test is about: let them share a core.
-    (limits.compartment_profiles, limits.threshold_profiles, limits.accumulators) = (1024, 1024, 1 << 16);
-    limits.synapse_formats = 64;
-    let roomy = chip.clone().with_limits(limits);
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
+        (1024, 1024, 1 << 16);
+    limits[Resource::SynapseFormats] = 64;
+    let roomy = chip.clone().with_limits(limits.clone());
     compiled.push(("sequential", compile(network.clone(), &roomy, &options)));
-    limits.compartments = 5;
+    limits[Resource::Compartments] = 5;
     compiled.push(("small cores", compile(network.clone(), &chip.clone().with_limits(limits), &options)));
     let mapping = random::mapping(network, &Mesh::of(chip), seed);
     compiled.push(("dealt out", compile_saved(network.clone(), &roomy, &options, &mapping)));

@@ -16,7 +16,8 @@ use nsim::bench::mapping::{Mapped, map_all};
 use nsim::bench::suite::cases;
 use nsim::compile::explore::traffic::traffic;
 use nsim::compile::{Compiled, Objective, Options, Strategy, compile, compile_saved, front};
-use nsim::desc::target::{Limits, Target};
+use nsim::desc::resource::{Limits, Resource};
+use nsim::desc::target::Target;
 use nsim::io::mapping::load_mapping;
 use nsim::io::model::load_model;
 use nsim::io::target::load_target;
@@ -92,7 +93,7 @@ fn the_number_of_threads_changes_no_mapping() {
         let bench = cases().into_iter().find(|case| case.name == name).unwrap().build().unwrap();
         let target = load_target(bench.target).unwrap();
         // Small cores make many of them, on several chips.
-        let limits = Limits { compartments: 10, axon_out_slots_off_chip: 1, ..*target.limits() };
+        let limits = Limits { axon_out_slots_off_chip: 1, ..target.limits().clone().with(Resource::Compartments, 10) };
         let options = Options { effort_s: 1, ..Options::default() };
         for target in [target.clone(), target.with_limits(limits)] {
             let one = with(1, &bench.network, &target, &options);
@@ -186,7 +187,7 @@ fn partitions_of_small_networks_are_the_best_or_nearly() {
     for seed in 0..12 {
         let network = small(12, seed);
         let target = load_target("nahuku-32").unwrap();
-        let target = target.clone().with_limits(Limits { compartments: 4, ..*target.limits() });
+        let target = target.clone().with_limits(target.limits().clone().with(Resource::Compartments, 4));
         let compiled = compile(network.clone(), &target, &Options::default()).unwrap();
         assert_eq!(compiled.partition.cores(), 3);
         let core_of: Vec<usize> = compiled.partition.seats().iter().map(|seat| seat.core.0 as usize).collect();
@@ -288,7 +289,7 @@ fn places_of_small_networks_are_the_best_or_nearly() {
         let board = load_target("loihi1-chip").unwrap();
         let mut chip = board.chip().clone();
         (chip.width, chip.height, chip.cores_per_tile, chip.cores) = (4, 3, 1, 12);
-        chip.limits = Limits { compartments: 2, ..*board.limits() };
+        chip.limits = board.limits().clone().with(Resource::Compartments, 2);
         let target = board.with_chip(chip);
         let compiled = compile(network, &target, &Options::default()).unwrap();
         let nets = nets_of(&compiled);

@@ -17,6 +17,7 @@ use nsim::compile::frontend::prune::bound::may_fire;
 use nsim::compile::frontend::prune::{Plan, check_stimulus, prune};
 use nsim::compile::{Options, compile};
 use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::desc::resource::Resource;
 use nsim::desc::target::Target;
 use nsim::drive::{Keep, digest, run_sample};
 use nsim::golden::Golden;
@@ -156,10 +157,11 @@ fn count(pruned: &Quantised, counts: &mut Counts) {
 /// Everything in its way: the limits are not what these tests are about.
 fn roomy() -> Target {
     let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = *chip.limits();
-    (limits.compartment_profiles, limits.threshold_profiles, limits.accumulators) = (1024, 1024, 1 << 16);
+    let mut limits = chip.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
+        (1024, 1024, 1 << 16);
     // A few compartments a core, so that there is something to share out.
-    (limits.synapse_formats, limits.compartments) = (64, 5);
+    (limits[Resource::SynapseFormats], limits[Resource::Compartments]) = (64, 5);
     chip.with_limits(limits)
 }
 

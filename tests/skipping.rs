@@ -13,6 +13,7 @@ use common::{Net, biased, engines, neuron};
 use nsim::base::id::{ChannelId, CompartmentId};
 use nsim::compile::{Compiled, Options, compile, front};
 use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::desc::resource::Resource;
 use nsim::drive::{Keep, Outcome, Probe, Quantity, run_sample};
 use nsim::golden::Golden;
 use nsim::io::model::load_model;
@@ -46,8 +47,8 @@ fn essence(outcome: Outcome) -> (Outcome, u64, u64) {
 /// A model on cores of at most five compartments, so that there is something to share out.
 fn on_small_cores(model: &str) -> Compiled {
     let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = *chip.limits();
-    limits.compartments = 5;
+    let mut limits = chip.limits().clone();
+    limits[Resource::Compartments] = 5;
     compile(front(&load_model(model).unwrap()).unwrap(), &chip.with_limits(limits), &Options::default()).unwrap()
 }
 

@@ -215,6 +215,7 @@ mod tests {
     use super::*;
     use crate::compile::compile;
     use crate::compile::testing::{limits, slip, target};
+    use crate::desc::resource::Resource;
 
     #[derive(Parser)]
     struct Typed {
@@ -260,7 +261,7 @@ mod tests {
         };
         let compiled = asked("nahuku-32", 1).unwrap();
         let used = compiled.partition.usage().as_slice();
-        assert_eq!((used.len(), used[0].axons_in, used[0].synapse_words), (1, 3_366, 7_452));
+        assert_eq!((used.len(), used[0][Resource::AxonsIn], used[0][Resource::SynapseWords]), (1, 3_366, 7_452));
         assert_eq!(asked("nahuku-32", 32).unwrap().partition.cores(), 32);
         let Err(CompileError::DoesNotFit(reasons)) = asked("tiny", 4096) else { panic!("it fits") };
         assert!(reasons.iter().any(|r| r.population.is_some()) && reasons.iter().any(|r| r.population.is_none()));

@@ -10,26 +10,29 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
-use crate::desc::target::{Chip, Limits, Packing, Target, TargetFile};
+use crate::desc::resource::{Limits, Packing, PerResource, Resource};
+use crate::desc::target::{Chip, Target, TargetFile};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::quantised::{Connectivity, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units};
 
 /// The limits of a Loihi core as the shipped chip has them.
 pub fn limits() -> Limits {
+    let of = |resource| match resource {
+        Resource::Compartments => 1024,
+        Resource::AxonsIn | Resource::AxonsOut => 4096,
+        Resource::AxonsOutPerCompartment => 511,
+        Resource::SynapseWords => 16_384,
+        Resource::SynapseWordsPerAxon => 256,
+        Resource::SynapseFormats | Resource::ThresholdProfiles => 16,
+        Resource::CompartmentProfiles => 32,
+        Resource::Accumulators => 8192,
+    };
     Limits {
-        compartments: 1024,
-        axons_in: 4096,
-        axons_out: 4096,
+        most: PerResource::from_fn(of),
+        pools: Vec::new(),
         axon_out_slots: 1,
         axon_out_slots_off_chip: 2,
-        axons_out_per_compartment: 511,
-        synapse_words: 16_384,
-        synapse_words_per_axon: 256,
         synapses_per_entry: 64,
-        synapse_formats: 16,
-        compartment_profiles: 32,
-        threshold_profiles: 16,
-        accumulators: 8192,
         packing: Packing::Nengo,
     }
 }

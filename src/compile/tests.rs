@@ -1,6 +1,7 @@
 //! The compiler as a whole: what fits, what does not and why, and that wrong programs are found out.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use crate::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
@@ -17,9 +18,9 @@ use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
 use crate::compile::{CompileError, Compiled, Options, Reason, compile};
 use crate::desc::network::{Semantics, ThresholdTest};
-use crate::desc::target::{Limits, Packing};
+use crate::desc::resource::{Limits, Packing, PerResource, Pool, Resource};
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::partition::{Partition, Resource, seats};
+use crate::ir::partition::{Partition, seats};
 use crate::ir::program::{AxonTarget, Lists, Parts, Program, Stored, Synapse};
 use crate::ir::quantised::{Connectivity, Neurons, Quantised, Reset, Units};
 
@@ -41,7 +42,10 @@ fn the_slip_network_fits_one_core_with_the_published_counts() {
     let usage = compiled.partition.usage().as_slice();
     assert_eq!(usage.len(), 1);
     // vt-snn: 156 + 3150 + 60 sources; words by nengo's formula.
-    assert_eq!((usage[0].axons_in, usage[0].synapse_words, usage[0].compartments), (3_366, 7_452, 62));
+    assert_eq!(
+        (usage[0][Resource::AxonsIn], usage[0][Resource::SynapseWords], usage[0][Resource::Compartments]),
+        (3_366, 7_452, 62)
+    );
 }
 
 #[test]
@@ -50,7 +54,7 @@ fn a_dense_layer_of_18_432_words_is_split_over_exactly_two_cores() {
     let (input, output) = (builder.input("in", 1024), builder.loihi("out", 128));
     builder.dense(input, output, |s, t| ((s + t) % 100) as i16 * 2);
     let compiled = compiled(builder.build(), limits());
-    let words: Vec<u64> = compiled.partition.usage().iter().map(|used| used.synapse_words).collect();
+    let words: Vec<u64> = compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).collect();
     assert_eq!(compiled.partition.cores(), 2);
     // 118 targets still take 9 + 7 words an axon, all 16,384; the other 10 take 2.
     assert_eq!(words, [16_384, 2_048]);
@@ -61,7 +65,7 @@ fn both_polarities_of_the_vision_layer_do_not_fit_and_the_ways_out_are_said() {
     let found = reasons(slip(6300), 1, limits(), 1);
     assert_eq!(found.len(), 1, "{found:?}");
     let reason = &found[0];
-    assert_eq!((reason.population.as_deref(), reason.resource), (Some("sight"), Resource::AxonsIn));
+    assert_eq!((reason.population.as_deref(), reason.resource.name()), (Some("sight"), "axons_in"));
     assert_eq!((reason.need, reason.limit, reason.code), (6_300, 4_096, "map.axons-in"));
     for way in ["merge polarities", "prune inputs", "pool more", "intermediate populations"] {
         assert!(reason.help.contains(way), "{}", reason.help);
@@ -77,14 +81,15 @@ fn every_reason_is_given_over_all_populations() {
     builder.dense(narrow, b, |_, _| 2);
     builder.random(narrow, b, 60, 1);
     builder.dense(b, c, |_, _| 2);
-    let tiny = Limits { axons_in: 20, synapse_words_per_axon: 3, compartments: 4, ..limits() };
+    let tiny =
+        limits().with(Resource::AxonsIn, 20).with(Resource::SynapseWordsPerAxon, 3).with(Resource::Compartments, 4);
     let found: Vec<_> = reasons(builder.build(), 1, tiny, 1)
         .into_iter()
         .map(|r| (r.population.unwrap(), r.resource, r.limit))
         .collect();
-    assert!(found.contains(&("a".to_string(), Resource::AxonsIn, 20)), "{found:?}");
+    assert!(found.contains(&("a".to_string(), Resource::AxonsIn.into(), 20)), "{found:?}");
     // About 20 synapses of 14 bits from each channel to each of three targets: 5 words.
-    assert!(found.contains(&("b".to_string(), Resource::SynapseWordsPerAxon, 3)), "{found:?}");
+    assert!(found.contains(&("b".to_string(), Resource::SynapseWordsPerAxon.into(), 3)), "{found:?}");
 }
 
 #[test]
@@ -96,16 +101,16 @@ fn output_axons_that_no_split_can_lower_are_a_reason() {
         builder.build()
     };
     // Ten cores of b: each spike of a takes 10 axons.
-    let per_compartment = Limits { compartments: 4, axons_out_per_compartment: 9, ..limits() };
+    let per_compartment = limits().with(Resource::Compartments, 4).with(Resource::AxonsOutPerCompartment, 9);
     let found = reasons(network(), 1, per_compartment, 1);
     assert_eq!(found.len(), 1);
-    assert_eq!((found[0].resource, found[0].need, found[0].limit), (Resource::AxonsOutPerCompartment, 11, 9));
-    let slots = Limits { compartments: 4, axons_out: 9, ..limits() };
+    assert_eq!((found[0].resource.name(), found[0].need, found[0].limit), ("axons_out_per_compartment", 11, 9));
+    let slots = limits().with(Resource::Compartments, 4).with(Resource::AxonsOut, 9);
     let found = reasons(network(), 1, slots, 1);
-    assert_eq!((found[0].population.as_deref(), found[0].resource), (Some("a"), Resource::AxonsOut));
+    assert_eq!((found[0].population.as_deref(), found[0].resource.name()), (Some("a"), "axons_out"));
     // With room for 22 slots, two compartments of a fit on a core.
-    let compiled = compiled(network(), Limits { compartments: 4, axons_out: 22, ..limits() });
-    assert!(compiled.partition.usage().iter().all(|used| used.axons_out <= 22));
+    let compiled = compiled(network(), limits().with(Resource::Compartments, 4).with(Resource::AxonsOut, 22));
+    assert!(compiled.partition.usage().iter().all(|used| used[Resource::AxonsOut] <= 22));
 }
 
 #[test]
@@ -115,7 +120,7 @@ fn more_copies_than_the_target_holds_is_a_reason_before_anything_large_is_made()
     assert!(found[0].help.contains("fewer than 4096 copies"), "{}", found[0].help);
     let found = reasons(slip(3150), 1, limits(), 200);
     // 200 x 3,366 input axons need at least 165 cores.
-    assert_eq!((found[0].resource, found[0].need, found[0].limit), (Resource::Cores, 165, 128));
+    assert_eq!((found[0].resource.name(), found[0].need, found[0].limit), ("cores", 165, 128));
     assert!(found[0].help.contains("at least 165 cores"), "{}", found[0].help);
 }
 
@@ -173,27 +178,54 @@ fn too_many_profiles_and_delays_split_a_population() {
     let dense = Connectivity::Dense { targets: 1000, weights };
     builder.connect((input, late), plain_format(), 31, dense);
     let delays = compiled(builder.build(), limits());
-    let used: Vec<u32> = delays.partition.usage().iter().map(|used| used.compartments).collect();
+    let used: Vec<u64> = delays.partition.usage().iter().map(|used| used[Resource::Compartments]).collect();
     assert_eq!(used, [256, 256, 256, 232], "8,192 accumulators, 32 slots a compartment");
+}
+
+#[test]
+fn resources_that_share_a_pool_are_kept_within_it() {
+    let costs: BTreeMap<_, _> = [(Resource::SynapseWords, 8), (Resource::AxonsIn, 4)].into();
+    let (name, unit) = ("memory".to_string(), "bytes".to_string());
+    let pooled = |limit| {
+        let pool = Pool { name: name.clone(), unit: unit.clone(), limit, costs: costs.clone() };
+        Limits { pools: vec![Arc::new(pool)], ..limits() }
+    };
+    let network = || {
+        let mut builder = Builder::new();
+        let (a, b) = (builder.input("a", 100), builder.loihi("b", 80));
+        builder.random(a, b, 40, 1);
+        builder.build()
+    };
+    let (own, shared) = (compiled(network(), limits()), compiled(network(), pooled(6_000)));
+    assert_eq!(own.partition.cores(), 1);
+    assert!(shared.partition.cores() > 1);
+    for used in shared.partition.usage() {
+        assert!(8 * used[Resource::SynapseWords] + 4 * used[Resource::AxonsIn] <= 6_000, "{used:?}");
+    }
+    let excess = verify(&own.program, &target(2, 2, pooled(6_000))).unwrap_err();
+    assert!(matches!(&excess, Violation::Excess { capacity, .. } if capacity.name() == "memory"), "{excess}");
+    let reasons = reasons(network(), 1, pooled(100), 1);
+    assert_eq!((reasons[0].code, reasons[0].limit, reasons[0].population.as_deref()), ("map.pool", 100, Some("b")));
+    assert!(reasons[0].to_string().contains("bytes of the memory of its core, the limit is 100"), "{}", reasons[0]);
 }
 
 /// Limits drawn small enough to split and large enough to be met.
 fn drawn_limits(seed: u64) -> Limits {
     let draw = |k, low: u64, high: u64| (low + rng::below(high - low + 1, seed, 99, k)) as u32;
-    Limits {
-        compartments: draw(0, 1, 40),
-        axons_in: draw(1, 60, 200),
-        axons_out: draw(2, 150, 800),
-        axons_out_per_compartment: draw(3, 100, 200),
-        synapse_words: draw(4, 150, 800),
-        synapse_words_per_axon: draw(5, 12, 40),
-        synapse_formats: draw(6, 12, 16),
-        compartment_profiles: draw(7, 1, 4),
-        threshold_profiles: draw(8, 1, 2),
-        accumulators: draw(9, 8, 100),
-        packing: if draw(10, 0, 1) == 0 { Packing::Nengo } else { Packing::Nxtf },
-        ..limits()
-    }
+    let of = |resource| match resource {
+        Resource::Compartments => draw(0, 1, 40),
+        Resource::AxonsIn => draw(1, 60, 200),
+        Resource::AxonsOut => draw(2, 150, 800),
+        Resource::AxonsOutPerCompartment => draw(3, 100, 200),
+        Resource::SynapseWords => draw(4, 150, 800),
+        Resource::SynapseWordsPerAxon => draw(5, 12, 40),
+        Resource::SynapseFormats => draw(6, 12, 16),
+        Resource::CompartmentProfiles => draw(7, 1, 4),
+        Resource::ThresholdProfiles => draw(8, 1, 2),
+        Resource::Accumulators => draw(9, 8, 100),
+    };
+    let packing = if draw(10, 0, 1) == 0 { Packing::Nengo } else { Packing::Nxtf };
+    Limits { most: PerResource::from_fn(of), packing, ..limits() }
 }
 
 #[test]
@@ -203,7 +235,7 @@ fn every_limit_is_kept_on_hundreds_of_random_networks() {
         let limits = drawn_limits(seed);
         let options = Options { copies: 1 + (seed % 3) as u32, ..Options::default() };
         // Compiling verifies the tables against the limits and checks them against the network.
-        match compile(random_network(seed), &target(2, 2, limits), &options) {
+        match compile(random_network(seed), &target(2, 2, limits.clone()), &options) {
             Ok(compiled) => {
                 fitted += 1;
                 split += u32::from(compiled.partition.cores() > 1);
@@ -224,7 +256,7 @@ fn every_limit_is_kept_on_hundreds_of_random_networks() {
 #[test]
 fn compiling_twice_gives_the_same_program() {
     for seed in 0..20 {
-        let program = || compiled(random_network(seed), Limits { compartments: 7, ..limits() }).program;
+        let program = || compiled(random_network(seed), limits().with(Resource::Compartments, 7)).program;
         assert_eq!(program(), program());
     }
 }
@@ -242,7 +274,7 @@ fn mutable() -> (Quantised, Parts) {
     let dense = Connectivity::Dense { targets: 3, weights };
     builder.connect((y, b), format, 2, dense);
     let network = builder.build();
-    let parts = compiled(network.clone(), Limits { compartments: 4, ..limits() }).program.into_parts();
+    let parts = compiled(network.clone(), limits().with(Resource::Compartments, 4)).program.into_parts();
     (network, parts)
 }
 
@@ -347,23 +379,22 @@ fn the_checker_names_what_differs() {
 #[test]
 fn each_rule_of_the_verifier_can_fail() {
     let (_, good) = mutable();
-    let limits = Limits { compartments: 4, ..limits() };
-    let board = target(2, 2, limits);
-    let verdict = |limits: Limits, mutate: &dyn Fn(&mut Parts)| {
+    let limits = limits().with(Resource::Compartments, 4);
+    let board = target(2, 2, limits.clone());
+    let verdict = |mutate: &dyn Fn(&mut Parts)| {
         let mut parts = good.clone();
         mutate(&mut parts);
-        verify(&Program::new(parts).expect("still closed"), &target(2, 2, limits)).unwrap_err()
+        verify(&Program::new(parts).expect("still closed"), &board).unwrap_err()
     };
     assert_eq!(verify(&Program::new(good.clone()).unwrap(), &board), Ok(()));
-    assert_eq!(verify(&Program::new(good.clone()).unwrap(), &target(2, 1, limits)), Err(Violation::Mesh));
-    let reversed = verdict(limits, &|p| relist(&mut p.channels, |l| l[0].reverse()));
+    assert_eq!(verify(&Program::new(good.clone()).unwrap(), &target(2, 1, limits.clone())), Err(Violation::Mesh));
+    let reversed = verdict(&|p| relist(&mut p.channels, |l| l[0].reverse()));
     assert_eq!(reversed, Violation::Multicast("input channel 0".to_string()));
     // The last core holds b, whose spikes reach both cores of a.
-    let reversed =
-        verdict(limits, &|p| relist(&mut p.cores[CoreId(2)].axons_out, |l| l.iter_mut().for_each(|m| m.reverse())));
+    let reversed = verdict(&|p| relist(&mut p.cores[CoreId(2)].axons_out, |l| l.iter_mut().for_each(|m| m.reverse())));
     assert!(matches!(&reversed, Violation::Multicast(who) if who.contains("core2")), "{reversed}");
-    assert!(matches!(verdict(limits, &|p| resynapse(p, 0, |l| l[0].clear())), Violation::EmptyAxon { list: 0, .. }));
-    let format = |change: fn(&mut Parts)| matches!(verdict(limits, &change), Violation::Format { .. });
+    assert!(matches!(verdict(&|p| resynapse(p, 0, |l| l[0].clear())), Violation::EmptyAxon { list: 0, .. }));
+    let format = |change: fn(&mut Parts)| matches!(verdict(&change), Violation::Format { .. });
     assert!(format(|p| {
         let copy = p.cores[CoreId(0)].formats[0];
         p.cores[CoreId(0)].formats.push(copy);
@@ -377,7 +408,7 @@ fn each_rule_of_the_verifier_can_fail() {
         p.cores[CoreId(0)].formats.push(crate::ir::program::CoreFormat { synapse: unused, ..first });
     }));
     // Core 0 holds a's first half: its first list is of channel 0, dense over slots 0 to 3.
-    let scattered = verdict(limits, &|p| {
+    let scattered = verdict(&|p| {
         let image = &mut p.cores[CoreId(0)];
         let other = crate::ir::program::CoreFormat { index_bits: Some(6), ..image.formats[0] };
         let number = image.formats.iter().position(|f| *f == other).unwrap_or_else(|| {
@@ -387,40 +418,20 @@ fn each_rule_of_the_verifier_can_fail() {
         resynapse(p, 0, |l| l[0][1].format = number as u8);
     });
     assert!(matches!(scattered, Violation::Scattered { list: 0, .. }), "{scattered}");
-    let slots = verdict(limits, &|p| resynapse(p, 0, |l| l[0].swap(0, 1)));
+    let slots = verdict(&|p| resynapse(p, 0, |l| l[0].swap(0, 1)));
     assert!(matches!(slots, Violation::Slots { list: 0, .. }), "{slots}");
-    let delay = verdict(limits, &|p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap()));
+    let delay = verdict(&|p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap()));
     assert!(matches!(delay, Violation::Delay { .. }), "{delay}");
-    let weight = verdict(limits, &|p| resynapse(p, 0, |l| l[0][0].weight += 1));
+    let weight = verdict(&|p| resynapse(p, 0, |l| l[0][0].weight += 1));
     assert!(matches!(weight, Violation::Weight { list: 0, .. }), "{weight}");
     // Each resource, one below what the program uses.
-    let used = compiled(mutable().0, limits).partition.usage().clone();
-    for resource in used.as_slice()[0].against(&limits).map(|(resource, _, _)| resource) {
-        let need = used.iter().flat_map(|u| u.against(&limits)).filter(|r| r.0 == resource).map(|r| r.1).max();
-        let tight = lowered(limits, resource, need.unwrap() as u32 - 1);
+    let used = compiled(mutable().0, limits.clone()).partition.usage().clone();
+    for resource in Resource::ALL {
+        let need = used.iter().map(|used| used[resource]).max().unwrap();
+        let tight = limits.clone().with(resource, need as u32 - 1);
         let found = verify(&Program::new(good.clone()).unwrap(), &target(2, 2, tight)).unwrap_err();
-        assert!(matches!(found, Violation::Excess { resource: r, .. } if r == resource), "{found}");
+        assert!(matches!(&found, Violation::Excess { capacity, .. } if *capacity == resource), "{found}");
     }
-}
-
-/// Limits with one of them set.
-fn lowered(limits: Limits, resource: Resource, value: u32) -> Limits {
-    let mut limits = limits;
-    let field = match resource {
-        Resource::Compartments => &mut limits.compartments,
-        Resource::AxonsIn => &mut limits.axons_in,
-        Resource::AxonsOut => &mut limits.axons_out,
-        Resource::AxonsOutPerCompartment => &mut limits.axons_out_per_compartment,
-        Resource::SynapseWords => &mut limits.synapse_words,
-        Resource::SynapseWordsPerAxon => &mut limits.synapse_words_per_axon,
-        Resource::SynapseFormats => &mut limits.synapse_formats,
-        Resource::CompartmentProfiles => &mut limits.compartment_profiles,
-        Resource::ThresholdProfiles => &mut limits.threshold_profiles,
-        Resource::Accumulators => &mut limits.accumulators,
-        Resource::Cores => unreachable!("not a resource of one core"),
-    };
-    *field = value;
-    limits
 }
 
 #[test]
@@ -438,9 +449,9 @@ fn a_random_network_of_6_4_million_synapses_keeps_every_limit_of_768_chips() {
     builder.random(input, all, 8, 1);
     builder.random(all, all, 64, 2);
     let board = crate::io::target::load_target("pohoiki-springs").unwrap();
-    assert_eq!((board.limits().axons_in, board.limits().axons_out), (4096, 4096));
+    assert_eq!((board.limits()[Resource::AxonsIn], board.limits()[Resource::AxonsOut]), (4096, 4096));
     let compiled = compile(builder.build(), &board, &Options::default()).unwrap();
-    let most = compiled.partition.usage().iter().map(|used| used.axons_out).max().unwrap();
+    let most = compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).max().unwrap();
     let cores = compiled.partition.cores();
     println!("{cores} cores, {:?}", compiled.seconds);
     // 64 targets on nearly 64 cores, most of them off chip: 4,096 / 128 compartments a core at worst.
@@ -475,16 +486,20 @@ fn layers() -> Quantised {
 fn a_kernel_is_stored_once() {
     for packing in [Packing::Nengo, Packing::Nxtf] {
         // 7 x 8 positions with their 8 channels are a core: its kernel has 576 weights, its lists 8 x 3,380 synapses.
-        let limits = Limits { packing, compartments: 512, ..limits() };
-        let compiled = compiled(layers(), limits);
+        let limits = Limits { packing, ..limits().with(Resource::Compartments, 512) };
+        let compiled = compiled(layers(), limits.clone());
         for (core, image) in compiled.program.cores().enumerate() {
             let used = &compiled.partition.usage()[core];
             assert!(!image.inputs.populations.is_empty(), "{packing:?} {core}");
             let stored = image.inputs.lists.items().len() as u64;
             assert!(stored * 3 < image.inputs.count(), "{packing:?} {core}: {stored} of {}", image.inputs.count());
-            assert!(u64::from(used.axons_in) * 4 < image.inputs.len() as u64, "{packing:?} {core}: {}", used.axons_in);
+            assert!(
+                u64::from(used[Resource::AxonsIn]) * 4 < image.inputs.len() as u64,
+                "{packing:?} {core}: {}",
+                used[Resource::AxonsIn]
+            );
             let memory = memory::encode(image, &limits);
-            assert_eq!(memory.words.len() as u64, used.synapse_words, "{packing:?} {core}");
+            assert_eq!(memory.words.len() as u64, used[Resource::SynapseWords], "{packing:?} {core}");
             let meant: Vec<Vec<Synapse>> = image.inputs.iter().map(|list| list.synapses().collect()).collect();
             assert_eq!(memory::decode(&memory, image, &limits), Some(meant), "{packing:?} {core}");
         }
@@ -493,11 +508,12 @@ fn a_kernel_is_stored_once() {
 
 #[test]
 fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
-    let roomy = Limits { compartments: 512, ..limits() };
-    let most = |compiled: &Compiled| compiled.partition.usage().iter().map(|used| used.synapse_words).max().unwrap();
-    let found = compiled(layers(), roomy);
-    let tight = Limits { synapse_words: most(&found) as u32, ..roomy };
-    let same = compiled(layers(), tight);
+    let roomy = limits().with(Resource::Compartments, 512);
+    let most =
+        |compiled: &Compiled| compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).max().unwrap();
+    let found = compiled(layers(), roomy.clone());
+    let tight = roomy.clone().with(Resource::SynapseWords, most(&found) as u32);
+    let same = compiled(layers(), tight.clone());
     assert_eq!((same.partition.cores(), most(&same)), (found.partition.cores(), most(&found)));
     // With a list for each source the words of a core suffice for a fraction of its compartments.
     let (network, mut alone) = (layers(), 0);
@@ -517,9 +533,9 @@ fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
 
 #[test]
 fn population_axons_that_no_chip_has_are_found_out() {
-    let limits = Limits { compartments: 512, ..limits() };
+    let limits = limits().with(Resource::Compartments, 512);
     let network = layers();
-    let good = compiled(network.clone(), limits).program.into_parts();
+    let good = compiled(network.clone(), limits.clone()).program.into_parts();
     let board = target(1, 1, limits);
     type Mutation = (&'static str, fn(&mut Stored));
     let mutations: [Mutation; 8] = [

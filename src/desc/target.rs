@@ -6,6 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::resource::{Limits, Resource};
 use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, SourceText};
 
@@ -283,15 +284,6 @@ constants!(
     }
 );
 
-/// How synapse words are counted (`docs/formats.md`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
-pub enum Packing {
-    /// nengo-loihi `builder/validate.py`.
-    Nengo,
-    /// Intel NxTF.
-    Nxtf,
-}
-
 /// What a core and its chip can hold.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Chip")]
@@ -373,7 +365,8 @@ impl Chip {
         }
         let named = self.limit_sources.iter().map(|entry| &entry.limit);
         for limit in named.chain(self.alternatives.iter().map(|entry| &entry.limit)) {
-            if !Limits::NAMES.contains(&limit.value.as_str()) {
+            let is_pool = limits.pools.iter().any(|pool| pool.name == limit.value);
+            if !is_pool && !Limits::NAMES.contains(&limit.value.as_str()) {
                 return Err(wrong(format!("there is no limit {}", limit.value))
                     .help(format!("limits are {}", Limits::NAMES.join(", ")))
                     .at(source, limit.span));
@@ -381,60 +374,6 @@ impl Chip {
         }
         Ok(())
     }
-}
-
-/// The limits of a core (`docs/formats.md` has the source of each).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct Limits {
-    /// Compartments.
-    pub compartments: u32,
-    /// Input axons.
-    pub axons_in: u32,
-    /// Output axon slots.
-    pub axons_out: u32,
-    /// Slots that an output axon takes when its target is on the same chip.
-    pub axon_out_slots: u32,
-    /// Slots that it takes when its target is on another chip.
-    pub axon_out_slots_off_chip: u32,
-    /// Output axons of one compartment.
-    pub axons_out_per_compartment: u32,
-    /// 64-bit words of synapse memory.
-    pub synapse_words: u32,
-    /// Words of one input axon's list.
-    pub synapse_words_per_axon: u32,
-    /// Synapses of one entry of a list.
-    pub synapses_per_entry: u32,
-    /// Distinct synapse formats.
-    pub synapse_formats: u32,
-    /// Distinct compartment profiles (du, dv, refractory period).
-    pub compartment_profiles: u32,
-    /// Distinct threshold mantissas.
-    pub threshold_profiles: u32,
-    /// Dendritic accumulators: compartments times delay slots, a power of two above the longest delay.
-    pub accumulators: u32,
-    /// How words are counted.
-    pub packing: Packing,
-}
-
-impl Limits {
-    /// The names of all limits, as files write them.
-    pub const NAMES: [&str; 14] = [
-        "compartments",
-        "axons_in",
-        "axons_out",
-        "axon_out_slots",
-        "axon_out_slots_off_chip",
-        "axons_out_per_compartment",
-        "synapse_words",
-        "synapse_words_per_axon",
-        "synapses_per_entry",
-        "synapse_formats",
-        "compartment_profiles",
-        "threshold_profiles",
-        "accumulators",
-        "packing",
-    ];
 }
 
 /// A target file: chips on a board.
@@ -490,8 +429,8 @@ impl Target {
             ("height", chip.height, 64),
             ("cores_per_tile", chip.cores_per_tile, 64),
             ("cores", chip.cores, chip.width.saturating_mul(chip.height).saturating_mul(chip.cores_per_tile)),
-            ("limits.compartments", chip.limits.compartments, 65_536),
-            ("limits.axons_in", chip.limits.axons_in, 65_536),
+            ("limits.compartments", chip.limits[Resource::Compartments], 65_536),
+            ("limits.axons_in", chip.limits[Resource::AxonsIn], 65_536),
             ("limits.synapses_per_entry", chip.limits.synapses_per_entry, 64),
         ];
         for (what, value, most) in sizes {

@@ -3,10 +3,10 @@
 //! True of every [`Partition`]: each compartment sits on exactly one core in exactly one slot, and each core's use of
 //! every resource is within the target's limits.
 
-use serde::Serialize;
+use std::ops::{Index, IndexMut};
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
-use crate::desc::target::Limits;
+use crate::desc::resource::{Capacity, Limits, PerResource, Resource};
 
 /// Where a compartment sits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -17,94 +17,41 @@ pub struct Seat {
     pub slot: u16,
 }
 
-/// What a core uses of each resource.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+/// What a core uses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CoreUsage {
-    /// Compartments.
-    pub compartments: u32,
-    /// Input axons.
-    pub axons_in: u32,
-    /// Output axon slots.
-    pub axons_out: u32,
-    /// The most output axons of one of its compartments.
-    pub axons_out_per_compartment: u32,
-    /// Synapses.
+    /// Synapses, of which there may be any number.
     pub synapses: u64,
-    /// 64-bit words of synapse memory.
-    pub synapse_words: u64,
-    /// The most words of one input axon.
-    pub synapse_words_per_axon: u32,
-    /// Distinct synapse formats.
-    pub synapse_formats: u32,
-    /// Distinct compartment profiles.
-    pub compartment_profiles: u32,
-    /// Distinct threshold mantissas.
-    pub threshold_profiles: u32,
-    /// Dendritic accumulators: compartments times delay slots.
-    pub accumulators: u32,
-}
-
-/// A resource of a core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "snake_case")]
-#[allow(missing_docs)]
-pub enum Resource {
-    Compartments,
-    AxonsIn,
-    AxonsOut,
-    AxonsOutPerCompartment,
-    SynapseWords,
-    SynapseWordsPerAxon,
-    SynapseFormats,
-    CompartmentProfiles,
-    ThresholdProfiles,
-    Accumulators,
-    /// Cores of the whole target; not a resource of one core.
-    Cores,
-}
-
-impl Resource {
-    /// The name in JSON and in messages.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Resource::Compartments => "compartments",
-            Resource::AxonsIn => "axons_in",
-            Resource::AxonsOut => "axons_out",
-            Resource::AxonsOutPerCompartment => "axons_out_per_compartment",
-            Resource::SynapseWords => "synapse_words",
-            Resource::SynapseWordsPerAxon => "synapse_words_per_axon",
-            Resource::SynapseFormats => "synapse_formats",
-            Resource::CompartmentProfiles => "compartment_profiles",
-            Resource::ThresholdProfiles => "threshold_profiles",
-            Resource::Accumulators => "accumulators",
-            Resource::Cores => "cores",
-        }
-    }
+    /// Of each resource.
+    pub of: PerResource<u64>,
 }
 
 impl CoreUsage {
-    /// Need and limit of every resource, in a fixed order.
+    /// The same but for one resource.
     #[must_use]
-    pub fn against(&self, limits: &Limits) -> [(Resource, u64, u64); 10] {
-        let pair = |resource, need: u32, limit: u32| (resource, u64::from(need), u64::from(limit));
-        [
-            pair(Resource::Compartments, self.compartments, limits.compartments),
-            pair(Resource::AxonsIn, self.axons_in, limits.axons_in),
-            pair(Resource::AxonsOut, self.axons_out, limits.axons_out),
-            pair(Resource::AxonsOutPerCompartment, self.axons_out_per_compartment, limits.axons_out_per_compartment),
-            (Resource::SynapseWords, self.synapse_words, u64::from(limits.synapse_words)),
-            pair(Resource::SynapseWordsPerAxon, self.synapse_words_per_axon, limits.synapse_words_per_axon),
-            pair(Resource::SynapseFormats, self.synapse_formats, limits.synapse_formats),
-            pair(Resource::CompartmentProfiles, self.compartment_profiles, limits.compartment_profiles),
-            pair(Resource::ThresholdProfiles, self.threshold_profiles, limits.threshold_profiles),
-            pair(Resource::Accumulators, self.accumulators, limits.accumulators),
-        ]
+    pub fn with(mut self, resource: Resource, used: u64) -> Self {
+        self.of[resource] = used;
+        self
     }
 
-    /// The resources that are used beyond their limits.
-    pub fn excesses(&self, limits: &Limits) -> impl Iterator<Item = (Resource, u64, u64)> + use<> {
-        self.against(limits).into_iter().filter(|(_, need, limit)| need > limit)
+    /// What is used beyond its limit, with the need and the limit.
+    pub fn excesses<'l>(self, limits: &'l Limits) -> impl Iterator<Item = (Capacity, u64, u64)> + use<'l> {
+        limits.against(self.of).filter(|(_, need, limit)| need > limit)
+    }
+}
+
+impl Index<Resource> for CoreUsage {
+    type Output = u64;
+    #[inline]
+    fn index(&self, resource: Resource) -> &u64 {
+        &self.of[resource]
+    }
+}
+
+impl IndexMut<Resource> for CoreUsage {
+    #[inline]
+    fn index_mut(&mut self, resource: Resource) -> &mut u64 {
+        &mut self.of[resource]
     }
 }
 
@@ -118,12 +65,12 @@ pub enum PartitionError {
     #[error("compartment {0} sits on more than one core, or does not exist")]
     Misplaced(CompartmentId),
     /// A core needs more than it has.
-    #[error("{core} needs {need} {}, the limit is {limit}", resource.name())]
+    #[error("{core} needs {need} {}, the limit is {limit}", capacity.name())]
     Excess {
         /// The core.
         core: CoreId,
-        /// The resource.
-        resource: Resource,
+        /// Of what.
+        capacity: Capacity,
         /// What it needs.
         need: u64,
         /// What it has.
@@ -164,8 +111,8 @@ impl Partition {
     /// [`PartitionError::Excess`] when a core exceeds one.
     pub fn within(self, limits: &Limits) -> Result<Self, PartitionError> {
         for (core, used) in self.usage.enumerate() {
-            if let Some((resource, need, limit)) = used.excesses(limits).next() {
-                return Err(PartitionError::Excess { core, resource, need, limit });
+            if let Some((capacity, need, limit)) = used.excesses(limits).next() {
+                return Err(PartitionError::Excess { core, capacity, need, limit });
             }
         }
         Ok(self)

@@ -16,9 +16,10 @@ use crate::compile::explore::search::{Found, front};
 use crate::compile::explore::traffic::Traffic;
 use crate::compile::{DEFAULT_RATE, Form, Mapping, Options, Reason, place};
 use crate::cost::deployment::Deployment;
+use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
-use crate::ir::partition::Resource;
+use crate::ir::partition::CoreUsage;
 use crate::ir::pruned::Row as PrunedRow;
 use crate::report::charts::plot::{Axis, Series, chart};
 
@@ -255,9 +256,9 @@ struct Row {
     chip: u32,
     x: u32,
     y: u32,
-    compartments: u32,
-    axons_in: u32,
-    axons_out: u32,
+    compartments: u64,
+    axons_in: u64,
+    axons_out: u64,
     synapses: u64,
     synapse_words: u64,
 }
@@ -280,11 +281,11 @@ fn rows(compiled: &Mapping) -> impl Iterator<Item = Row> {
             chip: site.chip,
             x: site.x,
             y: site.y,
-            compartments: used.compartments,
-            axons_in: used.axons_in,
-            axons_out: used.axons_out,
+            compartments: used[Resource::Compartments],
+            axons_in: used[Resource::AxonsIn],
+            axons_out: used[Resource::AxonsOut],
             synapses: used.synapses,
-            synapse_words: used.synapse_words,
+            synapse_words: used[Resource::SynapseWords],
         }
     })
 }
@@ -405,18 +406,9 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
 /// A table of every core's use of its resources, in numbers and in hundredths of what there is.
 fn table(compiled: &Mapping, target: &Target) -> String {
     let limits = target.limits();
-    let resources = [
-        (Resource::Compartments, "compartments"),
-        (Resource::AxonsIn, "axons in"),
-        (Resource::AxonsOut, "axons out"),
-        (Resource::SynapseWords, "words"),
-        (Resource::SynapseFormats, "formats"),
-        (Resource::CompartmentProfiles, "profiles"),
-        (Resource::ThresholdProfiles, "thresholds"),
-        (Resource::Accumulators, "accumulators"),
-    ];
+    let parts = |used: CoreUsage| limits.against(used.of).filter(|(capacity, ..)| capacity.heading().is_some());
     let mut header = vec!["core".to_string(), "chip".to_string(), "tile".to_string(), "synapses".to_string()];
-    header.extend(resources.iter().map(|(_, name)| name.to_string()));
+    header.extend(parts(CoreUsage::default()).filter_map(|(capacity, ..)| capacity.heading().map(str::to_string)));
     let mut table = super::text::table(header);
     let (cores, usage) = (compiled.partition.cores(), compiled.partition.usage());
     let shown = if cores > LONGEST_TABLE { SHORT_TABLE } else { cores };
@@ -429,11 +421,7 @@ fn table(compiled: &Mapping, target: &Target) -> String {
             format!("{},{}", site.x, site.y),
             used.synapses.to_string(),
         ];
-        let pairs = used.against(limits);
-        row.extend(resources.iter().filter_map(|(resource, _)| {
-            let &(_, need, limit) = pairs.iter().find(|pair| pair.0 == *resource)?;
-            Some(cell(need, limit))
-        }));
+        row.extend(parts(*used).map(|(_, need, limit)| cell(need, limit)));
         table.add_row(row);
     }
     if cores > shown {
@@ -441,12 +429,10 @@ fn table(compiled: &Mapping, target: &Target) -> String {
         table.add_row(vec![rest]);
         let mut row = vec!["most".to_string(), String::new(), String::new()];
         row.push(usage.iter().map(|used| used.synapses).max().unwrap_or(0).to_string());
-        row.extend(resources.iter().map(|(resource, _)| {
-            let of =
-                |used: &crate::ir::partition::CoreUsage| used.against(limits).into_iter().find(|p| p.0 == *resource);
-            let most = usage.iter().filter_map(of).max_by_key(|&(_, need, _)| need);
-            most.map_or(String::new(), |(_, need, limit)| cell(need, limit))
-        }));
+        let most = usage.iter().map(|used| parts(*used).map(|(_, need, limit)| (need, limit)).collect::<Vec<_>>());
+        let most =
+            most.reduce(|most, used| most.into_iter().zip(used).map(|(a, b)| if b.0 > a.0 { b } else { a }).collect());
+        row.extend(most.into_iter().flatten().map(|(need, limit)| cell(need, limit)));
         table.add_row(row);
     }
     for column in table.column_iter_mut() {
@@ -461,7 +447,6 @@ mod tests {
     use crate::base::diagnostic::SourceText;
     use crate::compile::testing::{limits, slip, target};
     use crate::compile::{CompileError, compile, explore, front as integers};
-    use crate::desc::target::Limits;
     use crate::ir::quantised::Quantised;
 
     const KEYS: [&str; 25] = [
@@ -539,7 +524,7 @@ mod tests {
         let spoken = text(question, outcome);
         assert!(spoken.contains("fits on 3 cores of 1 chip\n") && spoken.contains("7452  45%"), "{spoken}");
 
-        let small = target(1, 1, Limits { axons_in: 1000, ..limits() });
+        let small = target(1, 1, limits().with(Resource::AxonsIn, 1000));
         let question = Question { target: &small, ..question };
         let Err(CompileError::DoesNotFit(reasons)) = mapped(slip(3150), &small, &options) else { panic!() };
         let refused = json(question, Outcome::DoesNotFit(&reasons));
@@ -558,7 +543,7 @@ mod tests {
 
     #[test]
     fn a_long_table_is_shortened() {
-        let board = target(1, 1, Limits { compartments: 1, ..limits() });
+        let board = target(1, 1, limits().with(Resource::Compartments, 1));
         let options = Options::default();
         let compiled = mapped(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);

@@ -13,6 +13,7 @@ use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::compile::{CompileError, Options, compile};
 use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::golden::Golden;
 use crate::ir::graph::{PerCompartment, Shape};
@@ -126,10 +127,10 @@ impl Plan {
 
     fn program(&self, target: &Target) -> Result<(Quantised, Program), Unbuildable> {
         let network = self.network()?;
-        let mut limits = *target.limits();
-        (limits.compartment_profiles, limits.threshold_profiles) = (1024, 1024);
+        let mut limits = target.limits().clone();
+        (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles]) = (1024, 1024);
         // The greatest fan-in needs more words than one of the largest cores has.
-        limits.synapse_words = limits.synapse_words.max(1 << 16);
+        limits[Resource::SynapseWords] = limits[Resource::SynapseWords].max(1 << 16);
         let compiled = compile(network.clone(), &target.clone().with_limits(limits), &Options::default())?;
         Ok((network, compiled.program))
     }

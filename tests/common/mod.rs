@@ -17,6 +17,7 @@ use nsim::base::fixed::{
 use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::compile::{Options, compile};
 use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::desc::resource::Resource;
 use nsim::golden::Golden;
 use nsim::io::spikes::read_source;
 use nsim::io::target::load_target;
@@ -32,9 +33,10 @@ use nsim::machine::{Image, Machine, Settings};
 /// possible, with every core limit but the number of compartments out of the way.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = *chip.limits();
-    (limits.compartment_profiles, limits.threshold_profiles, limits.synapse_formats) = (1024, 1024, 64);
-    (limits.accumulators, limits.axons_in) = (1 << 16, 1 << 16);
+    let mut limits = chip.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
+        (1024, 1024, 64);
+    (limits[Resource::Accumulators], limits[Resource::AxonsIn]) = (1 << 16, 1 << 16);
     let compiled = compile(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
     // A test's engines live as long as the test.
     let program: &'static Program = Box::leak(Box::new(compiled.program));

@@ -22,7 +22,8 @@ use nsim::base::id::{ChannelId, CompartmentId, Id};
 use nsim::compile::check::equivalence::{Difference, check};
 use nsim::compile::check::verify::verify;
 use nsim::compile::{Compiled, Options, compile};
-use nsim::desc::target::{Limits, Packing, Target};
+use nsim::desc::resource::{Packing, Resource};
+use nsim::desc::target::Target;
 use nsim::io::target::load_target;
 use nsim::ir::program::{AxonTarget, Compartment, Parts, Program};
 use nsim::ir::quantised::{Quantised, SynapseFormat};
@@ -103,11 +104,13 @@ fn difference(good: &Parts, meant: &Meaning, mutated: &Parts) -> Result<(), Diff
 /// The shipped chip with room for what is not tested here, so that a mutation breaks the rule that it is meant to break.
 fn roomy(compartments: u32, packing: Packing) -> Target {
     let chip = load_target("loihi1-chip").unwrap();
-    let mut limits: Limits = *chip.limits();
-    (limits.compartments, limits.packing) = (compartments, packing);
-    (limits.compartment_profiles, limits.threshold_profiles, limits.synapse_formats) = (1024, 1024, 64);
-    (limits.accumulators, limits.axons_in, limits.axons_out) = (1 << 16, 1 << 16, 1 << 16);
-    (limits.synapse_words, limits.synapse_words_per_axon) = (1 << 20, 1 << 16);
+    let mut limits = chip.limits().clone();
+    (limits[Resource::Compartments], limits.packing) = (compartments, packing);
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
+        (1024, 1024, 64);
+    (limits[Resource::Accumulators], limits[Resource::AxonsIn], limits[Resource::AxonsOut]) =
+        (1 << 16, 1 << 16, 1 << 16);
+    (limits[Resource::SynapseWords], limits[Resource::SynapseWordsPerAxon]) = (1 << 20, 1 << 16);
     chip.with_limits(limits)
 }
 

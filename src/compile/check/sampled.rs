@@ -22,7 +22,7 @@ use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use crate::compile::check::equivalence::SynapseCode;
 use crate::compile::check::verify::verify_tables;
 use crate::compile::emit::sample::SampledCore;
-use crate::desc::target::Limits;
+use crate::desc::resource::{Limits, Resource};
 use crate::ir::graph::Window;
 use crate::ir::partition::Partition;
 use crate::ir::program::Compartment;
@@ -48,7 +48,8 @@ pub fn check(
         let mut found = verify_tables(*core, image, limits).map_err(|violation| violation.to_string())?;
         check_parameters(network, partition, sampled)?;
         check_synapses(network, partition, sampled)?;
-        (found.axons_out, found.axons_out_per_compartment) = outputs(network, partition, chips, *core, limits);
+        let (slots, most) = outputs(network, partition, chips, *core, limits);
+        (found[Resource::AxonsOut], found[Resource::AxonsOutPerCompartment]) = (slots.into(), most.into());
         let counted = partition.usage()[*core];
         match counted == found {
             true => Ok(()),

@@ -30,8 +30,9 @@ use crate::base::id::{CoreId, Id};
 use crate::compile::resources::axon_sharing::{BASE_END, BASE_STEP, MOST_ATOMS, most_axons};
 use crate::compile::resources::exact::profiles;
 use crate::compile::resources::packing::{self, Compression, Group, SKIP_BITS, Widths};
-use crate::desc::target::{Limits, Target};
-use crate::ir::partition::{CoreUsage, Resource};
+use crate::desc::resource::{Capacity, Limits, PerResource, Resource};
+use crate::desc::target::Target;
+use crate::ir::partition::CoreUsage;
 use crate::ir::placement::Mesh;
 use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Program, Stored, Synapse};
 
@@ -110,13 +111,13 @@ pub enum Violation {
         /// The weight.
         weight: i16,
     },
-    /// More of a resource than there is.
-    #[error("{core} uses {need} {}, the limit is {limit}", resource.name())]
+    /// More of a resource or a pool than there is.
+    #[error("{core} uses {need} {}, the limit is {limit}", capacity.name())]
     Excess {
         /// The core.
         core: CoreId,
-        /// The resource.
-        resource: Resource,
+        /// Of what.
+        capacity: Capacity,
         /// What it uses.
         need: u64,
         /// What there is.
@@ -258,15 +259,15 @@ fn verify_core(
     let mut usage = verify_tables(core, image, limits)?;
     let slots = |message: &AxonTarget| {
         if program.cores()[message.core].site.chip == image.site.chip {
-            limits.axon_out_slots
+            u64::from(limits.axon_out_slots)
         } else {
-            limits.axon_out_slots_off_chip
+            u64::from(limits.axon_out_slots_off_chip)
         }
     };
-    usage.axons_out = image.axons_out.items().iter().map(slots).sum();
-    usage.axons_out_per_compartment = image.axons_out.iter().map(|list| list.len() as u32).max().unwrap_or(0);
+    usage[Resource::AxonsOut] = image.axons_out.items().iter().map(slots).sum();
+    usage[Resource::AxonsOutPerCompartment] = image.axons_out.iter().map(|list| list.len() as u64).max().unwrap_or(0);
     match usage.excesses(limits).next() {
-        Some((resource, need, limit)) => Err(Violation::Excess { core, resource, need, limit }),
+        Some((capacity, need, limit)) => Err(Violation::Excess { core, capacity, need, limit }),
         None => Ok(()),
     }
 }
@@ -375,17 +376,18 @@ fn usage_of(image: &CoreImage, longest: Delay, (words, widest): (u64, u32)) -> C
     let compartments = image.compartments.len() as u32;
     let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
-    let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u32;
-    CoreUsage {
-        compartments,
-        axons_in,
-        synapses: image.inputs.count(),
-        synapse_words: words,
-        synapse_words_per_axon: widest,
-        synapse_formats: image.formats.len() as u32,
-        compartment_profiles: profiles.len() as u32,
-        threshold_profiles: thresholds.len() as u32,
-        accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
-        ..CoreUsage::default()
-    }
+    let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u64;
+    let of = |resource| match resource {
+        Resource::Compartments => u64::from(compartments),
+        Resource::AxonsIn => axons_in,
+        // These depend on the chips of other cores.
+        Resource::AxonsOut | Resource::AxonsOutPerCompartment => 0,
+        Resource::SynapseWords => words,
+        Resource::SynapseWordsPerAxon => u64::from(widest),
+        Resource::SynapseFormats => image.formats.len() as u64,
+        Resource::CompartmentProfiles => profiles.len() as u64,
+        Resource::ThresholdProfiles => thresholds.len() as u64,
+        Resource::Accumulators => u64::from(compartments) * u64::from(packing::delay_slots(longest)),
+    };
+    CoreUsage { synapses: image.inputs.count(), of: PerResource::from_fn(of) }
 }

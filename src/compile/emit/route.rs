@@ -19,7 +19,7 @@ use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::exact::{Tallies, group_of, longest_delays, ways_of};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Compression, Group, Widths};
-use crate::desc::target::Limits;
+use crate::desc::resource::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::program::{

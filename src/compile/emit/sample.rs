@@ -12,7 +12,7 @@ use crate::base::id::{CompartmentId, CoreId, Id, ProjectionId};
 use crate::compile::emit::route::Tables;
 use crate::compile::resources::by_core::Key;
 use crate::compile::resources::fan_in::{FanIn, first_source};
-use crate::desc::target::Limits;
+use crate::desc::resource::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::program::CoreImage;

@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 
 use crate::base::fixed::Delay;
 use crate::compile::resources::packing::{self, Compression, Group, Widths};
-use crate::desc::target::{Limits, Packing};
+use crate::desc::resource::{Limits, Packing};
 use crate::ir::program::{CoreFormat, CoreImage, InputAxon, Synapse};
 
 /// An entry of the synapse map.
@@ -309,12 +309,13 @@ mod tests {
     use super::*;
     use crate::compile::testing::{limits, random_network, slip, target};
     use crate::compile::{Compiled, Options, compile};
+    use crate::desc::resource::Resource;
 
     /// Encodes and decodes every core of a program; returns how many of its formats have runs.
     fn proved(compiled: &Compiled, limits: &Limits, what: &str) -> usize {
         for (core, image) in compiled.program.cores().enumerate() {
             let memory = encode(image, limits);
-            let counted = compiled.partition.usage()[core].synapse_words;
+            let counted = compiled.partition.usage()[core][Resource::SynapseWords];
             assert_eq!(memory.words.len() as u64, counted, "{what} {core}: words");
             let meant: Vec<Vec<Synapse>> = image.inputs.iter().map(|list| list.synapses().collect()).collect();
             assert_eq!(decode(&memory, image, limits), Some(meant), "{what} {core}");
@@ -328,8 +329,8 @@ mod tests {
         let mut runs = 0;
         for seed in 0..120 {
             let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
-            let limits = Limits { packing, synapse_words_per_axon: 256, ..limits() };
-            let compiled = compile(random_network(seed), &target(2, 2, limits), &Options::default());
+            let limits = Limits { packing, ..limits().with(Resource::SynapseWordsPerAxon, 256) };
+            let compiled = compile(random_network(seed), &target(2, 2, limits.clone()), &Options::default());
             if let Ok(compiled) = compiled {
                 runs += proved(&compiled, &limits, &format!("seed {seed}"));
             }

@@ -9,6 +9,7 @@ use crate::compile::explore::cost_estimate::{Score, score_of};
 use crate::compile::explore::traffic::{self, Links, Traffic};
 use crate::compile::partition::box_fan_out::PopulationRates;
 use crate::compile::partition::boxes::Boxes;
+use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::ir::activity::StepActivity;
 use crate::ir::firing_rates::UNIT;
@@ -80,10 +81,10 @@ impl<'a> PlacedBoxes<'a> {
                 counts.events_dense += arriving.dense * rates[arriving.source];
                 counts.events_sparse += arriving.sparse * rates[arriving.source];
             }
-            let steps = u64::from(used.usage.compartments) * UNIT as u64;
+            let steps = used.usage[Resource::Compartments] * UNIT as u64;
             counts.visited += steps;
             counts.active += steps;
-            counts.spikes += u64::from(used.usage.compartments) * rates[boxes.layer[core]];
+            counts.spikes += used.usage[Resource::Compartments] * rates[boxes.layer[core]];
         }
         for (id, population) in network.populations().enumerate() {
             if let Units::Input(_) = population.units {

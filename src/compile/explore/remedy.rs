@@ -134,7 +134,7 @@ mod tests {
     use super::*;
     use crate::compile::CompileError;
     use crate::compile::testing::{Builder, limits, slip, target};
-    use crate::desc::target::Limits;
+    use crate::desc::resource::{Limits, Resource};
 
     fn tried(
         network: &Quantised,
@@ -162,13 +162,13 @@ mod tests {
         let (input, output) = (builder.input("in", 30), builder.loihi("out", 4));
         builder.dense(input, output, |s, _| if s < 20 { 2 } else { 0 });
         let dead = builder.build();
-        let tight = Limits { axons_in: 20, ..limits() };
+        let tight = limits().with(Resource::AxonsIn, 20);
         assert_eq!(tried(&dead, tight, 1, 1, &[]), [("prune", 1)]);
         let mut builder = Builder::new();
         let (input, output) = (builder.input("in", 30), builder.loihi("out", 4));
         builder.dense(input, output, |s, t| ((s * 4 + t) % 60) as i16 * 2 + 66);
         let wide = builder.build();
-        let tight = Limits { synapse_words: 29, synapse_words_per_axon: 1, ..limits() };
+        let tight = limits().with(Resource::SynapseWords, 29).with(Resource::SynapseWordsPerAxon, 1);
         assert!(tried(&wide, tight, 1, 1, &[]).is_empty(), "30 axons take at least 30 words");
         let coarse = coarser(&wide, 4).unwrap();
         assert!(coarse.projections().iter().all(|p| p.format.bits.get() == 4));

@@ -29,9 +29,9 @@ use crate::compile::reason::Reason;
 use crate::compile::resources::fan_in::first_source;
 use crate::compile::stages::{Front, Unchecked};
 use crate::desc::mapping::MappingFile;
-use crate::desc::target::{Limits, Target};
+use crate::desc::resource::Resource;
+use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
-use crate::ir::partition::Resource;
 use crate::ir::placement::Placement;
 use crate::ir::quantised::Quantised;
 
@@ -88,11 +88,9 @@ struct Made<M> {
 /// A core's limits divided, but for the words that one compartment needs, as far as they are known.
 fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let limits = target.limits();
-    let divided = Limits {
-        compartments: (limits.compartments / divisor).max(1),
-        synapse_words: (limits.synapse_words / divisor).max(limits.synapse_words_per_axon).max(words),
-        ..*limits
-    };
+    let words = (limits[Resource::SynapseWords] / divisor).max(limits[Resource::SynapseWordsPerAxon]).max(words);
+    let compartments = (limits[Resource::Compartments] / divisor).max(1);
+    let divided = limits.clone().with(Resource::Compartments, compartments).with(Resource::SynapseWords, words);
     target.clone().with_limits(divided)
 }
 
@@ -102,7 +100,7 @@ fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
     let words = |reason: &Reason| Some(reason.need).filter(|_| reason.resource == Resource::SynapseWords);
     let needs: Option<Vec<u64>> = reasons.iter().map(words).collect();
     let most = needs?.into_iter().max()?.try_into().ok()?;
-    Some(most).filter(|&most| most <= target.limits().synapse_words)
+    Some(most).filter(|&most| most <= target.limits()[Resource::SynapseWords])
 }
 
 /// What is kept of a candidate until one is taken.

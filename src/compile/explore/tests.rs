@@ -17,9 +17,9 @@ use crate::compile::resources::fan_in::first_source;
 use crate::compile::testing::{Builder, format, limits, neurons, plain_format, target};
 use crate::compile::*;
 use crate::desc::mapping::{MappedLayer, OnChip};
-use crate::desc::target::{Limits, Packing};
+use crate::desc::resource::{Limits, Packing, Resource};
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::partition::{CoreUsage, Partition, Resource};
+use crate::ir::partition::{CoreUsage, Partition};
 use crate::ir::quantised::{Connectivity, Quantised, SynapseFormat};
 
 /// A symbolic mapping of a network of any size.
@@ -128,7 +128,10 @@ fn layered(seed: u64) -> Quantised {
 
 fn small(seed: u64) -> Limits {
     let packing = if seed.is_multiple_of(2) { Packing::Nengo } else { Packing::Nxtf };
-    Limits { compartments: 24 + (seed % 40) as u32, synapse_words: 2_000, packing, ..limits() }
+    Limits {
+        packing,
+        ..limits().with(Resource::Compartments, 24 + (seed % 40) as u32).with(Resource::SynapseWords, 2_000)
+    }
 }
 
 #[test]
@@ -167,12 +170,12 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
 
 #[test]
 fn output_axons_make_boxes_smaller() {
-    let few = Limits { axons_out: 24, ..small(1) };
+    let few = small(1).with(Resource::AxonsOut, 24);
     let options = Options { effort_s: 0, ..Options::default() };
-    let (many, plain) = (target(8, 8, few), target(8, 8, Limits { axons_out: 4096, ..few }));
+    let (many, plain) = (target(8, 8, few.clone()), target(8, 8, few.clone().with(Resource::AxonsOut, 4096)));
     let cores = |board: &Target| symbolic(layered(3), board, &options).unwrap().partition.cores();
     assert!(cores(&many) > cores(&plain), "{} and {}", cores(&many), cores(&plain));
-    let none = Limits { axons_out: 1, ..few };
+    let none = few.clone().with(Resource::AxonsOut, 1);
     let Err(CompileError::DoesNotFit(reasons)) = symbolic(layered(3), &target(8, 8, none), &options) else {
         panic!("it fits")
     };
@@ -213,10 +216,10 @@ fn a_wrong_count_is_found() {
     checked(|_| {}, &every).unwrap();
     for change in [
         |used: &mut CoreUsage| used.synapses -= 1,
-        |used: &mut CoreUsage| used.synapse_words -= 1,
-        |used: &mut CoreUsage| used.axons_in -= 1,
-        |used: &mut CoreUsage| used.axons_out += 1,
-        |used: &mut CoreUsage| used.compartment_profiles += 1,
+        |used: &mut CoreUsage| used[Resource::SynapseWords] -= 1,
+        |used: &mut CoreUsage| used[Resource::AxonsIn] -= 1,
+        |used: &mut CoreUsage| used[Resource::AxonsOut] += 1,
+        |used: &mut CoreUsage| used[Resource::CompartmentProfiles] += 1,
     ] {
         assert!(checked(change, &every).is_err());
     }
@@ -413,16 +416,16 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
 #[test]
 fn profiles_make_boxes_smaller() {
     // A population of which every third compartment has its own decay.
-    let few = Limits { compartment_profiles: 2, ..small(1) };
+    let few = small(1).with(Resource::CompartmentProfiles, 2);
     let options = Options { effort_s: 0, ..Options::default() };
     let several = (0..20).filter(|&seed| {
         let plain = symbolic(layered(seed), &target(8, 8, small(1)), &options).unwrap();
-        plain.partition.usage().iter().any(|used| used.compartment_profiles > 2)
+        plain.partition.usage().iter().any(|used| used[Resource::CompartmentProfiles] > 2)
     });
     let mut seen = 0;
     for seed in several.collect::<Vec<_>>() {
-        let made = symbolic(layered(seed), &target(16, 16, few), &options).unwrap();
-        assert!(made.partition.usage().iter().all(|used| used.compartment_profiles <= 2), "seed {seed}");
+        let made = symbolic(layered(seed), &target(16, 16, few.clone()), &options).unwrap();
+        assert!(made.partition.usage().iter().all(|used| used[Resource::CompartmentProfiles] <= 2), "seed {seed}");
         seen += 1;
     }
     assert!(seen > 3, "{seen} networks have several profiles");

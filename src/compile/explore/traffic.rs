@@ -310,7 +310,7 @@ mod tests {
     use super::*;
     use crate::compile::testing::{limits, random_network, target};
     use crate::compile::{Options, compile};
-    use crate::desc::target::Limits;
+    use crate::desc::resource::Resource;
 
     /// The same by walking every message link by link.
     fn walked(program: &Program) -> (u64, u64, u64) {
@@ -348,7 +348,7 @@ mod tests {
     #[test]
     fn differences_add_up_to_the_ways_walked() {
         for seed in 0..30 {
-            let limits = Limits { compartments: 1, axons_out_per_compartment: 4096, ..limits() };
+            let limits = limits().with(Resource::Compartments, 1).with(Resource::AxonsOutPerCompartment, 4096);
             let target = target(2, 2, limits);
             let compiled = compile(random_network(seed), &target, &Options::default()).unwrap();
             let traffic = traffic(&compiled.program, &Rates::assumed(1.0));

@@ -15,7 +15,7 @@ use crate::compile::partition::lattice::Cut;
 use crate::compile::partition::members::Members;
 use crate::compile::resources::closed_form::Layer;
 use crate::compile::resources::receptive_field::Axis;
-use crate::desc::target::Limits;
+use crate::desc::resource::Limits;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 

@@ -17,9 +17,10 @@ use crate::compile::resources::closed_form::{BoxUse, Layer};
 use crate::compile::resources::exact::profiles;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::MOST_SLOTS;
-use crate::desc::target::{Limits, Target};
+use crate::desc::resource::{Limits, Resource};
+use crate::desc::target::Target;
 use crate::ir::graph::PerCompartment;
-use crate::ir::partition::{CoreUsage, Partition, Resource};
+use crate::ir::partition::{CoreUsage, Partition};
 use crate::ir::quantised::{Neurons, Quantised, Units};
 
 /// Rounds of making boxes smaller because their output axons do not fit.
@@ -80,7 +81,7 @@ impl<'n> Layers<'n> {
     /// Whether the boxes of so many copies are no more than the cores of the target, before output axons are counted.
     #[must_use]
     pub fn may_fit(&self, target: &Target, copies: u64) -> bool {
-        let most = vec![target.limits().compartments.min(MOST_SLOTS); self.layers.len()].into();
+        let most = vec![target.limits()[Resource::Compartments].min(MOST_SLOTS); self.layers.len()].into();
         let mut cuts = self.no_cuts();
         let fewest = self.fewest(&most, target.limits(), &mut cuts);
         let boxes: u64 = cuts.iter().flatten().map(|cut| u64::from(cut.lattice.boxes())).sum();
@@ -112,7 +113,8 @@ impl Boxes {
     /// [`CompileError::DoesNotFit`].
     pub fn fewest(network: &Layers<'_>, target: &Target, copies: u32) -> Result<Self, CompileError> {
         let limits = target.limits();
-        let mut most: IdVec<PopulationId, u32> = vec![limits.compartments.min(MOST_SLOTS); network.layers.len()].into();
+        let mut most: IdVec<PopulationId, u32> =
+            vec![limits[Resource::Compartments].min(MOST_SLOTS); network.layers.len()].into();
         let mut cuts = network.no_cuts();
         for round in 0.. {
             network.fewest(&most, limits, &mut cuts)?;
@@ -128,13 +130,11 @@ impl Boxes {
                 let id = found.layer[core];
                 for (resource, need, limit) in used.excesses(limits) {
                     // What one compartment sends, and what is too much for one alone, no smaller box makes less.
-                    let held = u64::from(used.compartments);
+                    let held = used[Resource::Compartments];
                     if resource == Resource::AxonsOutPerCompartment || held == 1 || round == ROUNDS {
                         let reason = Reason::of_population(network.network, id, resource, need, limit);
-                        if !reasons
-                            .iter()
-                            .any(|other| other.resource == resource && other.population == reason.population)
-                        {
+                        let same = |r: &Reason| (&r.resource, &r.population) == (&reason.resource, &reason.population);
+                        if !reasons.iter().any(same) {
                             reasons.push(reason);
                         }
                         continue;
@@ -229,15 +229,13 @@ impl Boxes {
         let of = |(core, held): (CoreId, &Vec<CompartmentId>)| {
             let (axons_out, axons_out_per_compartment) =
                 box_fan_out::axons(core.index(), &self.sends.cores[core.index()], chips, limits);
-            let axons_out = u32::try_from(axons_out).unwrap_or(u32::MAX);
             let (compartment_profiles, threshold_profiles) = profiles_of(network, held);
-            CoreUsage {
-                axons_out,
-                axons_out_per_compartment,
-                compartment_profiles,
-                threshold_profiles,
-                ..self.uses[core.index()].usage
-            }
+            self.uses[core.index()]
+                .usage
+                .with(Resource::AxonsOut, axons_out)
+                .with(Resource::AxonsOutPerCompartment, axons_out_per_compartment.into())
+                .with(Resource::CompartmentProfiles, compartment_profiles.into())
+                .with(Resource::ThresholdProfiles, threshold_profiles.into())
         };
         self.members.enumerate().map(of).collect()
     }

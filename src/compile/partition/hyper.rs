@@ -14,6 +14,7 @@
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
 use crate::compile::resources::fan_in::first_source;
 use crate::compile::resources::packing::{self, Group, Widths};
+use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::{Connectivity, Quantised};
@@ -306,10 +307,10 @@ impl<'a> State<'a> {
         let several = members.len() as u64 > u64::from(target.chip().cores);
         let out_slots = if several { limits.axon_out_slots_off_chip } else { limits.axon_out_slots };
         let limit = Load {
-            compartments: limits.compartments.into(),
-            axons_in: limits.axons_in.into(),
-            axons_out: limits.axons_out.into(),
-            words: i64::from(limits.synapse_words) * percent_of_words / 100,
+            compartments: limits[Resource::Compartments].into(),
+            axons_in: limits[Resource::AxonsIn].into(),
+            axons_out: limits[Resource::AxonsOut].into(),
+            words: i64::from(limits[Resource::SynapseWords]) * percent_of_words / 100,
         };
         let mut state = State {
             graph,
@@ -320,7 +321,7 @@ impl<'a> State<'a> {
             limit,
             out_slots: out_slots.into(),
             words,
-            most_out: limits.axons_out_per_compartment as usize,
+            most_out: limits[Resource::AxonsOutPerCompartment] as usize,
         };
         for net in 0..graph.nets.len() {
             let sources = i64::from(graph.nets[net].sources);

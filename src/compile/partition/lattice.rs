@@ -13,7 +13,7 @@ use crate::compile::resources::closed_form::{BoxUse, Channels, Layer, Side, use_
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing;
 use crate::compile::resources::receptive_field::Axis;
-use crate::desc::target::Limits;
+use crate::desc::resource::{Limits, Resource};
 use crate::ir::quantised::Quantised;
 
 /// Grids of a layer that are tried.
@@ -127,7 +127,7 @@ impl Cut {
     /// # Errors
     /// What one compartment alone uses, when no grid was found.
     pub fn fewest_boxes(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, BoxUse> {
-        let most = most.min(limits.compartments).min(packing::MOST_SLOTS);
+        let most = most.min(limits[Resource::Compartments]).min(packing::MOST_SLOTS);
         let mut cut = None;
         tiles::first_that_fits(&tiles::grids(layer, formats, limits, most), TRIALS, |Grid { size, .. }| {
             // Most grids that do not fit are known by a box in the middle, whose windows are whole.

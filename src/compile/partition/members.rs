@@ -3,7 +3,8 @@
 use crate::base::id::{CompartmentId, CoreId, IdVec};
 use crate::compile::error::CompileError;
 use crate::compile::reason::Reason;
-use crate::desc::target::{Limits, Target};
+use crate::desc::resource::Limits;
+use crate::desc::target::Target;
 use crate::ir::partition::{CoreUsage, Partition};
 use crate::ir::quantised::Quantised;
 

@@ -39,9 +39,10 @@ use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::exact::{usage, usage_sending};
 use crate::compile::resources::fan_out::{cores_of, messages, sent, slots_of};
 use crate::compile::resources::incremental::Filling;
-use crate::desc::target::{Limits, Target};
+use crate::desc::resource::{Capacity, Limits, Resource};
+use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
-use crate::ir::partition::{Partition, PartitionError, Resource, seats};
+use crate::ir::partition::{Partition, PartitionError, seats};
 use crate::ir::quantised::{Connectivity, Quantised};
 
 /// How a partition is looked for.
@@ -93,7 +94,8 @@ pub fn within_bounds(
     search: Search<'_>,
 ) -> Result<(), CompileError> {
     let (limits, compartments) = (target.limits(), u64::from(one.compartments()));
-    let (all, room) = (compartments * u64::from(copies), u64::from(target.cores()) * u64::from(limits.compartments));
+    let (all, room) =
+        (compartments * u64::from(copies), u64::from(target.cores()) * u64::from(limits[Resource::Compartments]));
     let too_many = (all > room).then(|| Reason::of_compartments(target, limits, copies, all));
     let bound = match form {
         Form::Symbolic => return too_many.map_or(Ok(()), |reason| Err(reason.into())),
@@ -107,7 +109,7 @@ pub fn within_bounds(
     if compartments <= room
         && let Err(CompileError::DoesNotFit(more)) = partition(one, one, target, search)
     {
-        reasons.extend(more.into_iter().filter(|reason| reason.resource != Resource::Cores));
+        reasons.extend(more.into_iter().filter(|reason| reason.resource != Capacity::Cores));
     }
     Err(CompileError::DoesNotFit(reasons))
 }
@@ -297,7 +299,7 @@ fn sorted(members: &Members, fixed: &[bool]) -> Members {
 fn tiled(filler: &Filler<'_>, spatial: &IdVec<PopulationId, bool>, chips: Chips) -> Vec<Segment> {
     let (network, limits) = (filler.network, filler.target.limits());
     let mut filling = Filling::new(network, &filler.fan_in, limits);
-    let mut most: IdVec<PopulationId, u32> = vec![limits.compartments; spatial.len()].into();
+    let mut most: IdVec<PopulationId, u32> = vec![limits[Resource::Compartments]; spatial.len()].into();
     let mut cut: IdVec<PopulationId, Option<Vec<Segment>>> = vec![None; spatial.len()].into();
     let mut segments = Vec::new();
     for _ in 0..TILE_ROUNDS {
@@ -322,12 +324,12 @@ fn tiled(filler: &Filler<'_>, spatial: &IdVec<PopulationId, bool>, chips: Chips)
         let mut again = false;
         for held in &members {
             let slots = slots_of(held, &sent);
-            if slots <= u64::from(limits.axons_out) || held.len() < 2 {
+            if slots <= u64::from(limits[Resource::AxonsOut]) || held.len() < 2 {
                 continue;
             }
             let (population, _) = network.population_of(held[0]);
             if spatial[population] {
-                let fitting = (held.len() as u64 * u64::from(limits.axons_out) / slots).max(1) as u32;
+                let fitting = (held.len() as u64 * u64::from(limits[Resource::AxonsOut]) / slots).max(1) as u32;
                 if fitting < most[population] {
                     (most[population], cut[population], again) = (fitting, None, true);
                 }
@@ -422,8 +424,8 @@ pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
         })
         .sum();
     let (copies, compartments) = (u64::from(copies), u64::from(one.compartments()));
-    let by_compartments = (compartments * copies).div_ceil(u64::from(limits.compartments));
-    by_compartments.max((active * copies).div_ceil(u64::from(limits.axons_in)))
+    let by_compartments = (compartments * copies).div_ceil(u64::from(limits[Resource::Compartments]));
+    by_compartments.max((active * copies).div_ceil(u64::from(limits[Resource::AxonsIn])))
 }
 
 /// One copy's cores for all copies.
@@ -440,5 +442,5 @@ fn sends_little_enough(network: &Quantised, members: &Members, target: &Target) 
     let limits = target.limits();
     let core_of = cores_of(network.compartments(), members);
     let sent = sent(network, &core_of, &row_of_chips(members.len(), target), limits);
-    members.iter().all(|held| slots_of(held, &sent) <= u64::from(limits.axons_out))
+    members.iter().all(|held| slots_of(held, &sent) <= u64::from(limits[Resource::AxonsOut]))
 }

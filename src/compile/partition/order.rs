@@ -22,8 +22,8 @@ use crate::compile::reason::Reason;
 use crate::compile::resources::fan_in::FanIn;
 use crate::compile::resources::fan_out::{Sent, cores_of, sent, slots_of};
 use crate::compile::resources::incremental::{Filling, Newcomer};
+use crate::desc::resource::{Capacity, Resource};
 use crate::desc::target::Target;
-use crate::ir::partition::Resource;
 use crate::ir::quantised::{Quantised, Units};
 
 /// Rounds of filling after which output axons are given up on: the margin is then 2^9 times what was sent.
@@ -118,11 +118,11 @@ pub fn file_order(network: &Quantised) -> Vec<Segment> {
 
 /// The needs beyond a limit, the greatest for each population and resource.
 #[derive(Default)]
-struct Misfits(BTreeMap<(PopulationId, Resource), (u64, u64)>);
+struct Misfits(BTreeMap<(PopulationId, Capacity), (u64, u64)>);
 
 impl Misfits {
-    fn note(&mut self, population: PopulationId, (resource, need, limit): (Resource, u64, u64)) {
-        let known = self.0.entry((population, resource)).or_insert((need, limit));
+    fn note(&mut self, population: PopulationId, (capacity, need, limit): (Capacity, u64, u64)) {
+        let known = self.0.entry((population, capacity)).or_insert((need, limit));
         known.0 = known.0.max(need);
     }
 
@@ -131,8 +131,8 @@ impl Misfits {
     }
 
     fn reasons(self, network: &Quantised) -> CompileError {
-        let reason = |((population, resource), (need, limit)): ((PopulationId, Resource), (u64, u64))| {
-            Reason::of_population(network, population, resource, need, limit)
+        let reason = |((population, capacity), (need, limit)): ((PopulationId, Capacity), (u64, u64))| {
+            Reason::of_population(network, population, capacity, need, limit)
         };
         CompileError::DoesNotFit(self.0.into_iter().map(reason).collect())
     }
@@ -207,17 +207,17 @@ impl<'a> Filler<'a> {
             for (id, population) in self.network.populations().enumerate() {
                 let Some(first) = population.first_compartment() else { continue };
                 let of_population = &sent.axons[first.index()..first.index() + population.shape.len() as usize];
-                let (need, limit) = (of_population.iter().max(), limits.axons_out_per_compartment);
+                let (need, limit) = (of_population.iter().max(), limits[Resource::AxonsOutPerCompartment]);
                 if let Some(&need) = need.filter(|&&need| need > limit) {
-                    misfits.note(id, (Resource::AxonsOutPerCompartment, need.into(), limit.into()));
+                    misfits.note(id, (Resource::AxonsOutPerCompartment.into(), need.into(), limit.into()));
                 }
             }
             let mut again = false;
             for held in &members {
-                let (need, limit) = (slots_of(held, &sent), u64::from(limits.axons_out));
+                let (need, limit) = (slots_of(held, &sent), u64::from(limits[Resource::AxonsOut]));
                 if need > limit && (held.len() == 1 || round == ROUNDS) {
                     let (population, _) = self.network.population_of(held[0]);
-                    misfits.note(population, (Resource::AxonsOut, need, limit));
+                    misfits.note(population, (Resource::AxonsOut.into(), need, limit));
                 }
                 again |= need > limit && held.len() > 1;
             }
@@ -266,8 +266,8 @@ impl<'a> Filler<'a> {
                 let (mut members, mut misfits) = (Vec::new(), Misfits::default());
                 for (part, of_part) in filled {
                     members.extend(part.iter().cloned());
-                    of_part.0.into_iter().for_each(|((population, resource), (need, limit))| {
-                        misfits.note(population, (resource, need, limit));
+                    of_part.0.into_iter().for_each(|((population, capacity), (need, limit))| {
+                        misfits.note(population, (capacity, need, limit));
                     });
                 }
                 (members.into(), misfits)
@@ -312,7 +312,7 @@ impl<'a> Filler<'a> {
                 }
             }
             let before = filling.len();
-            let mut may_move = keep_whole && before > 0 && size <= self.target.limits().compartments;
+            let mut may_move = keep_whole && before > 0 && size <= self.target.limits()[Resource::Compartments];
             let mut next = 0;
             while next < size {
                 let Err(used) = filling.add(&newcomer(next)) else {

@@ -22,7 +22,7 @@ use crate::compile::resources::formats::Formats;
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::resources::packing::MOST_SLOTS;
 use crate::compile::resources::receptive_field::{Axis, Pattern, relative};
-use crate::desc::target::Limits;
+use crate::desc::resource::{Limits, Resource};
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Quantised, Units};
 
@@ -114,15 +114,18 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                     sources += channels * places;
                     // As many targets on the same chip as on another are assumed.
                     let slots = u64::from(limits.axon_out_slots) + u64::from(limits.axon_out_slots_off_chip);
-                    let senders = (tiles * channels * places * slots).div_ceil(2 * u64::from(limits.axons_out.max(1)));
-                    let anyway = from.map(|from| u64::from(from.div_ceil(limits.compartments.max(1))));
+                    let senders =
+                        (tiles * channels * places * slots).div_ceil(2 * u64::from(limits[Resource::AxonsOut].max(1)));
+                    let anyway = from.map(|from| u64::from(from.div_ceil(limits[Resource::Compartments].max(1))));
                     cores += anyway.map_or(0, |anyway| senders.saturating_sub(anyway));
                     axons += places;
                     // Of every group the sources reach its own channels, which are the tile's together.
                     let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
                     bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
-                if axons <= u64::from(limits.axons_in) && bits <= 64 * u64::from(limits.synapse_words) {
+                if axons <= u64::from(limits[Resource::AxonsIn])
+                    && bits <= 64 * u64::from(limits[Resource::SynapseWords])
+                {
                     grids.push(Grid { cores, messages: tiles * sources, size: (tc, th, tw) });
                 }
             }
@@ -156,7 +159,7 @@ pub fn tiles(
         filling.next_core();
         fits.is_ok()
     };
-    let all = grids(&layer, &formats, limits, most.min(limits.compartments).min(MOST_SLOTS));
+    let all = grids(&layer, &formats, limits, most.min(limits[Resource::Compartments]).min(MOST_SLOTS));
     let found = first_that_fits(&all, TRIALS, |grid| {
         // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
         let counted = layer.joined || !layer.middle(grid.size, &formats, limits).exceeds(limits);

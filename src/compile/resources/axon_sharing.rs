@@ -34,7 +34,7 @@ use std::collections::HashMap;
 use crate::base::id::PopulationId;
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::fan_in::first_source;
-use crate::desc::target::Limits;
+use crate::desc::resource::{Limits, Resource};
 use crate::ir::quantised::{Connectivity, Quantised};
 
 /// Bits of an atom at most.
@@ -160,7 +160,7 @@ impl Class {
         let saving = self.saving(places);
         places > 0
             && self.list_words.0 == self.list_words.1
-            && self.list_words.1 <= limits.synapse_words_per_axon
+            && self.list_words.1 <= limits[Resource::SynapseWordsPerAxon]
             && (saving > 0 || saving == 0 && self.lists > 1)
     }
 }
@@ -250,7 +250,7 @@ mod tests {
     fn what_saves_most_shares_while_there_are_numbers() {
         let limits = limits();
         assert_eq!(sharing(&[CLASS], &limits), [9]);
-        assert_eq!(sharing(&[CLASS], &Limits { synapse_words_per_axon: 1, ..limits }), [0]);
+        assert_eq!(sharing(&[CLASS], &limits.clone().with(Resource::SynapseWordsPerAxon, 1)), [0]);
         assert_eq!(sharing(&[Class { list_words: (1, 2), ..CLASS }], &limits), [0]);
         // A place of its own pays by fewer axons, unless a table takes more words.
         assert_eq!(sharing(&[Class { places: 1, ..CLASS }], &limits), [1]);

@@ -19,7 +19,7 @@ use crate::compile::resources::exact::{Tallies, Words, skip_of};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Group, Widths};
 use crate::compile::resources::receptive_field::{Axis, Pattern, relative};
-use crate::desc::target::Limits;
+use crate::desc::resource::Limits;
 use crate::ir::graph::Window;
 use crate::ir::partition::CoreUsage;
 use crate::ir::quantised::{Connectivity, Quantised};

@@ -23,7 +23,7 @@ use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::fan_out::{self, Sent};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{self, Compression, Group, Widths};
-use crate::desc::target::Limits;
+use crate::desc::resource::{Limits, PerResource, Resource};
 use crate::ir::partition::{CoreUsage, Seat};
 use crate::ir::quantised::{Neuron, Quantised, Units};
 
@@ -88,8 +88,8 @@ pub fn usage_sending(
     let mut usage: IdVec<CoreId, CoreUsage> = counted.into();
     count_profiles(network, seats, &mut usage);
     for (used, held) in usage.iter_mut().zip(members) {
-        used.axons_out = u32::try_from(fan_out::slots_of(held, sent)).unwrap_or(u32::MAX);
-        used.axons_out_per_compartment = held.iter().map(|id| sent.axons[id.index()]).max().unwrap_or(0);
+        used[Resource::AxonsOut] = fan_out::slots_of(held, sent);
+        used[Resource::AxonsOutPerCompartment] = held.iter().map(|id| sent.axons[id.index()]).max().unwrap_or(0).into();
     }
     usage
 }
@@ -223,7 +223,7 @@ impl Tallies {
     #[must_use]
     pub fn runs(&self, limits: &Limits) -> bool {
         let [plain, with_runs] = &self.ways;
-        with_runs.words < plain.words && with_runs.formats.len() as u64 <= u64::from(limits.synapse_formats)
+        with_runs.words < plain.words && with_runs.formats.len() as u64 <= u64::from(limits[Resource::SynapseFormats])
     }
 
     /// The way of storing that is taken.
@@ -241,16 +241,19 @@ impl Tallies {
     #[must_use]
     pub fn usage(&self, compartments: u32, synapses: u64, longest: Delay, limits: &Limits) -> CoreUsage {
         let stored = self.stored(limits);
-        CoreUsage {
-            compartments,
-            axons_in: stored.axons,
-            synapses,
-            synapse_words: stored.words,
-            synapse_words_per_axon: stored.widest,
-            synapse_formats: stored.formats.len() as u32,
-            accumulators: compartments.saturating_mul(packing::delay_slots(longest)),
-            ..CoreUsage::default()
-        }
+        let of = |resource| match resource {
+            Resource::Compartments => u64::from(compartments),
+            Resource::AxonsIn => u64::from(stored.axons),
+            Resource::SynapseWords => stored.words,
+            Resource::SynapseWordsPerAxon => u64::from(stored.widest),
+            Resource::SynapseFormats => stored.formats.len() as u64,
+            Resource::Accumulators => u64::from(compartments) * u64::from(packing::delay_slots(longest)),
+            Resource::AxonsOut
+            | Resource::AxonsOutPerCompartment
+            | Resource::CompartmentProfiles
+            | Resource::ThresholdProfiles => 0,
+        };
+        CoreUsage { synapses, of: PerResource::from_fn(of) }
     }
 }
 
@@ -314,6 +317,6 @@ fn count_profiles(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, usage
     pairs.dedup();
     thresholds.sort_unstable();
     thresholds.dedup();
-    pairs.iter().for_each(|(core, _)| usage[*core].compartment_profiles += 1);
-    thresholds.iter().for_each(|(core, _)| usage[*core].threshold_profiles += 1);
+    pairs.iter().for_each(|(core, _)| usage[*core][Resource::CompartmentProfiles] += 1);
+    thresholds.iter().for_each(|(core, _)| usage[*core][Resource::ThresholdProfiles] += 1);
 }

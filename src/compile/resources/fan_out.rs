@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::resources::fan_in::{bundle, first_source};
-use crate::desc::target::Limits;
+use crate::desc::resource::Limits;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::{Connectivity, Quantised};
 

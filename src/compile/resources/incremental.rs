@@ -21,7 +21,7 @@ use crate::compile::resources::exact::profiles;
 use crate::compile::resources::fan_in::FanIn;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{self, Compression, Group, MOST_SLOTS, Widths};
-use crate::desc::target::Limits;
+use crate::desc::resource::{Limits, PerResource, Resource};
 use crate::ir::partition::CoreUsage;
 use crate::ir::quantised::{Neuron, Quantised};
 
@@ -235,8 +235,8 @@ impl<'a> Filling<'a> {
     /// As [`Filling::add`]; begin another core then.
     pub fn add_whole(&mut self, newcomers: impl ExactSizeIterator<Item = Newcomer>) -> Result<(), CoreUsage> {
         let compartments = (self.members.len() + newcomers.len()) as u32;
-        if compartments > self.limits.compartments.min(MOST_SLOTS) {
-            return Err(CoreUsage { compartments, ..self.usage() });
+        if compartments > self.limits[Resource::Compartments].min(MOST_SLOTS) {
+            return Err(self.usage().with(Resource::Compartments, compartments.into()));
         }
         for newcomer in newcomers {
             self.put(&newcomer)?;
@@ -248,8 +248,8 @@ impl<'a> Filling<'a> {
     }
 
     fn put(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
-        if self.members.len() as u32 >= self.limits.compartments.min(MOST_SLOTS) {
-            return Err(CoreUsage { compartments: self.members.len() as u32 + 1, ..self.usage() });
+        if self.members.len() as u32 >= self.limits[Resource::Compartments].min(MOST_SLOTS) {
+            return Err(self.usage().with(Resource::Compartments, self.members.len() as u64 + 1));
         }
         let slot = self.members.len() as u16;
         self.members.push(newcomer.id);
@@ -275,11 +275,11 @@ impl<'a> Filling<'a> {
     fn holds(&self) -> Result<(), CoreUsage> {
         // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
         let mut used = self.usage();
-        if self.shares && used.excesses(self.limits).next().is_some() {
+        if self.shares && !self.limits.hold(&used.of) {
             used = self.usage_shared();
         }
-        let fits = used.excesses(self.limits).next().is_none()
-            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits.axons_out));
+        let fits = self.limits.hold(&used.of)
+            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits[Resource::AxonsOut]));
         if fits { Ok(()) } else { Err(used) }
     }
 
@@ -429,11 +429,15 @@ impl<'a> Filling<'a> {
             (axon_sharing::left(self.words[way], axons, classes, &sharing), widest)
         };
         let ways: Vec<((u64, u32), u32)> = self.classes().iter().enumerate().map(of_way).collect();
-        let runs = ways[1].0.0 < ways[0].0.0 && formats[1] <= self.limits.synapse_formats;
+        let runs = ways[1].0.0 < ways[0].0.0 && formats[1] <= self.limits[Resource::SynapseFormats];
         let way = usize::from(runs);
         let ((synapse_words, axons_in), synapse_words_per_axon) = ways[way];
         let synapse_formats = formats[way];
-        CoreUsage { axons_in, synapse_words, synapse_words_per_axon, synapse_formats, ..self.usage() }
+        self.usage()
+            .with(Resource::AxonsIn, axons_in.into())
+            .with(Resource::SynapseWords, synapse_words)
+            .with(Resource::SynapseWordsPerAxon, synapse_words_per_axon.into())
+            .with(Resource::SynapseFormats, synapse_formats.into())
     }
 
     /// Formats in use, without and with runs.
@@ -446,7 +450,7 @@ impl<'a> Filling<'a> {
     /// Whether the core stores runs, and the number of its formats.
     fn runs(&self) -> (bool, u32) {
         let [plain, with_runs] = self.formats_in_use();
-        match self.words[1] < self.words[0] && with_runs <= self.limits.synapse_formats {
+        match self.words[1] < self.words[0] && with_runs <= self.limits[Resource::SynapseFormats] {
             true => (true, with_runs),
             false => (false, plain),
         }
@@ -458,19 +462,18 @@ impl<'a> Filling<'a> {
         let compartments = self.members.len() as u32;
         let (runs, formats) = self.runs();
         let way = usize::from(runs);
-        CoreUsage {
-            compartments,
-            axons_in: self.axons_in,
-            axons_out: 0,
-            axons_out_per_compartment: 0,
-            synapses: self.synapses,
-            synapse_words: self.words[way],
-            synapse_words_per_axon: self.widest[way],
-            synapse_formats: formats,
-            compartment_profiles: self.profiles.len() as u32,
-            threshold_profiles: self.thresholds.len() as u32,
-            accumulators: compartments.saturating_mul(packing::delay_slots(self.longest)),
-        }
+        let of = |resource| match resource {
+            Resource::Compartments => u64::from(compartments),
+            Resource::AxonsIn => u64::from(self.axons_in),
+            Resource::SynapseWords => self.words[way],
+            Resource::SynapseWordsPerAxon => u64::from(self.widest[way]),
+            Resource::SynapseFormats => u64::from(formats),
+            Resource::CompartmentProfiles => self.profiles.len() as u64,
+            Resource::ThresholdProfiles => self.thresholds.len() as u64,
+            Resource::Accumulators => u64::from(compartments) * u64::from(packing::delay_slots(self.longest)),
+            Resource::AxonsOut | Resource::AxonsOutPerCompartment => 0,
+        };
+        CoreUsage { synapses: self.synapses, of: PerResource::from_fn(of) }
     }
 }
 
@@ -480,7 +483,7 @@ mod tests {
     use crate::base::id::IdVec;
     use crate::compile::resources::exact::usage;
     use crate::compile::testing::{limits, random_network};
-    use crate::desc::target::Packing;
+    use crate::desc::resource::Packing;
     use crate::ir::partition::seats;
     use crate::ir::quantised::Units;
 
@@ -504,7 +507,7 @@ mod tests {
             let members: IdVec<_, _> = vec![filling.next_core()].into();
             let seats = seats(network.compartments(), &members).unwrap();
             let mut exact = usage(&network, &members, &seats, &vec![0].into(), &limits).as_slice()[0];
-            (exact.axons_out, exact.axons_out_per_compartment) = (0, 0);
+            (exact[Resource::AxonsOut], exact[Resource::AxonsOutPerCompartment]) = (0, 0);
             assert_eq!(running, exact, "seed {seed}");
         }
     }

@@ -29,7 +29,7 @@
 //! Left out on purpose: learning tags.
 
 use crate::base::fixed::{Delay, WeightBits};
-use crate::desc::target::{Limits, Packing};
+use crate::desc::resource::{Limits, Packing};
 
 /// Bits of a slot index that can be stored (nengo-loihi `SynapseConfig`, `INDEX_BITS_MAP`).
 pub const INDEX_BITS: [u8; 7] = [6, 7, 8, 9, 10, 11, 12];
@@ -243,7 +243,7 @@ mod tests {
         assert_eq!([0, 3, 4, 15, 16, 31].map(skip_bits), [Some(2), Some(2), Some(3), Some(4), Some(5), Some(5)]);
         assert_eq!(skip_bits(32), None);
         // NxTF: 58 bits and the rest of a word below six make one word more.
-        let nxtf = Limits { packing: Packing::Nxtf, ..limits };
+        let nxtf = Limits { packing: Packing::Nxtf, ..limits.clone() };
         assert_eq!(words_as(gaps(4, Some(2)), Compression::RunLength(2), WIDTHS, &nxtf), 2);
     }
 

@@ -11,8 +11,8 @@ use std::fmt::Write as _;
 use crate::base::id::{CoreId, PopulationId};
 use crate::compile::Mapping;
 use crate::compile::explore::traffic::Links;
+use crate::desc::resource::Resource;
 use crate::desc::target::Target;
-use crate::ir::partition::Resource;
 
 const COLOURS: [&str; 8] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#7f7f7f"];
 const CORE: f64 = 15.0;
@@ -111,12 +111,11 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
         let (x0, y0) = corner(site.chip);
         let x = x0 + f64::from(site.x) * tile + f64::from(site.core % side as u32) * CORE;
         let y = y0 + f64::from(site.y) * tile + f64::from(site.core / side as u32) * CORE;
-        let parts = usage.against(limits);
-        let (resource, most) = parts
-            .iter()
-            .map(|&(resource, need, limit)| (resource, need as f64 / limit.max(1) as f64))
+        let (resource, most) = limits
+            .against(usage.of)
+            .map(|(capacity, need, limit)| (capacity, need as f64 / limit.max(1) as f64))
             .max_by(|a, b| a.1.total_cmp(&b.1))
-            .unwrap_or((Resource::Compartments, 0.0));
+            .unwrap_or((Resource::Compartments.into(), 0.0));
         let (name, colour) = colour(compiled, core);
         let inner = CORE - 1.0;
         let filled = inner * most.clamp(0.0, 1.0);
@@ -126,7 +125,7 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
              <rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{inner}\" height=\"{inner}\" fill=\"#eee\" stroke=\"#444\" \
              stroke-width=\"0.5\"/><rect x=\"{x:.1}\" y=\"{:.1}\" width=\"{inner}\" height=\"{filled:.1}\" \
              fill=\"{colour}\"/></g>",
-            usage.compartments,
+            usage[Resource::Compartments],
             escaped(&name),
             100.0 * most,
             resource.name(),
@@ -166,9 +165,8 @@ fn bars(out: &mut String, compiled: &Mapping, target: &Target, top: f64, width: 
             y + BAR_HEIGHT
         );
         for (core, usage) in compiled.partition.usage().enumerate() {
-            let found = usage.against(target.limits()).into_iter().find(|part| part.0 == *resource);
-            let Some((_, need, limit)) = found else { continue };
-            let tall = BAR_HEIGHT * (need as f64 / limit.max(1) as f64).clamp(0.0, 1.0);
+            let (need, limit) = (usage[*resource], target.limits()[*resource]);
+            let tall = BAR_HEIGHT * (need as f64 / f64::from(limit.max(1))).clamp(0.0, 1.0);
             let _ = writeln!(
                 out,
                 "<rect x=\"{:.2}\" y=\"{:.1}\" width=\"{:.2}\" height=\"{tall:.1}\" fill=\"{}\"><title>{core}: {need} of \

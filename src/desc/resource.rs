@@ -1,0 +1,428 @@
+//! The resources of a core: what each is called, and how much of each a core has.
+//!
+//! Input: the `limits` of a chip file. Output: [`Limits`], a table by [`Resource`], with the pools that resources share and
+//! the rules by which axons and synapses take of them.
+//! Invariants: every resource has a limit, its own or the most that its pools leave it.
+//! Errors: a resource that has neither a limit nor a pool; a pool that nothing draws on.
+//!
+//! A resource is described once, in the table of [`Resource`]: files, messages, reports and counts take their names, their
+//! order and their number from it. To add one, add a row here, count it where the counter makes a table of uses, and give
+//! it a limit in the chip files.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::ops::{Index, IndexMut};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+/// How synapse words are counted (`docs/formats.md`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+pub enum Packing {
+    /// nengo-loihi `builder/validate.py`.
+    Nengo,
+    /// Intel NxTF.
+    Nxtf,
+}
+
+/// What messages and reports say of a resource.
+struct Description {
+    name: &'static str,
+    /// Of the reason why a network does not fit.
+    code: &'static str,
+    /// In the table of cores; `None` where only the greatest of many is counted.
+    heading: Option<&'static str>,
+    /// As a sentence counts it.
+    noun: &'static str,
+    /// What to do where there is too little of it.
+    advice: &'static str,
+}
+
+macro_rules! resources {
+    ($($(#[$doc:meta])* $resource:ident, $name:ident: $code:literal, $heading:expr, $noun:literal, $advice:expr;)*) => {
+        /// A resource of a core.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Resource {
+            $($(#[$doc])* $resource,)*
+        }
+
+        impl Resource {
+            /// Every resource, in the order in which they are counted and reported.
+            pub const ALL: [Resource; Resource::COUNT] = [$(Resource::$resource,)*];
+            /// How many there are.
+            pub const COUNT: usize = [$(stringify!($name),)*].len();
+
+            fn description(self) -> Description {
+                let (name, code, heading, noun, advice) = match self {
+                    $(Resource::$resource => (stringify!($name), $code, $heading, $noun, $advice),)*
+                };
+                Description { name, code, heading, noun, advice }
+            }
+        }
+
+        impl Limits {
+            /// The names of all limits, as files write them.
+            pub const NAMES: [&str; Resource::COUNT + 4] =
+                [$(stringify!($name),)* "axon_out_slots", "axon_out_slots_off_chip", "synapses_per_entry", "packing"];
+        }
+
+        /// Limits as a file writes them.
+        #[derive(Deserialize, Serialize)]
+        #[serde(deny_unknown_fields, rename = "Limits")]
+        struct LimitsInFile {
+            $(#[serde(default = "not_given")] $name: u32,)*
+            axon_out_slots: u32,
+            axon_out_slots_off_chip: u32,
+            synapses_per_entry: u32,
+            packing: Packing,
+            #[serde(default, skip_serializing_if = "Vec::is_empty")]
+            pools: Vec<Pool>,
+        }
+
+        impl LimitsInFile {
+            fn own(&self) -> PerResource<u32> {
+                PerResource([$(self.$name,)*])
+            }
+        }
+
+        impl From<Limits> for LimitsInFile {
+            fn from(limits: Limits) -> Self {
+                let Limits { axon_out_slots, axon_out_slots_off_chip, synapses_per_entry, packing, .. } = limits;
+                LimitsInFile {
+                    $($name: limits.most[Resource::$resource],)*
+                    axon_out_slots,
+                    axon_out_slots_off_chip,
+                    synapses_per_entry,
+                    packing,
+                    pools: limits.pools.into_iter().map(Arc::unwrap_or_clone).collect(),
+                }
+            }
+        }
+    };
+}
+
+const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core is on \
+    another chip): reduce the fan-out, or send it through a relay population beside its targets";
+const WORDS_ADVICE: &str =
+    "use fewer synapses, fewer weight bits, or no delays, or split the fan-in over intermediate populations";
+
+resources! {
+    /// Compartments.
+    Compartments, compartments: "map.compartments", Some("compartments"), "compartments",
+        "move compartments of this core to another";
+    /// Input axons.
+    AxonsIn, axons_in: "map.axons-in", Some("axons in"), "input axons of its core",
+        "every compartment that reaches a core takes one input axon there: pool more before this population, or \
+         split the fan-in over intermediate populations";
+    /// Output axon slots.
+    AxonsOut, axons_out: "map.axons-out", Some("axons out"), "output axon slots of its core", FAN_OUT_ADVICE;
+    /// The most output axons of one compartment.
+    AxonsOutPerCompartment, axons_out_per_compartment: "map.axons-out-per-compartment", None,
+        "output axons of one compartment", FAN_OUT_ADVICE;
+    /// 64-bit words of synapse memory.
+    SynapseWords, synapse_words: "map.synapse-words", Some("words"), "synapse words of its core", WORDS_ADVICE;
+    /// The most words of one input axon's list.
+    SynapseWordsPerAxon, synapse_words_per_axon: "map.synapse-words-per-axon", None,
+        "synapse words of one input axon", WORDS_ADVICE;
+    /// Distinct synapse formats.
+    SynapseFormats, synapse_formats: "map.synapse-formats", Some("formats"), "synapse formats of its core",
+        "let projections into this population share weight exponent, sign mode and weight bits";
+    /// Distinct compartment profiles (du, dv, refractory period).
+    CompartmentProfiles, compartment_profiles: "map.compartment-profiles", Some("profiles"),
+        "compartment profiles of its core", "let compartments share du, dv and refractory period";
+    /// Distinct threshold mantissas.
+    ThresholdProfiles, threshold_profiles: "map.threshold-profiles", Some("thresholds"),
+        "threshold profiles of its core", "let compartments share their threshold";
+    /// Dendritic accumulators: compartments times delay slots, a power of two above the longest delay.
+    Accumulators, accumulators: "map.accumulators", Some("accumulators"), "dendritic accumulators of its core",
+        "shorten the longest delay into this population: a compartment takes one accumulator for each step of it, \
+         rounded up to a power of two";
+}
+
+impl Resource {
+    /// The name in files and in JSON.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.description().name
+    }
+}
+
+/// Something for each resource.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PerResource<T>([T; Resource::COUNT]);
+
+impl<T> PerResource<T> {
+    /// What a function makes of each resource.
+    #[inline]
+    #[must_use]
+    pub fn from_fn(f: impl FnMut(Resource) -> T) -> Self {
+        PerResource(Resource::ALL.map(f))
+    }
+}
+
+impl<T> Index<Resource> for PerResource<T> {
+    type Output = T;
+    #[inline]
+    fn index(&self, resource: Resource) -> &T {
+        &self.0[resource as usize]
+    }
+}
+
+impl<T> IndexMut<Resource> for PerResource<T> {
+    #[inline]
+    fn index_mut(&mut self, resource: Resource) -> &mut T {
+        &mut self.0[resource as usize]
+    }
+}
+
+/// Something that several resources of a core share freely, such as a memory.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pool {
+    /// Its name.
+    pub name: String,
+    /// What it is measured in, in the plural.
+    pub unit: String,
+    /// How much of it a core has.
+    pub limit: u64,
+    /// What one of each resource takes of it.
+    pub costs: BTreeMap<Resource, u32>,
+}
+
+impl Pool {
+    /// How much of it these uses take.
+    #[must_use]
+    pub fn need(&self, used: &PerResource<u64>) -> u64 {
+        self.costs
+            .iter()
+            .map(|(&resource, &cost)| used[resource].saturating_mul(cost.into()))
+            .fold(0, u64::saturating_add)
+    }
+}
+
+/// What there is only so much of.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Capacity {
+    /// A resource of a core.
+    Resource(Resource),
+    /// A pool that resources of a core share.
+    Pool(Arc<Pool>),
+    /// The cores of the target.
+    Cores,
+}
+
+impl Capacity {
+    /// The name in JSON and in messages.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        match self {
+            Capacity::Resource(resource) => resource.name(),
+            Capacity::Pool(pool) => &pool.name,
+            Capacity::Cores => "cores",
+        }
+    }
+
+    /// The code of the reason that there is too little of it.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        match self {
+            Capacity::Resource(resource) => resource.description().code,
+            Capacity::Pool(_) => "map.pool",
+            Capacity::Cores => "map.cores",
+        }
+    }
+
+    /// The heading of its column in a table of cores, if it has one.
+    #[must_use]
+    pub fn heading(&self) -> Option<&str> {
+        match self {
+            Capacity::Resource(resource) => resource.description().heading,
+            Capacity::Pool(pool) => Some(&pool.name),
+            Capacity::Cores => None,
+        }
+    }
+
+    /// As a sentence counts it.
+    #[must_use]
+    pub fn noun(&self) -> Cow<'static, str> {
+        match self {
+            Capacity::Resource(resource) => resource.description().noun.into(),
+            Capacity::Pool(pool) => format!("{} of the {} of its core", pool.unit, pool.name).into(),
+            Capacity::Cores => "cores".into(),
+        }
+    }
+
+    /// What to do where there is too little of it.
+    #[must_use]
+    pub fn advice(&self) -> Cow<'static, str> {
+        match self {
+            Capacity::Resource(resource) => resource.description().advice.into(),
+            Capacity::Pool(pool) => {
+                let names: Vec<&str> = pool.costs.keys().map(|resource| resource.name()).collect();
+                format!("use less of what shares it ({})", names.join(", ")).into()
+            }
+            Capacity::Cores => "choose a larger target".into(),
+        }
+    }
+}
+
+impl From<Resource> for Capacity {
+    fn from(resource: Resource) -> Self {
+        Capacity::Resource(resource)
+    }
+}
+
+impl PartialEq<Resource> for Capacity {
+    fn eq(&self, other: &Resource) -> bool {
+        matches!(self, Capacity::Resource(resource) if resource == other)
+    }
+}
+
+/// The limits of a core (`docs/formats.md` has the source of each), a table by [`Resource`].
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(try_from = "LimitsInFile", into = "LimitsInFile")]
+pub struct Limits {
+    /// The most of each resource: its own limit, or what its pools leave it.
+    pub most: PerResource<u32>,
+    /// What resources share.
+    pub pools: Vec<Arc<Pool>>,
+    /// Slots that an output axon takes when its target is on the same chip.
+    pub axon_out_slots: u32,
+    /// Slots that it takes when its target is on another chip.
+    pub axon_out_slots_off_chip: u32,
+    /// Synapses of one entry of a list.
+    pub synapses_per_entry: u32,
+    /// How words are counted.
+    pub packing: Packing,
+}
+
+impl Limits {
+    /// The same limits but for one.
+    #[must_use]
+    pub fn with(mut self, resource: Resource, limit: u32) -> Self {
+        self.most[resource] = limit;
+        self
+    }
+
+    /// Need and limit of everything that a core has, in a fixed order: resources, then pools.
+    pub fn against(&self, used: PerResource<u64>) -> impl Iterator<Item = (Capacity, u64, u64)> {
+        let resources =
+            Resource::ALL.into_iter().map(move |r| (Capacity::Resource(r), used[r], u64::from(self.most[r])));
+        resources.chain(self.pools.iter().map(move |pool| (Capacity::Pool(pool.clone()), pool.need(&used), pool.limit)))
+    }
+
+    /// Whether nothing is used beyond its limit.
+    #[must_use]
+    pub fn hold(&self, used: &PerResource<u64>) -> bool {
+        Resource::ALL.into_iter().all(|resource| used[resource] <= u64::from(self.most[resource]))
+            && self.pools.iter().all(|pool| pool.need(used) <= pool.limit)
+    }
+}
+
+impl Index<Resource> for Limits {
+    type Output = u32;
+    #[inline]
+    fn index(&self, resource: Resource) -> &u32 {
+        &self.most[resource]
+    }
+}
+
+impl IndexMut<Resource> for Limits {
+    fn index_mut(&mut self, resource: Resource) -> &mut u32 {
+        &mut self.most[resource]
+    }
+}
+
+const NOT_GIVEN: u32 = u32::MAX;
+
+fn not_given() -> u32 {
+    NOT_GIVEN
+}
+
+impl TryFrom<LimitsInFile> for Limits {
+    type Error = String;
+
+    fn try_from(file: LimitsInFile) -> Result<Self, String> {
+        let mut most = file.own();
+        for pool in &file.pools {
+            if pool.costs.is_empty() || pool.costs.values().any(|&cost| cost == 0) {
+                return Err(format!(
+                    "the pool {} needs resources that draw on it, and of each a cost above 0",
+                    pool.name
+                ));
+            }
+            for (&resource, &cost) in &pool.costs {
+                most[resource] = most[resource].min(u32::try_from(pool.limit / u64::from(cost)).unwrap_or(u32::MAX));
+            }
+        }
+        let lacking = Resource::ALL.into_iter().find(|&resource| most[resource] == NOT_GIVEN);
+        if let Some(resource) = lacking {
+            return Err(format!("missing field `{}`: give its limit, or a pool that it draws on", resource.name()));
+        }
+        let LimitsInFile { axon_out_slots, axon_out_slots_off_chip, synapses_per_entry, packing, pools, .. } = file;
+        let pools = pools.into_iter().map(Arc::new).collect();
+        Ok(Limits { most, pools, axon_out_slots, axon_out_slots_off_chip, synapses_per_entry, packing })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OWN: &str = "(compartments: 16, axons_in: 64, axons_out: 64, axon_out_slots: 1, axon_out_slots_off_chip: 2, \
+        axons_out_per_compartment: 8, synapse_words: 256, synapse_words_per_axon: 8, synapses_per_entry: 64, \
+        synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, packing: Nengo)";
+
+    fn limits(text: &str) -> Result<Limits, String> {
+        ron::from_str(text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn names_are_those_of_files_and_messages() {
+        for resource in Resource::ALL {
+            assert_eq!(serde_json::to_value(resource).unwrap(), resource.name());
+            assert_eq!(Capacity::from(resource).code(), format!("map.{}", resource.name().replace('_', "-")));
+        }
+        let written = serde_json::to_value(limits(OWN).unwrap()).unwrap();
+        assert_eq!(written.as_object().unwrap().keys().collect::<Vec<_>>(), Limits::NAMES);
+        assert_eq!((&written["axons_in"], &written["packing"]), (&64.into(), &"Nengo".into()));
+    }
+
+    #[test]
+    fn a_pool_limits_what_draws_on_it_alone_and_together() {
+        let pooled = OWN.replace("synapse_words: 256,", "").replace("axons_in: 64", "axons_in: 60").replace(
+            "Nengo)",
+            "Nengo, pools: [(name: \"memory\", unit: \"bytes\", limit: 1000, costs: {axons_in: 4, synapse_words: 8})])",
+        );
+        let limits = limits(&pooled).unwrap();
+        assert_eq!((limits[Resource::AxonsIn], limits[Resource::SynapseWords]), (60, 125));
+        let used = |axons_in, words| {
+            let mut used = PerResource::default();
+            (used[Resource::AxonsIn], used[Resource::SynapseWords]) = (axons_in, words);
+            used
+        };
+        assert!(limits.hold(&used(50, 100)) && !limits.hold(&used(51, 100)) && !limits.hold(&used(0, 126)));
+        let over = limits.against(used(51, 100)).find(|(_, need, limit)| need > limit);
+        let (memory, need, limit) = over.unwrap();
+        assert_eq!((memory.name(), memory.code(), need, limit), ("memory", "map.pool", 1004, 1000));
+        assert_eq!(memory.noun(), "bytes of the memory of its core");
+        assert_eq!(memory.advice(), "use less of what shares it (axons_in, synapse_words)");
+    }
+
+    #[test]
+    fn a_resource_without_any_limit_and_a_pool_without_costs_are_refused() {
+        let refused = |text: String| limits(&text).unwrap_err();
+        assert!(refused(OWN.replace("axons_out: 64, ", "")).contains("missing field `axons_out`"));
+        assert!(refused(OWN.replace("axons_out: 64", "axon_outs: 64")).contains("axon_outs"));
+        let pool =
+            |costs: &str| {
+                refused(OWN.replace(
+                    "Nengo)",
+                    &format!("Nengo, pools: [(name: \"m\", unit: \"b\", limit: 9, costs: {costs})])"),
+                ))
+            };
+        assert!(pool("{}").contains("the pool m needs resources"));
+        assert!(pool("{axons_in: 0}").contains("a cost above 0"));
+    }
+}
