@@ -1,13 +1,13 @@
-//! The slow, obvious interpreter of a [`Quantised`] network, to hold the fast machine against.
+//! The slow, obvious interpreter of a [`Quantised`] network, which the fast machine is compared with.
 //!
-//! In goes a network in integers and the input spikes of each step; out come, through [`Engine`], the spikes, the
-//! registers and the counts of each step, for all three named semantics. It is written from `docs/semantics.md` alone
-//! and shares nothing with the machine but the field types of `base` (and `base::rng`, which defines random synapses):
-//! it has its own enumeration of synapses, seen from the target; it keeps the spikes of the past as they were and looks
-//! back at them instead of filling a delay ring; it tells refractory steps by the time since the last spike instead of
-//! a counter; it divides and takes remainders where the machine shifts and masks.
+//! Input: a network in integers and the input spikes of each step. Output, through [`Engine`]: the spikes, the registers
+//! and the counts of each step, for all three named semantics. It is written from `docs/semantics.md` alone. It imports the
+//! plain data of a network, and `base::rng`, which defines random synapses; it imports no rule, and `tests/independence.rs`
+//! lists what it may use. It enumerates synapses from their targets, keeps the spikes of the past and looks back at them
+//! instead of filling a delay ring, finds refractory steps by the time since the last spike instead of a counter, and
+//! divides and takes remainders where the machine shifts and masks.
 //!
-//! Left out on purpose: cores, threads, skipping, and anything that would make it fast. A step visits every synapse.
+//! There are no cores, threads or skipped work. A step visits every synapse.
 
 use std::collections::VecDeque;
 
@@ -93,7 +93,7 @@ impl Golden {
         for population in network.populations() {
             // A binary spike adds each weight once.
             let payload = population.payload.map_or(1, |payload| i64::from(payload.get()));
-            if let Units::Loihi { neurons, start_step, .. } = &population.units {
+            if let Units::Compartments { neurons, start_step, .. } = &population.units {
                 for index in 0..population.shape.len() {
                     compartments.push(Compartment {
                         neuron: neurons.get(index),
@@ -183,7 +183,7 @@ impl Golden {
             return false;
         }
         // Rule (10).
-        if self.reset.is_some_and(|reset| reset.falls_on(step, *start_step)) {
+        if self.reset.is_some_and(|reset| resets(reset, *start_step, step)) {
             *state = State::default();
         }
         // Rule (13).
@@ -204,7 +204,8 @@ impl Golden {
         self.overflow.u_wrapped += u64::from(outcome.u_wrapped);
         self.overflow.v_clipped += u64::from(outcome.v_clipped);
         if outcome.q_wrapped || outcome.u_wrapped || outcome.v_clipped {
-            self.overflow.note(step, id);
+            // Steps and compartments go upward, so that the first to be seen is the first.
+            self.overflow.first.get_or_insert((step, id));
         }
         outcome.spiked
     }
@@ -319,6 +320,12 @@ fn bias(semantics: Semantics, neuron: &Neuron) -> i64 {
     }
 }
 
+/// Rule (10): whether a population with this start step returns to zero before the update of `step`.
+fn resets(reset: Reset, start_step: u32, step: u32) -> bool {
+    let since = i64::from(step) - i64::from(start_step) - i64::from(reset.offset);
+    since >= 0 && since % i64::from(reset.interval) == 0
+}
+
 /// The part of equation (7) that compares.
 fn above(threshold: ThresholdTest, v: i64, neuron: &Neuron) -> bool {
     let limit = 64 * i64::from(neuron.vth.get());
@@ -362,7 +369,7 @@ fn fire(
     spiked
 }
 
-/// A step of the chip's arithmetic.
+/// A step in the chip's arithmetic.
 fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
     // Equation (2).
     let q = wrap(sum, 21);
@@ -429,7 +436,9 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
         for (from, to, weight) in connections(projection, source.shape.len()) {
             let (source, way) = match source.units {
                 Units::Input(first) => (SpikeSource::Channel(ChannelId(first.0 + from)), delay),
-                Units::Loihi { first, .. } => (SpikeSource::Compartment(CompartmentId(first.0 + from)), 1 + delay),
+                Units::Compartments { first, .. } => {
+                    (SpikeSource::Compartment(CompartmentId(first.0 + from)), 1 + delay)
+                }
             };
             let adds = scaled(weight, projection.format.exponent.get());
             all.push((CompartmentId(first_target + to), Synapse { source, way, adds }));

@@ -40,6 +40,7 @@ pub mod golden;
 pub mod io;
 pub mod ir;
 pub mod machine;
+pub mod neuron;
 pub mod reference;
 pub mod report;
 pub mod scene;

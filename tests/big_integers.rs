@@ -12,7 +12,7 @@ use common::{biased, neuron};
 use nsim::base::fixed::{Decay, VmaxExponent, VminExponent, WeightExponent, decay, scaled_weight};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::io::target::load_target;
-use nsim::machine::update::neuron::{Fields, Registers, update};
+use nsim::neuron::{self, Registers, update};
 use nsim::stress::exact::{Compartment, Parameters, decayed, scaled};
 use nsim::stress::{CASES, Case};
 use proptest::prelude::*;
@@ -61,7 +61,7 @@ fn ten_million_neuron_steps_are_those_of_a_model_without_limits() {
             );
             fields.vmin = VminExponent::new(p.vmin.into()).unwrap();
             fields.vmax = VmaxExponent::new(p.vmax.into()).unwrap();
-            let fields = Fields::new(fields, 0, Semantics::Hardware, ThresholdTest::Strict);
+            let fields = neuron::fields(&fields, 0, Semantics::Hardware, ThresholdTest::Strict);
             let (mut registers, mut exact) = (Registers::default(), Compartment::default());
             let mut state = seed;
             for now in 0..each {
@@ -70,7 +70,7 @@ fn ten_million_neuron_steps_are_those_of_a_model_without_limits() {
                 let silent = (state >> 20) as u32 % 8 < silence;
                 let arrived = if silent { 0 } else { (state >> 33) as i32 >> (31 - size.min(30)) };
                 let arrived = if state & (1 << 40) == 0 { arrived } else { -arrived };
-                let (next, effect) = update(registers, arrived, &fields, Semantics::Hardware);
+                let (next, effect) = update(registers, arrived, &fields);
                 registers = next;
                 let step = exact.step(now, i128::from(arrived) * 64, &p);
                 prop_assert_eq!((i128::from(registers.u), i128::from(registers.v)), (exact.u, exact.v));

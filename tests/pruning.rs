@@ -24,7 +24,7 @@ use nsim::golden::Golden;
 use nsim::io::target::load_target;
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::pruned::Kind;
-use nsim::ir::quantised::{Connectivity, Quantised, Units};
+use nsim::ir::quantised::{Connectivity, Neuron, Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample, Stimulus};
 use nsim::machine::{Image, Machine, Settings};
 use rayon::prelude::*;
@@ -38,13 +38,16 @@ fn network(seed: u64) -> Quantised {
     let many = parts.populations.len() as i64;
     for population in parts.populations.iter_mut() {
         let n = population.shape.len();
-        if let Units::Loihi { neurons, .. } = &mut population.units
+        if let Units::Compartments { neurons, .. } = &mut population.units
             && draw.chance(50)
         {
             // Between what a weight or two reach and what none does.
             let greatest = draw.one_of(&[100, 1000, 10_000, 131_071]);
-            let raised = (0..n).map(|_| ThresholdMantissa::new(draw.from(10, greatest)).unwrap()).collect();
-            neurons.vth = PerCompartment::Each(raised);
+            let mut raised = |index| {
+                let vth = ThresholdMantissa::new(draw.from(10, greatest)).unwrap();
+                Neuron { vth, ..neurons.get(index) }
+            };
+            *neurons = PerCompartment::Each((0..n).map(&mut raised).collect());
         }
     }
     for projection in parts.projections.iter_mut() {

@@ -13,11 +13,12 @@ use crate::compile::frontend::analytic::{self, Fit};
 use crate::drive::samples::Progress;
 use crate::golden::Golden;
 use crate::io::spikes::PopulationSpikes;
-use crate::ir::graph::{self, Graph, PopulationKind, ThresholdParameter};
+use crate::ir::graph::Graph;
 use crate::ir::program::Program;
-use crate::ir::quantised::{Population, Quantised, Units};
+use crate::ir::quantised::Quantised;
 use crate::ir::spikes::{Engine, Sample};
 use crate::machine::{Image, Machine, Settings};
+use crate::neuron;
 use crate::reference::{self, Model, Reference};
 
 /// What the deployed network is compared with.
@@ -105,35 +106,6 @@ pub fn output_layer(network: &Quantised) -> Layer {
     }
 }
 
-/// The thresholds of all compartments in register units.
-fn integer_thresholds(network: &Quantised) -> Vec<f64> {
-    let thresholds = |population: &Population| match &population.units {
-        Units::Loihi { neurons, .. } => {
-            (0..population.shape.len()).map(|i| f64::from(neurons.vth.get(i).get().max(1)) * 64.0).collect()
-        }
-        Units::Input(_) => Vec::new(),
-    };
-    network.populations().iter().flat_map(thresholds).collect()
-}
-
-/// The thresholds of all neurons of a network in real numbers, in its own units.
-fn real_thresholds(graph: &Graph) -> Vec<f64> {
-    let thresholds = |population: &graph::Population| -> Vec<f64> {
-        let count = population.shape.len();
-        match &population.kind {
-            PopulationKind::Input => Vec::new(),
-            PopulationKind::Srm(srm) => vec![srm.theta; count as usize],
-            PopulationKind::Loihi(p) => match &p.threshold {
-                ThresholdParameter::Real(values) => (0..count).map(|i| values.each.get(i)).collect(),
-                ThresholdParameter::Mantissa(values) => {
-                    (0..count).map(|i| values.each.get(i).max(1.0) * 64.0).collect()
-                }
-            },
-        }
-    };
-    graph.populations().flat_map(|(_, population)| thresholds(population)).collect()
-}
-
 /// An engine's potential as a share of the threshold.
 fn relative<E: Engine>(engine: &E, compartment: CompartmentId, thresholds: &[f64]) -> f64 {
     f64::from(engine.v(compartment)) / thresholds[compartment.0 as usize]
@@ -171,14 +143,15 @@ pub fn compare(
     let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
     let network = ladder.deployed();
     let (compartments, output) = (network.compartments(), output_layer(network));
-    let thresholds = integer_thresholds(network);
+    let thresholds = neuron::thresholds(network);
     let real = match counterpart {
         Counterpart::Srm => Some(graph.clone()),
         Counterpart::Cuba => Some(analytic::with_fits(graph, fits)),
         Counterpart::Golden | Counterpart::Recorded(_) => None,
     };
-    let model =
-        real.as_ref().map(|real| (Model::<f64>::new(real, reference::Options::default()), real_thresholds(real)));
+    let model = real
+        .as_ref()
+        .map(|real| (Model::<f64>::new(real, reference::Options::default()), neuron::model_thresholds(real)));
     let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
     let compared: Vec<Layer> = match counterpart {
         Counterpart::Recorded(recorded) => recorded.iter().map(|(layer, _)| layer.clone()).collect(),

@@ -1,20 +1,21 @@
 //! A ladder of networks from the trained one to the machine, each differing from the last in one thing.
 //!
-//! Comes in: a graph, what stands for its spike response populations ([`Fit`]). Goes out: [`Trace`]s of the network with any
-//! set of the [`Cause`]s switched on. One simulation serves all rungs: potentials and thresholds are in register units
-//! throughout, so that nothing but the causes themselves tells two rungs apart. It is held from both ends by tests: with
-//! none switched on it spikes as `reference` with truncated kernels does, with all switched on it is the machine, bit for bit.
+//! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output: [`Trace`]s of the network with
+//! any set of the [`Cause`]s switched on. One simulation serves all rungs: potentials and thresholds are in register units
+//! throughout, so that two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as `reference`
+//! with truncated kernels does, with all causes it equals the machine bit for bit.
 //!
-//! Arithmetic is in doubles. All causes on, every number is an integer below 2^53 and every product one of 24 by 13 bits,
+//! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every product one of 24 by 13 bits,
 //! so that the doubles hold exactly what the chip's registers hold.
 
 use crate::base::diagnostic::Diagnostic;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::quantise::{quantise, scales};
 use crate::desc::network::ThresholdTest;
-use crate::ir::graph::{Graph, LoihiParameters, PopulationKind, SrmParameters};
-use crate::ir::quantised::{Quantised, Reset, Units};
+use crate::ir::graph::{Graph, NeuronParameters, PopulationKind, SrmParameters};
+use crate::ir::quantised::{self, Quantised, Reset, Units};
 use crate::ir::spikes::Sample;
+use crate::neuron::RealForm;
 use crate::reference::kernel::{Alpha, EPSILON};
 use crate::reference::synapses::Synapses;
 
@@ -94,7 +95,7 @@ impl Rung {
 #[derive(Debug, Clone)]
 enum Origin {
     Srm(SrmParameters, Fit),
-    Loihi(Box<LoihiParameters>),
+    Loihi(NeuronParameters),
 }
 
 #[derive(Debug)]
@@ -176,7 +177,7 @@ impl Ladder {
             let count = population.shape.len();
             let origin = match (&population.kind, fit) {
                 (PopulationKind::Srm(srm), Some(fit)) => Some(Origin::Srm(*srm, fit.clone())),
-                (PopulationKind::Loihi(parameters), _) => Some(Origin::Loihi(parameters.clone())),
+                (PopulationKind::Neurons(parameters), _) => Some(Origin::Loihi(parameters.clone())),
                 (PopulationKind::Srm(srm), None) => Some(Origin::Srm(*srm, analytic::start(srm, timestep_ms))),
                 (PopulationKind::Input, _) => None,
             };
@@ -235,15 +236,12 @@ impl Ladder {
     fn present(&self, graph: &Graph, fits: &[Option<Fit>], plain: &[Option<Fit>]) -> Vec<Cause> {
         let srm = graph.has_srm();
         let real = self.populations.iter().any(|population| match &population.origin {
-            Some(Origin::Loihi(p)) => !matches!(p.threshold, crate::ir::graph::ThresholdParameter::Mantissa(_)),
+            Some(Origin::Loihi(p)) => p.get("vth").is_some(),
             Some(Origin::Srm(..)) => true,
             None => false,
         }) || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some());
         let timed = self.populations.iter().any(|population| match &population.origin {
-            Some(Origin::Loihi(p)) => {
-                let timed = |decay| matches!(decay, &crate::ir::graph::DecayParameter::TimeConstantMs(_));
-                timed(&p.current_decay) || timed(&p.voltage_decay)
-            }
+            Some(Origin::Loihi(p)) => p.get("tau_u_ms").or(p.get("tau_v_ms")).is_some(),
             Some(Origin::Srm(..)) => true,
             None => false,
         });
@@ -292,17 +290,10 @@ impl Ladder {
         let of = &self.populations[population];
         let network = if rung.has(Cause::Calibration) { &self.calibrated } else { &self.rounded };
         let integers = match &network.populations().as_slice()[population].units {
-            Units::Loihi { neurons, .. } => Some(neurons.get(index)),
-            Units::Input(_) => None,
+            Units::Compartments { neurons, .. } => RealForm::from(&neurons.get(index)),
+            Units::Input(_) => RealForm::from(&quantised::Neuron::PLAIN),
         };
-        let bias_field = integers.map_or(0.0, |n| f64::from(i32::from(n.bias_mant.get()) << n.bias_exp.get()));
-        let vth_field = integers.map_or(0.0, |n| f64::from(n.vth.get()) * 64.0);
-        let clip = match (rung.has(Cause::State), integers) {
-            (true, Some(n)) => {
-                (f64::from(1 - (1i32 << n.vmin.get())), f64::from((1i32 << (9 + 2 * u32::from(n.vmax.get()))) - 1))
-            }
-            _ => (f64::MIN, f64::MAX),
-        };
+        let clip = if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) };
         match &of.origin {
             Some(Origin::Srm(srm, fit)) => {
                 // An alpha kernel has one decay; only current and voltage can have two.
@@ -340,12 +331,12 @@ impl Ladder {
                     keep_v: keeps.1,
                     // The mantissa's own when decays and calibration are the deployed ones.
                     threshold: match (weights, chosen && rung.has(Cause::Decays) && rung.has(Cause::Kernel)) {
-                        (true, true) => vth_field,
+                        (true, true) => integers.threshold,
                         (true, false) => (real / 64.0).round_ties_even() * 64.0,
                         (false, _) => real,
                     },
                     bias: match (chosen, weights) {
-                        (true, true) => bias_field,
+                        (true, true) => integers.bias,
                         (true, false) => at(&fit.biases, 0.0) * of.scale,
                         (false, _) => 0.0,
                     },
@@ -355,31 +346,21 @@ impl Ladder {
                 }
             }
             Some(Origin::Loihi(p)) => {
-                let decay = |parameter: &crate::ir::graph::DecayParameter, field: f64| match parameter {
-                    crate::ir::graph::DecayParameter::TimeConstantMs(tau) if !rung.has(Cause::Decays) => {
-                        libm::exp(-self.timestep_ms / tau.each.get(index))
-                    }
-                    _ => 1.0 - field / 4096.0,
+                let decay = |time_constant: &str, integer: f64| match p.get(time_constant) {
+                    Some(tau) if !rung.has(Cause::Decays) => libm::exp(-self.timestep_ms / tau.each.get(index)),
+                    _ => integer,
                 };
-                let threshold = match &p.threshold {
-                    crate::ir::graph::ThresholdParameter::Real(values) if !rung.has(Cause::Weights) => {
-                        values.each.get(index) * of.scale
-                    }
-                    _ => vth_field,
-                };
-                let bias = match &p.bias {
-                    crate::ir::graph::BiasParameter::Real(values) if !rung.has(Cause::Weights) => {
-                        values.each.get(index) * of.scale
-                    }
-                    _ => bias_field,
+                let in_registers = |real: &str, integer: f64| match p.get(real) {
+                    Some(values) if !rung.has(Cause::Weights) => values.each.get(index) * of.scale,
+                    _ => integer,
                 };
                 Neuron {
-                    keep_u: decay(&p.current_decay, integers.map_or(0.0, |n| n.du.get().into())),
-                    keep_v: decay(&p.voltage_decay, integers.map_or(0.0, |n| n.dv.get().into())),
-                    threshold,
-                    bias,
+                    keep_u: decay("tau_u_ms", integers.keep_u),
+                    keep_v: decay("tau_v_ms", integers.keep_v),
+                    threshold: in_registers("vth", integers.threshold),
+                    bias: in_registers("bias", integers.bias),
                     gain: 1.0,
-                    refractory: integers.map_or(1, |n| u32::from(n.refractory.get()).max(1)),
+                    refractory: integers.refractory,
                     clip,
                 }
             }
@@ -450,7 +431,7 @@ impl Ladder {
 /// The populations of a network that have compartments.
 #[must_use]
 pub fn layers(network: &Quantised) -> Vec<Layer> {
-    let layer = |p: &crate::ir::quantised::Population| {
+    let layer = |p: &quantised::Population| {
         Some(Layer { name: p.name.clone(), first: p.first_compartment()?.0, count: p.shape.len() })
     };
     network.populations().iter().filter_map(layer).collect()
@@ -467,7 +448,7 @@ fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
 }
 
 /// Integer synapses as what they add to the accumulator.
-fn integer(projection: &crate::ir::quantised::Projection, sources: u32, factor: f64) -> Synapses<f64> {
+fn integer(projection: &quantised::Projection, sources: u32, factor: f64) -> Synapses<f64> {
     let mut synapses = Vec::new();
     for source in 0..sources {
         projection.connectivity.for_each_from(source, |target, weight| {

@@ -20,6 +20,28 @@ pub struct OutOfRange {
     pub high: i64,
 }
 
+/// What a field holds, and the range of its values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    /// What it holds, for messages.
+    pub what: &'static str,
+    /// The least value.
+    pub low: i64,
+    /// The greatest value.
+    pub high: i64,
+}
+
+impl Field {
+    /// The value, if it fits.
+    ///
+    /// # Errors
+    /// [`OutOfRange`] outside the range.
+    pub const fn check(self, value: i64) -> Result<i64, OutOfRange> {
+        let Field { what, low, high } = self;
+        if value < low || value > high { Err(OutOfRange { what, value, low, high }) } else { Ok(value) }
+    }
+}
+
 /// Defines a newtype over an integer with a closed range.
 macro_rules! ranged {
     ($(#[$doc:meta])* $name:ident($repr:ty) in $low:literal ..= $high:literal, $what:literal) => {
@@ -31,18 +53,18 @@ macro_rules! ranged {
             pub const MIN: $name = $name($low);
             /// The greatest value.
             pub const MAX: $name = $name($high);
-            /// What the field holds, for messages.
-            pub const WHAT: &'static str = $what;
+            /// What the field holds, and its range.
+            pub const FIELD: Field = Field { what: $what, low: $low, high: $high };
 
             /// The value, if it fits.
             ///
             /// # Errors
             /// [`OutOfRange`] outside the field's range.
             pub const fn new(value: i64) -> Result<Self, OutOfRange> {
-                if value < $low || value > $high {
-                    return Err(OutOfRange { what: $what, value, low: $low, high: $high });
+                match Self::FIELD.check(value) {
+                    Ok(value) => Ok($name(value as $repr)),
+                    Err(error) => Err(error),
                 }
-                Ok($name(value as $repr))
             }
 
             /// The plain integer.
@@ -178,6 +200,16 @@ pub enum SignMode {
     Excitatory,
     /// Weights of 0 and below.
     Inhibitory,
+}
+
+impl BiasMantissa {
+    /// No bias.
+    pub const ZERO: BiasMantissa = BiasMantissa(0);
+}
+
+impl Refractory {
+    /// Free again in the next step.
+    pub const ONE: Refractory = Refractory(1);
 }
 
 impl SignMode {

@@ -19,6 +19,7 @@ use crate::ir::program::Program;
 use crate::ir::quantised::{Quantised, Units};
 use crate::ir::spikes::Sample;
 use crate::machine::{Image, Machine, Settings};
+use crate::neuron::RealForm;
 
 /// Weights above which no dense matrices are made: 256 MiB.
 const MOST_WEIGHTS: u64 = 1 << 26;
@@ -132,8 +133,9 @@ impl Dense {
         let mut layers = Vec::new();
         for target in order {
             let population = &network.populations()[target];
-            let Units::Loihi { neurons, start_step, .. } = &population.units else { continue };
-            let units = || (0..population.shape.len()).map(|i| neurons.get(i));
+            let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
+            let units: Vec<RealForm> = (0..population.shape.len()).map(|i| RealForm::from(&neurons.get(i))).collect();
+            let each = |of: fn(&RealForm) -> f64| units.iter().map(|unit| of(unit) as f32).collect();
             let mut incoming = Vec::new();
             for projection in network.projections().iter().filter(|p| p.target == target) {
                 let mut weights = Array2::zeros((size(projection.source) as usize, size(target) as usize));
@@ -150,11 +152,11 @@ impl Dense {
             layers.push(Layer {
                 population: target.index(),
                 incoming,
-                keeps_u: units().map(|n| 1.0 - f32::from(n.du.get()) / 4096.0).collect(),
-                keeps_v: units().map(|n| 1.0 - f32::from(n.dv.get()) / 4096.0).collect(),
-                bias: units().map(|n| f32::from(n.bias_mant.get()) * f32::from(n.bias_exp.get()).exp2()).collect(),
-                threshold: units().map(|n| n.vth.get() as f32 * 64.0).collect(),
-                refractory: units().map(|n| u16::from(n.refractory.get().max(1))).collect(),
+                keeps_u: each(|n| n.keep_u),
+                keeps_v: each(|n| n.keep_v),
+                bias: each(|n| n.bias),
+                threshold: each(|n| n.threshold),
+                refractory: units.iter().map(|n| n.refractory as u16).collect(),
                 start_step: *start_step,
             });
         }

@@ -16,15 +16,14 @@
 //! - `silent-1m`: the compartments and synapses of `random-1m`, and an input that never fires.
 
 use crate::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, VmaxExponent,
-    VminExponent, WeightBits, WeightExponent,
+    Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
 };
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::graph::{PerCompartment, Shape};
 use crate::ir::quantised::{
-    Connectivity, Inconsistent, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units,
+    Connectivity, Inconsistent, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units,
 };
 use crate::ir::spikes::{Sample, SampleError};
 
@@ -179,17 +178,14 @@ impl Builder {
         vth: i64,
         refractory: i64,
     ) -> Result<PopulationId, OutOfRange> {
-        let neurons = Neurons {
-            du: PerCompartment::Same(Decay::new(1024)?),
-            dv: PerCompartment::Same(Decay::new(128)?),
-            vth: PerCompartment::Same(ThresholdMantissa::new(vth)?),
-            bias_mant: PerCompartment::Same(BiasMantissa::new(0)?),
-            bias_exp: PerCompartment::Same(BiasExponent::new(0)?),
-            refractory: PerCompartment::Same(Refractory::new(refractory)?),
-            vmin: PerCompartment::Same(VminExponent::MAX),
-            vmax: PerCompartment::Same(VmaxExponent::MAX),
-        };
-        let units = Units::Loihi { first: CompartmentId(self.compartments), neurons, start_step: 0 };
+        let neurons = PerCompartment::Same(Neuron {
+            du: Decay::new(1024)?,
+            dv: Decay::new(128)?,
+            vth: ThresholdMantissa::new(vth)?,
+            refractory: Refractory::new(refractory)?,
+            ..Neuron::PLAIN
+        });
+        let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
         self.compartments += compartments;
         let population = Population { name: name.to_string(), shape: Shape::Line(compartments), units, payload: None };
         self.parts.output = self.parts.populations.push(population);
@@ -315,9 +311,9 @@ pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<Bench,
     let mut net = Builder::new("events-only");
     let drive = net.input("drive", compartments);
     let neurons = net.loihi("neurons", compartments, 131_071, 1)?;
-    if let Units::Loihi { neurons, .. } = &mut net.parts.populations[neurons].units {
-        neurons.du = PerCompartment::Same(Decay::MAX);
-        neurons.dv = PerCompartment::Same(Decay::MAX);
+    if let Units::Compartments { neurons, .. } = &mut net.parts.populations[neurons].units {
+        // Without memory, and with the greatest threshold.
+        *neurons = PerCompartment::Same(Neuron::PLAIN);
     }
     let connectivity = Connectivity::Random {
         targets: compartments,

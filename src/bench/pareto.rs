@@ -30,10 +30,11 @@ use crate::desc::tensor::{Numbers, Tensor};
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, run_sample};
 use crate::golden::Golden;
-use crate::ir::graph::{Graph, PerCompartment, PopulationKind, ProjectionKind, ThresholdParameter};
-use crate::ir::quantised::{Neurons, Parts, Quantised, Units};
+use crate::ir::graph::{Graph, PopulationKind, ProjectionKind};
+use crate::ir::quantised::{Neuron, Parts, Quantised, Units};
 use crate::ir::spikes::{Engine, Sample};
 use crate::machine::{Image, Machine, Settings};
+use crate::neuron::{self, model_thresholds};
 use crate::reference::{self, Kernel, Model, Real, Reference};
 
 /// A form of the network, and a way to run it.
@@ -208,25 +209,8 @@ impl<'a> Subject<'a> {
         self.samples.iter().map(|sample| u64::from(sample.steps())).sum::<u64>().max(1)
     }
 
-    fn thresholds(&self) -> Vec<f64> {
-        let of = |population: &crate::ir::graph::Population| -> Vec<f64> {
-            let count = population.shape.len();
-            match &population.kind {
-                PopulationKind::Input => Vec::new(),
-                PopulationKind::Srm(srm) => vec![srm.theta; count as usize],
-                PopulationKind::Loihi(p) => (0..count)
-                    .map(|i| match &p.threshold {
-                        ThresholdParameter::Real(values) => values.each.get(i),
-                        ThresholdParameter::Mantissa(values) => values.each.get(i).max(1.0) * 64.0,
-                    })
-                    .collect(),
-            }
-        };
-        self.graph.populations().flat_map(|(_, population)| of(population)).collect()
-    }
-
     fn real_traces<F: Real>(&self, model: &Model<F>) -> Vec<Trace> {
-        let thresholds = self.thresholds();
+        let thresholds = model_thresholds(&self.graph);
         let mut engine = Reference::new(model);
         let potential = |e: &Reference<'_, F>, c: CompartmentId| e.potential(c) / thresholds[c.0 as usize];
         self.samples.iter().map(|s| Trace::record(&mut engine, s, thresholds.len() as u32, potential)).collect()
@@ -234,7 +218,7 @@ impl<'a> Subject<'a> {
 
     /// Traces of an integer engine; with merged steps, spikes at the last step of each group.
     fn traces<E: Engine>(&self, engine: &mut E, network: &Quantised, merged: u32) -> Vec<Trace> {
-        let thresholds: Vec<f64> = network.populations().iter().flat_map(integer_thresholds).collect();
+        let thresholds = neuron::thresholds(network);
         let potential = |e: &E, c: CompartmentId| f64::from(e.v(c)) / thresholds[c.0 as usize];
         let one = |sample: &&Sample| {
             if merged == 1 {
@@ -412,15 +396,6 @@ fn quartiles(times: &[f64]) -> (f64, f64) {
     (at(0.5), at(0.75) - at(0.25))
 }
 
-fn integer_thresholds(population: &crate::ir::quantised::Population) -> Vec<f64> {
-    match &population.units {
-        Units::Loihi { neurons, .. } => {
-            (0..population.shape.len()).map(|i| f64::from(neurons.vth.get(i).get().max(1)) * 64.0).collect()
-        }
-        Units::Input(_) => Vec::new(),
-    }
-}
-
 /// The sample with so many steps in one: a channel that spikes in any of them spikes.
 fn merge(sample: &Sample, steps: u32) -> Sample {
     if steps == 1 {
@@ -438,7 +413,7 @@ fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, ParetoError> {
         let mut projection = projection.clone();
         let integers = matches!(
             &graph.population(target).kind,
-            PopulationKind::Loihi(p) if matches!(p.threshold, ThresholdParameter::Mantissa(_))
+            PopulationKind::Neurons(p) if p.get("vth").is_none()
         ) && projection.weight_scale.is_none();
         let all = weights(&projection.kind);
         let mean = all.iter().map(|w| w.abs()).sum::<f64>() / all.len().max(1) as f64;
@@ -496,29 +471,20 @@ fn mapped(kind: &ProjectionKind, f: impl Fn(f64) -> f64) -> ProjectionKind {
 /// The network with other neurons.
 fn with_neurons(
     network: &Quantised,
-    f: impl Fn(&Neurons) -> Result<Neurons, OutOfRange>,
+    f: impl Fn(Neuron) -> Result<Neuron, OutOfRange>,
 ) -> Result<Quantised, ParetoError> {
     let wrong = |error: &dyn std::fmt::Display| ParetoError::Variant(error.to_string());
     let mut parts: Parts = network.parts().clone();
     for population in parts.populations.iter_mut() {
-        if let Units::Loihi { neurons, .. } = &mut population.units {
-            *neurons = f(neurons).map_err(|e| wrong(&e))?;
+        if let Units::Compartments { neurons, .. } = &mut population.units {
+            *neurons = neurons.try_map(|_, neuron| f(neuron)).map_err(|e| wrong(&e))?;
         }
     }
     Quantised::new(parts).map_err(|e| wrong(&e))
 }
 
-fn each<T: Copy, U>(
-    of: &PerCompartment<T>,
-    f: impl Fn(T) -> Result<U, OutOfRange>,
-) -> Result<PerCompartment<U>, OutOfRange> {
-    of.try_map(|_, value| f(value))
-}
-
 fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRange>) -> Result<Quantised, ParetoError> {
-    with_neurons(network, |neurons| {
-        Ok(Neurons { du: each(&neurons.du, &f)?, dv: each(&neurons.dv, &f)?, ..neurons.clone() })
-    })
+    with_neurons(network, |neuron| Ok(Neuron { du: f(neuron.du)?, dv: f(neuron.dv)?, ..neuron }))
 }
 
 /// The network for steps that are so many times as long: what is kept is kept so many times over, and the voltage, which a
@@ -530,13 +496,13 @@ fn slower(network: &Quantised, steps: u32) -> Result<Quantised, ParetoError> {
     };
     let threshold = |vth: ThresholdMantissa| ThresholdMantissa::new((i64::from(vth.get()) / i64::from(steps)).max(1));
     let refractory = |r: Refractory| Refractory::new(i64::from(u32::from(r.get()).div_ceil(steps)));
-    with_neurons(network, |neurons| {
-        Ok(Neurons {
-            du: each(&neurons.du, decay)?,
-            dv: each(&neurons.dv, decay)?,
-            vth: each(&neurons.vth, threshold)?,
-            refractory: each(&neurons.refractory, refractory)?,
-            ..neurons.clone()
+    with_neurons(network, |neuron| {
+        Ok(Neuron {
+            du: decay(neuron.du)?,
+            dv: decay(neuron.dv)?,
+            vth: threshold(neuron.vth)?,
+            refractory: refractory(neuron.refractory)?,
+            ..neuron
         })
     })
 }

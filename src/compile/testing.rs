@@ -3,17 +3,16 @@
 use std::sync::Arc;
 
 use crate::base::diagnostic::SourceText;
-use crate::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
-    WeightBits, WeightExponent,
-};
+use crate::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::resource::{Limits, Packing, PerResource, Resource};
 use crate::desc::target::{Chip, Target, TargetFile};
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::quantised::{Connectivity, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units};
+use crate::ir::quantised::{
+    Connectivity, Neuron, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units,
+};
 
 /// The limits of a Loihi core as the shipped chip has them.
 pub fn limits() -> Limits {
@@ -64,16 +63,12 @@ pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
 
 /// Parameters of the silicon network's compartments.
 pub fn neurons() -> Neurons {
-    Neurons {
-        du: PerCompartment::Same(Decay::new(1024).unwrap()),
-        dv: PerCompartment::Same(Decay::new(128).unwrap()),
-        vth: PerCompartment::Same(ThresholdMantissa::new(80).unwrap()),
-        bias_mant: PerCompartment::Same(BiasMantissa::new(0).unwrap()),
-        bias_exp: PerCompartment::Same(BiasExponent::new(0).unwrap()),
-        refractory: PerCompartment::Same(Refractory::new(1).unwrap()),
-        vmin: PerCompartment::Same(VminExponent::MAX),
-        vmax: PerCompartment::Same(VmaxExponent::MAX),
-    }
+    PerCompartment::Same(Neuron {
+        du: Decay::new(1024).unwrap(),
+        dv: Decay::new(128).unwrap(),
+        vth: ThresholdMantissa::new(80).unwrap(),
+        ..Neuron::PLAIN
+    })
 }
 
 /// Builds a network population by population.
@@ -115,7 +110,7 @@ impl Builder {
 
     /// Compartments with these parameters; the last population is the output.
     pub fn loihi_with(&mut self, name: &str, shape: Shape, neurons: Neurons) -> PopulationId {
-        let units = Units::Loihi { first: CompartmentId(self.compartments), neurons, start_step: 0 };
+        let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
         self.compartments += shape.len();
         self.parts.output =
             self.parts.populations.push(Population { name: name.to_string(), shape, units, payload: None });
@@ -213,11 +208,16 @@ pub fn random_network(seed: u64) -> Quantised {
     for k in 0..1 + draw.below(4) {
         let shape = shape(&mut draw);
         let n = shape.len();
-        let neurons = Neurons {
-            du: draw.each(n, &[0, 1024, 4096].map(|d| Decay::new(d).unwrap())),
-            vth: draw.each(n, &[80, 100].map(|v| ThresholdMantissa::new(v).unwrap())),
-            refractory: draw.each(n, &[1, 2].map(|r| Refractory::new(r).unwrap())),
-            ..neurons()
+        let (du, vth, refractory) = (
+            draw.each(n, &[0, 1024, 4096].map(|d| Decay::new(d).unwrap())),
+            draw.each(n, &[80, 100].map(|v| ThresholdMantissa::new(v).unwrap())),
+            draw.each(n, &[1, 2].map(|r| Refractory::new(r).unwrap())),
+        );
+        let neuron = |i| Neuron { du: du.get(i), vth: vth.get(i), refractory: refractory.get(i), ..neurons().get(i) };
+        let same = [matches!(du, PerCompartment::Same(_)), matches!(vth, PerCompartment::Same(_))];
+        let neurons = match same == [true; 2] && matches!(refractory, PerCompartment::Same(_)) {
+            true => PerCompartment::Same(neuron(0)),
+            false => PerCompartment::Each((0..n).map(neuron).collect()),
         };
         all.push((builder.loihi_with(&format!("pop{k}"), shape, neurons), shape));
     }

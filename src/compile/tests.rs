@@ -22,7 +22,7 @@ use crate::desc::resource::{Limits, Packing, PerResource, Pool, Resource};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{Partition, seats};
 use crate::ir::program::{AxonTarget, Lists, Parts, Program, Stored, Synapse};
-use crate::ir::quantised::{Connectivity, Neurons, Quantised, Reset, Units};
+use crate::ir::quantised::{Connectivity, Neuron, Quantised, Reset, Units};
 
 fn compiled(network: Quantised, limits: Limits) -> Compiled {
     compile(network, &target(2, 2, limits), &Options::default()).unwrap()
@@ -163,11 +163,9 @@ fn a_population_that_fits_an_empty_core_is_kept_whole_when_that_costs_no_core() 
 fn too_many_profiles_and_delays_split_a_population() {
     let mut builder = Builder::new();
     let input = builder.input("in", 4);
-    let each = Neurons {
-        du: PerCompartment::Each((0..100).map(|d| Decay::new(d).unwrap()).collect()),
-        vth: PerCompartment::Each((0..100).map(|v| ThresholdMantissa::new(v / 50).unwrap()).collect()),
-        ..neurons()
-    };
+    let neuron =
+        |i| Neuron { du: Decay::new(i).unwrap(), vth: ThresholdMantissa::new(i / 50).unwrap(), ..neurons().get(0) };
+    let each = PerCompartment::Each((0..100).map(neuron).collect());
     let varied = builder.loihi_with("varied", Shape::Line(100), each);
     builder.dense(input, varied, |_, _| 2);
     let profiles = compiled(builder.build(), limits());
@@ -521,7 +519,7 @@ fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
     let mut filling = Filling::new(&network, &fan_in, &tight);
     for &id in &same.partition.members()[CoreId(0)] {
         let (population, index) = network.population_of(id);
-        let Units::Loihi { neurons, .. } = &network.populations()[population].units else { unreachable!() };
+        let Units::Compartments { neurons, .. } = &network.populations()[population].units else { unreachable!() };
         let newcomer = Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 };
         if filling.add(&newcomer).is_err() {
             break;

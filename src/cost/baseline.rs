@@ -82,7 +82,8 @@ impl Work {
             (0..size(projection.source)).map(|source| projection.connectivity.count_from(source)).sum()
         };
         let projections = network.projections().iter().map(|p| (size(p.source), size(p.target), synapses(p)));
-        let layers = network.populations().iter().filter(|population| matches!(population.units, Units::Loihi { .. }));
+        let layers =
+            network.populations().iter().filter(|population| matches!(population.units, Units::Compartments { .. }));
         Work { projections: projections.collect(), layers: layers.map(|population| population.shape.len()).collect() }
     }
 

@@ -9,6 +9,7 @@ mod lists;
 pub mod mapping;
 pub mod measurement;
 pub mod network;
+pub mod neurons;
 pub mod resource;
 pub mod spanned;
 pub mod stimulus;

@@ -5,10 +5,14 @@
 //! the value.
 
 use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::LazyLock;
 
+use serde::de::{DeserializeSeed, EnumAccess, Error, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 use super::lists::{Triple, blank, numbers, triples};
+use super::neurons::NeuronKind;
 use super::spanned::{Shape, Spanned, list_at, parse_blanked, parse_shape, raw, refuse, shape_of};
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
@@ -82,7 +86,7 @@ pub struct Weights {
 const DEEPEST: usize = 4;
 
 /// The list in place that stands at `span`.
-fn in_place<E: serde::de::Error>(span: Span) -> Result<Source, E> {
+fn in_place<E: Error>(span: Span) -> Result<Source, E> {
     let list = match list_at(span, |text| numbers(text, span, DEEPEST)) {
         Ok(list) => list,
         Err(error) => return refuse(error.span, error.message),
@@ -147,22 +151,26 @@ impl<'de> Deserialize<'de> for Parameter {
 }
 
 /// A population of the file.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields, rename = "Population")]
+#[derive(Debug, Clone)]
 pub enum PopulationDesc {
     /// Channels that spike as a stimulus says.
-    Input {
-        /// Its name.
-        name: Spanned<String>,
-        /// `[n]` or `[channels, height, width]`.
-        shape: Spanned<Vec<u64>>,
-        /// The integer that each of its spikes carries; none by default, a binary spike.
-        payload: Option<Spanned<i64>>,
-    },
-    /// Compartments of a Loihi core.
-    Loihi(Box<LoihiDesc>),
+    Input(InputDesc),
+    /// Compartments with integer state.
+    Neurons(Box<NeuronsDesc>),
     /// Spike response neurons in real numbers.
     Srm(Box<SrmDesc>),
+}
+
+/// Input channels.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Input")]
+pub struct InputDesc {
+    /// Its name.
+    pub name: Spanned<String>,
+    /// `[n]` or `[channels, height, width]`.
+    pub shape: Spanned<Vec<u64>>,
+    /// The integer that each of its spikes carries; none by default, a binary spike.
+    pub payload: Option<Spanned<i64>>,
 }
 
 /// Spike response neurons with alpha kernels, as SLAYER trains them.
@@ -183,42 +191,128 @@ pub struct SrmDesc {
     pub theta: Spanned<f64>,
 }
 
-/// Compartments of a Loihi core: integer fields as the hardware has them, or real ones to be quantised.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields, rename = "Loihi")]
-pub struct LoihiDesc {
+/// Compartments of one kind: integer fields as the hardware has them, or real ones to be quantised.
+#[derive(Debug, Clone)]
+pub struct NeuronsDesc {
+    /// Which kind.
+    pub kind: NeuronKind,
     /// Its name.
     pub name: Spanned<String>,
     /// `[n]` or `[channels, height, width]`.
     pub shape: Spanned<Vec<u64>>,
-    /// Effective current decay, 0..4096.
-    pub du: Option<Parameter>,
-    /// Effective voltage decay, 0..4096.
-    pub dv: Option<Parameter>,
-    /// Instead of `du`: time constant of the current in ms.
-    pub tau_u_ms: Option<Parameter>,
-    /// Instead of `dv`: time constant of the voltage in ms.
-    pub tau_v_ms: Option<Parameter>,
-    /// Threshold mantissa; the threshold is 64 times as much.
-    pub vth_mant: Option<Parameter>,
-    /// Instead of `vth_mant`: a real threshold in the units of real incoming weights.
-    pub vth: Option<Parameter>,
-    /// Mantissa of the bias.
-    pub bias_mant: Option<Parameter>,
-    /// Exponent of the bias.
-    pub bias_exp: Option<Parameter>,
-    /// Instead of `bias_mant` and `bias_exp`, with `vth`: a real bias in the units of `vth`.
-    pub bias: Option<Parameter>,
-    /// Refractory period in timesteps; default 1.
-    pub refractory: Option<Parameter>,
+    /// The parameters that the file gives, in the order of [`NeuronKind::parameter_names`].
+    pub parameters: Vec<(&'static str, Parameter)>,
     /// The timestep before which the population is held at zero; default 0.
     pub start_step: Option<Spanned<i64>>,
     /// The integer that each of its spikes carries; none by default, a binary spike.
     pub payload: Option<Spanned<i64>>,
-    /// Exponent of the lower clip of v; default 23.
-    pub vmin_exp: Option<Parameter>,
-    /// Exponent of the upper clip of v; default 7.
-    pub vmax_exp: Option<Parameter>,
+}
+
+impl NeuronsDesc {
+    /// A parameter that the file gives.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Parameter> {
+        self.parameters.iter().find(|(given, _)| *given == name).map(|(_, parameter)| parameter)
+    }
+}
+
+/// The names of each kind's fields, in the order of [`NeuronKind::ALL`].
+static FIELDS: LazyLock<Vec<Vec<&'static str>>> = LazyLock::new(|| {
+    let fields = |kind: NeuronKind| {
+        ["name", "shape", "start_step", "payload"].into_iter().chain(kind.parameter_names()).collect()
+    };
+    NeuronKind::ALL.into_iter().map(fields).collect()
+});
+
+/// The names of populations.
+static POPULATIONS: LazyLock<Vec<&'static str>> =
+    LazyLock::new(|| ["Input", "Srm"].into_iter().chain(NeuronKind::ALL.map(NeuronKind::name)).collect());
+
+/// The name of a field or a variant.
+struct Identifier(String);
+
+impl<'de> Deserialize<'de> for Identifier {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Read;
+        impl Visitor<'_> for Read {
+            type Value = Identifier;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a name")
+            }
+            fn visit_str<E: Error>(self, name: &str) -> Result<Identifier, E> {
+                Ok(Identifier(name.to_string()))
+            }
+        }
+        deserializer.deserialize_identifier(Read)
+    }
+}
+
+impl<'de> Deserialize<'de> for PopulationDesc {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Read;
+        impl<'de> Visitor<'de> for Read {
+            type Value = PopulationDesc;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("enum Population")
+            }
+            fn visit_enum<A: EnumAccess<'de>>(self, data: A) -> Result<PopulationDesc, A::Error> {
+                let (Identifier(name), variant) = data.variant()?;
+                match (name.as_str(), NeuronKind::ALL.into_iter().find(|kind| kind.name() == name)) {
+                    ("Input", _) => variant.newtype_variant().map(PopulationDesc::Input),
+                    ("Srm", _) => variant.newtype_variant().map(PopulationDesc::Srm),
+                    (_, Some(kind)) => variant.newtype_variant_seed(KindFields(kind)).map(PopulationDesc::Neurons),
+                    (_, None) => Err(A::Error::unknown_variant(&name, &POPULATIONS)),
+                }
+            }
+        }
+        deserializer.deserialize_enum("Population", &POPULATIONS, Read)
+    }
+}
+
+/// The fields of a population of this kind.
+struct KindFields(NeuronKind);
+
+impl<'de> DeserializeSeed<'de> for KindFields {
+    type Value = Box<NeuronsDesc>;
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_struct(self.0.name(), &FIELDS[self.0 as usize], self)
+    }
+}
+
+impl<'de> Visitor<'de> for KindFields {
+    type Value = Box<NeuronsDesc>;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "struct {}", self.0.name())
+    }
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let fields = &FIELDS[self.0 as usize];
+        let (mut name, mut shape, mut start_step, mut payload) = (None, None, None, None);
+        let mut values: Vec<Option<Option<Parameter>>> = vec![None; fields.len()];
+        while let Some(Identifier(key)) = map.next_key()? {
+            let Some(place) = fields.iter().position(|field| *field == key) else {
+                return Err(A::Error::unknown_field(&key, fields));
+            };
+            let twice = match place {
+                0 => name.replace(map.next_value()?).is_some(),
+                1 => shape.replace(map.next_value()?).is_some(),
+                2 => start_step.replace(map.next_value()?).is_some(),
+                3 => payload.replace(map.next_value()?).is_some(),
+                _ => values[place].replace(map.next_value()?).is_some(),
+            };
+            if twice {
+                return Err(A::Error::duplicate_field(fields[place]));
+            }
+        }
+        let given = fields.iter().zip(values).filter_map(|(field, value)| Some((*field, value.flatten()?)));
+        Ok(Box::new(NeuronsDesc {
+            kind: self.0,
+            name: name.ok_or_else(|| A::Error::missing_field("name"))?,
+            shape: shape.ok_or_else(|| A::Error::missing_field("shape"))?,
+            parameters: given.collect(),
+            start_step: start_step.flatten(),
+            payload: payload.flatten(),
+        }))
+    }
 }
 
 /// A projection's mirror: the fields that every kind has, and its own. (`serde(flatten)` would buffer the values and lose
@@ -476,22 +570,10 @@ pub struct NetworkFile {
 }
 
 /// The fields whose lists hold numbers, however many.
-const LISTS: [&str; 14] = [
-    "weights",
-    "synapses",
-    "du",
-    "dv",
-    "tau_u_ms",
-    "tau_v_ms",
-    "vth_mant",
-    "vth",
-    "bias_mant",
-    "bias_exp",
-    "bias",
-    "refractory",
-    "vmin_exp",
-    "vmax_exp",
-];
+static LISTS: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+    let parameters = NeuronKind::ALL.into_iter().flat_map(NeuronKind::parameter_names);
+    ["weights", "synapses"].into_iter().chain(parameters).collect()
+});
 
 impl NetworkFile {
     /// Parses the text of a model file.
@@ -555,8 +637,8 @@ impl Network {
 pub fn array_refs(file: &NetworkFile) -> Vec<(&ArrayRef, Span)> {
     let mut refs = Vec::new();
     for population in &file.populations {
-        if let PopulationDesc::Loihi(desc) = &population.value {
-            for parameter in desc.parameters().into_iter().flatten() {
+        if let PopulationDesc::Neurons(desc) = &population.value {
+            for (_, parameter) in &desc.parameters {
                 if let ParameterValue::Each(Source::File(reference)) = &parameter.value {
                     refs.push((reference, parameter.span));
                 }
@@ -573,34 +655,13 @@ pub fn array_refs(file: &NetworkFile) -> Vec<(&ArrayRef, Span)> {
     refs
 }
 
-impl LoihiDesc {
-    /// Every parameter that can hold an array.
-    #[must_use]
-    pub fn parameters(&self) -> [Option<&Parameter>; 12] {
-        [
-            self.du.as_ref(),
-            self.dv.as_ref(),
-            self.tau_u_ms.as_ref(),
-            self.tau_v_ms.as_ref(),
-            self.vth_mant.as_ref(),
-            self.vth.as_ref(),
-            self.bias_mant.as_ref(),
-            self.bias_exp.as_ref(),
-            self.bias.as_ref(),
-            self.refractory.as_ref(),
-            self.vmin_exp.as_ref(),
-            self.vmax_exp.as_ref(),
-        ]
-    }
-}
-
 impl PopulationDesc {
     /// The population's name.
     #[must_use]
     pub fn name(&self) -> &Spanned<String> {
         match self {
-            PopulationDesc::Input { name, .. } => name,
-            PopulationDesc::Loihi(desc) => &desc.name,
+            PopulationDesc::Input(desc) => &desc.name,
+            PopulationDesc::Neurons(desc) => &desc.name,
             PopulationDesc::Srm(desc) => &desc.name,
         }
     }
@@ -609,8 +670,8 @@ impl PopulationDesc {
     #[must_use]
     pub fn payload(&self) -> Option<&Spanned<i64>> {
         match self {
-            PopulationDesc::Input { payload, .. } => payload.as_ref(),
-            PopulationDesc::Loihi(desc) => desc.payload.as_ref(),
+            PopulationDesc::Input(desc) => desc.payload.as_ref(),
+            PopulationDesc::Neurons(desc) => desc.payload.as_ref(),
             PopulationDesc::Srm(_) => None,
         }
     }
@@ -619,8 +680,8 @@ impl PopulationDesc {
     #[must_use]
     pub fn shape(&self) -> &Spanned<Vec<u64>> {
         match self {
-            PopulationDesc::Input { shape, .. } => shape,
-            PopulationDesc::Loihi(desc) => &desc.shape,
+            PopulationDesc::Input(desc) => &desc.shape,
+            PopulationDesc::Neurons(desc) => &desc.shape,
             PopulationDesc::Srm(desc) => &desc.shape,
         }
     }

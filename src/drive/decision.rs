@@ -1,7 +1,7 @@
 //! When a sample is decided before its end.
 //!
-//! Comes in: a [`Rule`], what bounds the spikes that each output can still make, and then the output spikes of each step.
-//! Goes out: whether the sample is decided. It establishes, for [`Rule::Certain`], that the class after the deciding step
+//! Input: a [`Rule`], a bound on the spikes that each output can still make, and the output spikes of each step.
+//! Output: whether the sample is decided. It establishes, for [`Rule::Certain`], that the class after the deciding step
 //! is the class of the whole sample whatever follows, and that no earlier step would have allowed to say so from the
 //! output spikes and the refractory periods alone. [`Rule::Margin`] promises nothing of the kind.
 //!
@@ -12,8 +12,8 @@ use std::fmt;
 use std::num::NonZeroU32;
 use std::str::FromStr;
 
-use crate::desc::network::Semantics;
 use crate::ir::quantised::{Quantised, Reset, Units};
+use crate::neuron;
 
 /// What decides a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,20 +63,15 @@ impl Pace {
     pub fn of_output(network: &Quantised) -> Pace {
         let (parts, output) = (network.parts(), &network.populations()[network.parts().output]);
         // An output is a population of compartments: `Quantised` is checked for it.
-        let Units::Loihi { neurons, start_step, .. } = &output.units else {
+        let Units::Compartments { neurons, start_step, .. } = &output.units else {
             return Pace { gaps: Vec::new(), start: 0, reset: None };
         };
-        let gap = |index| {
-            let period = u32::from(neurons.get(index).refractory.get());
-            match parts.semantics {
-                Semantics::Hardware => Some(NonZeroU32::new(period).unwrap_or(NonZeroU32::MIN)),
-                Semantics::Lava => Some(NonZeroU32::MIN),
-                Semantics::Slayer => NonZeroU32::new(period),
-            }
-        };
+        let start =
+            |index| neuron::fields(&neurons.get(index), *start_step, parts.semantics, parts.threshold).start_step;
+        let gap = |index| neuron::shortest_interval(&neurons.get(index), parts.semantics);
         Pace {
             gaps: (0..output.shape.len()).map(gap).collect(),
-            start: if parts.semantics == Semantics::Slayer { (*start_step).max(1) } else { *start_step },
+            start: (0..output.shape.len()).map(start).min().unwrap_or(*start_step),
             reset: parts.reset.map(|reset| (reset, *start_step)),
         }
     }

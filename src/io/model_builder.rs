@@ -19,6 +19,7 @@ use crate::desc::network::{
     ArrayRef, Network, NetworkFile, ParameterValue, PopulationDesc, ProjectionDesc, ResetDesc, Semantics, Source,
     ThresholdTest, WeightRounding,
 };
+use crate::desc::neurons::NeuronKind;
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::{Numbers, Tensor};
 
@@ -73,7 +74,9 @@ pub struct PopulationBuilder {
     pub name: String,
     /// `[n]` or `[channels, height, width]`.
     pub shape: Vec<u64>,
-    /// Parameters of Loihi compartments by the names that model files use, in order.
+    /// The kind of its compartments.
+    pub kind: NeuronKind,
+    /// Parameters of compartments by the names that model files use, in order.
     pub loihi: Option<Vec<(&'static str, Parameter)>>,
     /// Parameters of spike response neurons by the names that model files use; without either, it is an input.
     pub srm: Option<[(&'static str, f64); 4]>,
@@ -85,7 +88,14 @@ impl PopulationBuilder {
     /// Channels that a stimulus drives.
     #[must_use]
     pub fn input(name: &str, shape: Vec<u64>) -> Self {
-        PopulationBuilder { name: name.to_string(), shape, loihi: None, srm: None, start_step: 0 }
+        PopulationBuilder {
+            name: name.to_string(),
+            shape,
+            kind: NeuronKind::Loihi,
+            loihi: None,
+            srm: None,
+            start_step: 0,
+        }
     }
 
     /// Compartments with these parameters.
@@ -242,7 +252,7 @@ impl ModelBuilder {
                 return Err(Diagnostic::new("export.unsupported", message));
             }
             model.populations.push(match desc {
-                PopulationDesc::Input { .. } => PopulationBuilder::input(name, shape),
+                PopulationDesc::Input(_) => PopulationBuilder::input(name, shape),
                 PopulationDesc::Srm(srm) => {
                     let parameters = [
                         ("tau_sr_ms", srm.tau_sr_ms.value),
@@ -252,16 +262,14 @@ impl ModelBuilder {
                     ];
                     PopulationBuilder { srm: Some(parameters), ..PopulationBuilder::input(name, shape) }
                 }
-                PopulationDesc::Loihi(loihi) => {
-                    let mut parameters = Vec::new();
-                    for (key, parameter) in PARAMETERS.into_iter().zip(loihi.parameters()) {
-                        if let Some(parameter) = parameter {
-                            parameters.push((key, value_of(network, &parameter.value)?));
-                        }
-                    }
-                    let start = loihi.start_step.as_ref().map_or(0, |step| step.value);
+                PopulationDesc::Neurons(neurons) => {
+                    let given = neurons.parameters.iter();
+                    let parameters = given.map(|(key, given)| Ok((*key, value_of(network, &given.value)?)));
+                    let parameters = parameters.collect::<Result<_, Diagnostic>>()?;
+                    let start = neurons.start_step.as_ref().map_or(0, |step| step.value);
                     let start_step = u32::try_from(start).map_err(|_| seeded(&format!("start_step {start}")))?;
-                    PopulationBuilder { start_step, ..PopulationBuilder::loihi(name, shape, parameters) }
+                    let kind = neurons.kind;
+                    PopulationBuilder { kind, start_step, ..PopulationBuilder::loihi(name, shape, parameters) }
                 }
             });
         }
@@ -400,22 +408,6 @@ impl ModelBuilder {
     }
 }
 
-/// The names of [`crate::desc::network::LoihiDesc::parameters`], in its order.
-const PARAMETERS: [&str; 12] = [
-    "du",
-    "dv",
-    "tau_u_ms",
-    "tau_v_ms",
-    "vth_mant",
-    "vth",
-    "bias_mant",
-    "bias_exp",
-    "bias",
-    "refractory",
-    "vmin_exp",
-    "vmax_exp",
-];
-
 fn seeded(what: &str) -> Diagnostic {
     Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
         .help("numbers that a seed stands for have no form in other tools: give them as an array")
@@ -529,7 +521,13 @@ impl Writer<'_> {
             let _ = writeln!(out, "        Input(name: {}, shape: {:?}),", quoted(&population.name), population.shape);
             return;
         };
-        let _ = write!(out, "        Loihi(name: {}, shape: {:?}", quoted(&population.name), population.shape);
+        let _ = write!(
+            out,
+            "        {}(name: {}, shape: {:?}",
+            population.kind.name(),
+            quoted(&population.name),
+            population.shape
+        );
         for (key, value) in parameters {
             let value = match value {
                 Parameter::Same(value) => number(*value),

@@ -12,6 +12,7 @@ use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
 use crate::base::diagnostic::{SourceText, Span};
 use crate::base::fixed::{Delay, Payload, SignMode};
 use crate::desc::network::{ResetDesc, Semantics, ThresholdTest, WeightRounding};
+use crate::desc::neurons::NeuronKind;
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::Tensor;
 
@@ -85,6 +86,23 @@ impl<T: Copy> PerCompartment<T> {
         }
     }
 
+    /// Whether any value is so.
+    pub fn any(&self, f: impl Fn(&T) -> bool) -> bool {
+        match self {
+            PerCompartment::Same(value) => f(value),
+            PerCompartment::Each(values) => values.iter().any(f),
+        }
+    }
+
+    /// The values of these compartments.
+    #[must_use]
+    pub fn pick(&self, indices: &[u32]) -> PerCompartment<T> {
+        match self {
+            PerCompartment::Same(value) => PerCompartment::Same(*value),
+            PerCompartment::Each(_) => PerCompartment::Each(indices.iter().map(|&index| self.get(index)).collect()),
+        }
+    }
+
     /// Changes every value, stopping at the first failure; `f` gets the compartment, `None` when it is for all.
     ///
     /// # Errors
@@ -116,52 +134,35 @@ impl Values {
     }
 }
 
-/// A decay as the file gives it.
+/// The parameters of a population of compartments.
 #[derive(Debug, Clone)]
-pub enum DecayParameter {
-    /// Effective decay in 4096ths.
-    Effective(Values),
-    /// Time constant in ms.
-    TimeConstantMs(Values),
-}
-
-/// A threshold as the file gives it.
-#[derive(Debug, Clone)]
-pub enum ThresholdParameter {
-    /// The hardware's mantissa.
-    Mantissa(Values),
-    /// A real threshold; incoming weights are real too.
-    Real(Values),
-}
-
-/// A bias as the file gives it.
-#[derive(Debug, Clone)]
-pub enum BiasParameter {
-    /// The hardware's mantissa and exponent.
-    Integer(Values, Values),
-    /// In the units of a real threshold.
-    Real(Values),
-}
-
-/// The parameters of a population of Loihi compartments.
-#[derive(Debug, Clone)]
-pub struct LoihiParameters {
-    /// Decay of the current.
-    pub current_decay: DecayParameter,
-    /// Decay of the voltage.
-    pub voltage_decay: DecayParameter,
-    /// Threshold.
-    pub threshold: ThresholdParameter,
-    /// Bias.
-    pub bias: BiasParameter,
-    /// Refractory period in timesteps.
-    pub refractory: Values,
-    /// Exponent of the lower clip.
-    pub vmin_exp: Values,
-    /// Exponent of the upper clip.
-    pub vmax_exp: Values,
+pub struct NeuronParameters {
+    /// Which kind.
+    pub kind: NeuronKind,
+    /// The parameters that the file gives, by name.
+    pub given: Vec<(&'static str, Values)>,
     /// The step before which the population is held at zero.
     pub start_step: u32,
+}
+
+impl NeuronParameters {
+    /// A parameter that the file gives.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Values> {
+        self.given.iter().find(|(given, _)| *given == name).map(|(_, values)| values)
+    }
+
+    /// A parameter of one compartment, its default where the file gives none, 0 where there is no default.
+    #[must_use]
+    pub fn value(&self, name: &str, index: u32) -> f64 {
+        match self.get(name) {
+            Some(values) => values.each.get(index),
+            None => {
+                let field = self.kind.parameters().iter().find(|field| field.name == name);
+                field.and_then(|field| field.default).unwrap_or(0) as f64
+            }
+        }
+    }
 }
 
 /// What a population is made of.
@@ -170,7 +171,7 @@ pub enum PopulationKind {
     /// Channels that a stimulus drives.
     Input,
     /// Compartments.
-    Loihi(Box<LoihiParameters>),
+    Neurons(NeuronParameters),
     /// Spike response neurons.
     Srm(SrmParameters),
 }

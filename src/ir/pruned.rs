@@ -1,12 +1,4 @@
-//! What a pruned network was before, and what was left out of it.
-//!
-//! A pruned [`Quantised`] network is a network like any other, smaller and renumbered, so every stage after it takes it as
-//! it is. This record goes with it: by it, people go on seeing the populations, shapes and numbers of their model file.
-//! Input populations always keep their channels; a population of compartments that lost some keeps its name and place,
-//! even when nothing is left of it.
-
-use crate::base::id::{ChannelId, IdVec, PopulationId};
-use crate::ir::quantised::Quantised;
+//! What pruning left out of a network, and why.
 
 /// Why something was left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -24,7 +16,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Every kind, in the order in which they are told.
+    /// Every kind, in the order of results.
     pub const ALL: [Kind; 5] =
         [Kind::DeadInput, Kind::ZeroSynapse, Kind::SilentCompartment, Kind::UnreachableCompartment, Kind::LooseSynapse];
 
@@ -52,29 +44,4 @@ pub struct Row {
     pub reason: String,
     /// How many of which population or projection, in the order of the file.
     pub of: Vec<(String, u64)>,
-}
-
-/// What a pruned network was before, and what was left out.
-#[derive(Debug, Clone)]
-pub struct Pruned {
-    /// The network before; of several copies, one.
-    pub original: Quantised,
-    /// For each population that lost compartments, the indices of those it kept, ascending.
-    pub kept: IdVec<PopulationId, Option<Vec<u32>>>,
-    /// Populations that were to stay whole because they are probed.
-    pub probed: Vec<PopulationId>,
-    /// Where the stimulus that it was pruned for came from; `None` when it was pruned for every stimulus.
-    pub stimulus: Option<Vec<String>>,
-    /// Channels that the stimulus never fires, ascending.
-    pub dead: Vec<ChannelId>,
-    /// What was left out, a row for each kind that was looked for.
-    pub rows: Vec<Row>,
-}
-
-impl Pruned {
-    /// How many of a kind were left out.
-    #[must_use]
-    pub fn count(&self, kind: Kind) -> u64 {
-        self.rows.iter().filter(|row| row.kind == kind).map(|row| row.count).sum()
-    }
 }

@@ -13,12 +13,15 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::neurons::NeuronKind;
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::pruned::Pruned;
+use crate::ir::pruned;
 
-/// The parameters of one compartment.
+/// One compartment: its kind, and what its registers are set to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Neuron {
+    /// Which rule its updates follow.
+    pub kind: NeuronKind,
     /// Effective decay of the current.
     pub du: Decay,
     /// Effective decay of the voltage.
@@ -37,43 +40,24 @@ pub struct Neuron {
     pub vmax: VmaxExponent,
 }
 
-/// The parameters of a population's compartments.
-#[derive(Debug, Clone)]
-pub struct Neurons {
-    /// Effective decay of the current.
-    pub du: PerCompartment<Decay>,
-    /// Effective decay of the voltage.
-    pub dv: PerCompartment<Decay>,
-    /// Threshold mantissa.
-    pub vth: PerCompartment<ThresholdMantissa>,
-    /// Bias mantissa.
-    pub bias_mant: PerCompartment<BiasMantissa>,
-    /// Bias exponent.
-    pub bias_exp: PerCompartment<BiasExponent>,
-    /// Refractory period.
-    pub refractory: PerCompartment<Refractory>,
-    /// Exponent of the lower clip.
-    pub vmin: PerCompartment<VminExponent>,
-    /// Exponent of the upper clip.
-    pub vmax: PerCompartment<VmaxExponent>,
+impl Neuron {
+    /// The least that a compartment can be, for others to start from: a Loihi compartment without memory and bias, with the
+    /// greatest threshold and the widest clips.
+    pub const PLAIN: Neuron = Neuron {
+        kind: NeuronKind::Loihi,
+        du: Decay::MAX,
+        dv: Decay::MAX,
+        vth: ThresholdMantissa::MAX,
+        bias_mant: BiasMantissa::ZERO,
+        bias_exp: BiasExponent::MIN,
+        refractory: Refractory::ONE,
+        vmin: VminExponent::MAX,
+        vmax: VmaxExponent::MAX,
+    };
 }
 
-impl Neurons {
-    /// The parameters of one compartment of the population.
-    #[must_use]
-    pub fn get(&self, index: u32) -> Neuron {
-        Neuron {
-            du: self.du.get(index),
-            dv: self.dv.get(index),
-            vth: self.vth.get(index),
-            bias_mant: self.bias_mant.get(index),
-            bias_exp: self.bias_exp.get(index),
-            refractory: self.refractory.get(index),
-            vmin: self.vmin.get(index),
-            vmax: self.vmax.get(index),
-        }
-    }
-}
+/// The parameters of a population's compartments.
+pub type Neurons = PerCompartment<Neuron>;
 
 /// What a population is made of.
 #[derive(Debug, Clone)]
@@ -81,7 +65,7 @@ pub enum Units {
     /// Input channels from this one on.
     Input(ChannelId),
     /// Compartments from `first` on.
-    Loihi {
+    Compartments {
         /// The first compartment.
         first: CompartmentId,
         /// Their parameters.
@@ -110,7 +94,7 @@ impl Population {
     pub fn first_compartment(&self) -> Option<CompartmentId> {
         match self.units {
             Units::Input(_) => None,
-            Units::Loihi { first, .. } => Some(first),
+            Units::Compartments { first, .. } => Some(first),
         }
     }
 
@@ -125,7 +109,7 @@ impl Population {
     pub fn first_channel(&self) -> Option<ChannelId> {
         match self.units {
             Units::Input(first) => Some(first),
-            Units::Loihi { .. } => None,
+            Units::Compartments { .. } => None,
         }
     }
 }
@@ -403,6 +387,35 @@ pub struct Quantised {
     pruned: Option<Arc<Pruned>>,
 }
 
+/// What a pruned network was before, and what was left out.
+///
+/// A pruned network is a network like any other, smaller and renumbered, so every stage after it takes it as it is. With
+/// this record people still see the populations, shapes and numbers of their model file. Input populations always keep
+/// their channels; a population of compartments that lost some keeps its name and place, even when nothing is left of it.
+#[derive(Debug, Clone)]
+pub struct Pruned {
+    /// The network before; of several copies, one.
+    pub original: Quantised,
+    /// For each population that lost compartments, the indices of those it kept, ascending.
+    pub kept: IdVec<PopulationId, Option<Vec<u32>>>,
+    /// Populations that were to stay whole because they are probed.
+    pub probed: Vec<PopulationId>,
+    /// Where the stimulus that it was pruned for came from; `None` when it was pruned for every stimulus.
+    pub stimulus: Option<Vec<String>>,
+    /// Channels that the stimulus never fires, ascending.
+    pub dead: Vec<ChannelId>,
+    /// What was left out, a row for each kind that was looked for.
+    pub rows: Vec<pruned::Row>,
+}
+
+impl Pruned {
+    /// How many of a kind were left out.
+    #[must_use]
+    pub fn count(&self, kind: pruned::Kind) -> u64 {
+        self.rows.iter().filter(|row| row.kind == kind).map(|row| row.count).sum()
+    }
+}
+
 /// Where spikes come from: an input channel or a compartment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum SpikeSource {
@@ -428,7 +441,7 @@ impl Quantised {
         for population in &parts.populations {
             let (first, counter) = match &population.units {
                 Units::Input(first) => (first.0, &mut channels),
-                Units::Loihi { first, .. } => (first.0, &mut compartments),
+                Units::Compartments { first, .. } => (first.0, &mut compartments),
             };
             if first != *counter {
                 return Err(Inconsistent(format!(
@@ -444,7 +457,7 @@ impl Quantised {
             outgoing[projection.source].push(id);
         }
         match parts.populations.get(parts.output).map(|p| &p.units) {
-            Some(Units::Loihi { .. }) => {}
+            Some(Units::Compartments { .. }) => {}
             _ => return Err(Inconsistent("the output is not a population of compartments".to_string())),
         }
         Ok(Quantised { parts, channels, compartments, outgoing, pruned: None })

@@ -23,11 +23,11 @@ pub mod update;
 use rayon::prelude::*;
 
 use crate::base::id::{ChannelId, CompartmentId, Id};
-use crate::desc::network::Semantics;
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
 use crate::ir::spikes::Engine;
 use crate::machine::bits::{FORESEEN, write_ones};
 use crate::machine::update::lanes::{Lanes, Order, Step};
+use crate::neuron;
 pub use layout::image::{Image, ImageError};
 
 /// How to run, which never changes what comes out.
@@ -305,15 +305,7 @@ impl Engine for Machine<'_> {
         let (lanes, lane) = self.lane(compartment);
         let registers = lanes.registers(lane);
         let neuron = self.image.neuron(compartment);
-        match self.image.semantics {
-            // Equation (8): the register doubles as the counter of the refractory period.
-            Semantics::Hardware if registers.hold > 0 => {
-                let period = neuron.refractory.get().max(1);
-                (i32::from(period) << 7) + i32::from(period - registers.hold)
-            }
-            Semantics::Slayer if lanes.has_spiked(lane) => i32::from(neuron.dv.get()),
-            _ => registers.v,
-        }
+        neuron::voltage_register(&neuron, self.image.semantics, &registers, lanes.has_spiked(lane))
     }
 
     fn totals(&self) -> Totals {

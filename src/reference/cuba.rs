@@ -4,25 +4,9 @@
 //! `u(t) = (1 - du) u(t - 1) + x(t)`, `v(t) = (1 - dv) v(t - 1) + u(t) + b`, a spike above the threshold, then v = 0 and held
 //! there until `refractory` steps after it (`docs/semantics.md`, equations 2 to 7, without rounding, wrapping or bits).
 
-use super::Real;
+use super::real::Real;
 use crate::desc::network::ThresholdTest;
-
-/// The parameters of one neuron.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Parameters {
-    /// What remains of the current after a step, 0..=1.
-    pub keep_u: f64,
-    /// What remains of the voltage after a step, 0..=1.
-    pub keep_v: f64,
-    /// Threshold, in the units of weights.
-    pub threshold: f64,
-    /// Added to the voltage in each step.
-    pub bias: f64,
-    /// The next spike comes at least so many steps after one; at least 1.
-    pub refractory: u32,
-    /// Limits of the voltage.
-    pub clip: (f64, f64),
-}
+use crate::neuron::RealForm;
 
 #[derive(Debug, Clone, Copy)]
 struct Neuron<F> {
@@ -49,8 +33,8 @@ pub struct Cuba<F> {
 impl<F: Real> Cuba<F> {
     /// At rest.
     #[must_use]
-    pub fn new(parameters: &[Parameters], test: ThresholdTest) -> Self {
-        let neuron = |p: &Parameters| Neuron {
+    pub fn new(parameters: &[RealForm], test: ThresholdTest) -> Self {
+        let neuron = |p: &RealForm| Neuron {
             keep_u: F::of(p.keep_u),
             keep_v: F::of(p.keep_v),
             threshold: F::of(p.threshold),
@@ -126,7 +110,7 @@ mod tests {
     use crate::base::rng;
 
     /// v by the definition: the double sum over all arrivals since the last reset of v, and before it through u.
-    fn direct(p: &Parameters, arrivals: &[f64]) -> (Vec<f64>, Vec<usize>) {
+    fn direct(p: &RealForm, arrivals: &[f64]) -> (Vec<f64>, Vec<usize>) {
         let (mut out, mut spikes) = (Vec::new(), Vec::new());
         let mut free_from = 0; // the first step that counts in v
         for t in 0..arrivals.len() {
@@ -145,7 +129,7 @@ mod tests {
 
     #[test]
     fn the_recursion_is_the_convolution() {
-        let parameters = |keep_u, keep_v, refractory, bias| Parameters {
+        let parameters = |keep_u, keep_v, refractory, bias| RealForm {
             keep_u,
             keep_v,
             threshold: 8.0,

@@ -8,19 +8,18 @@
 
 use petgraph::graph::NodeIndex;
 
-use super::cuba::{self, Cuba};
+use super::cuba::Cuba;
 use super::kernel::Kernel;
+use super::real::Real;
 use super::srm::{self, Srm};
 use super::synapses::Synapses;
-use super::{Real, kernel};
 use crate::base::id::{ChannelId, CompartmentId};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::activity::{Overflow, Totals};
-use crate::ir::graph::{
-    BiasParameter, DecayParameter, Graph, LoihiParameters, PopulationKind, SrmParameters, ThresholdParameter, Values,
-};
+use crate::ir::graph::{Graph, PopulationKind, SrmParameters};
 use crate::ir::quantised::Reset;
 use crate::ir::spikes::Engine;
+use crate::neuron::{self, RealForm};
 
 /// How to run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -34,7 +33,7 @@ pub struct Options {
 enum Kind {
     Input,
     Srm(srm::Parameters),
-    Cuba(Vec<cuba::Parameters>),
+    Cuba(Vec<RealForm>),
 }
 
 #[derive(Debug, Clone)]
@@ -85,11 +84,11 @@ impl<F: Real> Model<F> {
             let (kind, start_step) = match &population.kind {
                 PopulationKind::Input => (Kind::Input, 0),
                 PopulationKind::Srm(srm) => (Kind::Srm(in_steps(srm, facts.timestep_ms)), 0),
-                PopulationKind::Loihi(loihi) => {
-                    let neurons = (0..count).map(|i| neuron(loihi, i, facts.timestep_ms)).collect();
+                PopulationKind::Neurons(p) => {
+                    let neurons = (0..count).map(|i| neuron::model(p, i, facts.timestep_ms)).collect();
                     // SLAYER's loop starts at step 1.
                     let start = if facts.semantics == Semantics::Slayer { 1 } else { 0 };
-                    (Kind::Cuba(neurons), loihi.start_step.max(start))
+                    (Kind::Cuba(neurons), p.start_step.max(start))
                 }
             };
             debug_assert_eq!(node.index(), populations.len());
@@ -138,46 +137,12 @@ pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
     }
 }
 
-/// What remains after a step.
-fn keep(decay: &DecayParameter, index: u32, timestep_ms: f64) -> f64 {
-    match decay {
-        DecayParameter::Effective(values) => 1.0 - values.each.get(index) / 4096.0,
-        DecayParameter::TimeConstantMs(values) => {
-            kernel::Alpha { peak: 1.0, tau: values.each.get(index) / timestep_ms }.decay()
-        }
-    }
-}
-
-fn neuron(p: &LoihiParameters, index: u32, timestep_ms: f64) -> cuba::Parameters {
-    let of = |values: &Values| values.each.get(index);
-    let integers = matches!(p.threshold, ThresholdParameter::Mantissa(_));
-    let power = |exponent: f64| libm::exp2(exponent);
-    cuba::Parameters {
-        keep_u: keep(&p.current_decay, index, timestep_ms),
-        keep_v: keep(&p.voltage_decay, index, timestep_ms),
-        threshold: match &p.threshold {
-            ThresholdParameter::Mantissa(mantissa) => of(mantissa) * 64.0,
-            ThresholdParameter::Real(threshold) => of(threshold),
-        },
-        bias: match &p.bias {
-            BiasParameter::Integer(mantissa, exponent) => of(mantissa) * power(of(exponent)),
-            BiasParameter::Real(bias) => of(bias),
-        },
-        refractory: of(&p.refractory).max(1.0) as u32,
-        // A real threshold has no register units to clip in.
-        clip: match integers {
-            true => (1.0 - power(of(&p.vmin_exp)), power(9.0 + 2.0 * of(&p.vmax_exp)) - 1.0),
-            false => (f64::MIN, f64::MAX),
-        },
-    }
-}
-
 /// What a weight of 1 adds to the current of its target: register units when the target's threshold is in them.
 fn weight_unit(graph: &Graph, target: NodeIndex, projection: &crate::ir::graph::Projection) -> f64 {
-    let PopulationKind::Loihi(parameters) = &graph.population(target).kind else { return 1.0 };
-    match parameters.threshold {
-        ThresholdParameter::Real(_) => 1.0,
-        ThresholdParameter::Mantissa(_) => {
+    let PopulationKind::Neurons(parameters) = &graph.population(target).kind else { return 1.0 };
+    match parameters.get("vth") {
+        Some(_) => 1.0,
+        None => {
             let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
             scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
         }

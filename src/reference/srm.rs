@@ -6,8 +6,8 @@
 //! SLAYER compares with `>=` (slayerPytorch `src/cuda/spikeKernels.h`); the paper says that u exceeds the threshold. The
 //! two differ only where u equals theta to the last bit.
 
-use super::Real;
 use super::kernel::{Alpha, EPSILON, Kernel};
+use super::real::Real;
 
 /// The longest truncated kernel in timesteps; longer ones are cut here.
 const LONGEST: u32 = 100_000;

@@ -4,7 +4,7 @@ use crate::base::rng;
 use crate::desc::tensor::Tensor;
 use crate::ir::graph::{Projection, ProjectionKind, Window};
 
-use super::Real;
+use super::real::Real;
 
 /// How the sources of a projection reach its targets. Indices are within the populations.
 #[derive(Debug, Clone)]

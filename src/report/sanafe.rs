@@ -24,6 +24,7 @@ use crate::cost::CostTable;
 use crate::desc::network::ThresholdTest;
 use crate::ir::program::{AxonTarget, Compartment, CoreImage, Program};
 use crate::ir::spikes::Sample;
+use crate::neuron::RealForm;
 
 /// What is exported.
 #[derive(Debug, Clone, Copy)]
@@ -52,19 +53,19 @@ fn seconds(time: Picoseconds) -> String {
 
 /// Attributes of one kind of neuron.
 fn attributes(compartment: &Compartment, synapse: &str) -> String {
-    let neuron = compartment.neuron;
-    let bias = f64::from(neuron.bias_mant.get()) * f64::from(1u32 << neuron.bias_exp.get().min(31)) / 64.0;
+    let neuron = RealForm::from(&compartment.neuron);
+    let bias = neuron.bias / 64.0;
     let mut out = format!(
         "[threshold: {:?}, reset: 0.0, reset_mode: hard, leak_decay: {:?}, input_decay: {:?}, synapse_hw_name: {synapse}",
-        f64::from(neuron.vth.get()),
-        1.0 - f64::from(neuron.dv.get()) / 4096.0,
-        1.0 - f64::from(neuron.du.get()) / 4096.0,
+        neuron.threshold / 64.0,
+        neuron.keep_v,
+        neuron.keep_u,
     );
     if bias != 0.0 {
         let _ = write!(out, ", bias: {bias:?}");
     }
-    if neuron.refractory.get() > 1 {
-        let _ = write!(out, ", refractory_delay: {}", neuron.refractory.get() - 1);
+    if neuron.refractory > 1 {
+        let _ = write!(out, ", refractory_delay: {}", neuron.refractory - 1);
     }
     out + "]"
 }

@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
-use super::Outcome;
 use super::exact::{Compartment, Parameters, scaled};
+use super::outcome::Outcome;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, VmaxExponent,
@@ -13,13 +13,14 @@ use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::compile::{CompileError, Options, compile};
 use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::neurons::NeuronKind;
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::golden::Golden;
 use crate::ir::graph::{PerCompartment, Shape};
 use crate::ir::program::Program;
 use crate::ir::quantised::{
-    Connectivity, Inconsistent, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units,
+    Connectivity, Inconsistent, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units,
 };
 use crate::ir::spikes::Engine;
 use crate::machine::{Image, Machine, Settings};
@@ -68,23 +69,20 @@ enum Unbuildable {
 
 impl Plan {
     fn network(&self) -> Result<Quantised, Unbuildable> {
-        fn each<T>(
-            of: &[Parameters],
-            f: impl Fn(&Parameters) -> Result<T, OutOfRange>,
-        ) -> Result<PerCompartment<T>, OutOfRange> {
-            Ok(PerCompartment::Each(of.iter().map(f).collect::<Result<_, _>>()?))
-        }
-        let of = self.neurons.as_slice();
-        let neurons = Neurons {
-            du: each(of, |p| Decay::new(p.du as i64))?,
-            dv: each(of, |p| Decay::new(p.dv as i64))?,
-            vth: each(of, |p| ThresholdMantissa::new(p.vth as i64))?,
-            bias_mant: each(of, |p| BiasMantissa::new(p.bias_mant as i64))?,
-            bias_exp: each(of, |p| BiasExponent::new(p.bias_exp.into()))?,
-            refractory: each(of, |p| Refractory::new(p.refractory as i64))?,
-            vmin: each(of, |p| VminExponent::new(p.vmin.into()))?,
-            vmax: each(of, |p| VmaxExponent::new(p.vmax.into()))?,
+        let neuron = |p: &Parameters| {
+            Ok::<_, OutOfRange>(Neuron {
+                kind: NeuronKind::Loihi,
+                du: Decay::new(p.du as i64)?,
+                dv: Decay::new(p.dv as i64)?,
+                vth: ThresholdMantissa::new(p.vth as i64)?,
+                bias_mant: BiasMantissa::new(p.bias_mant as i64)?,
+                bias_exp: BiasExponent::new(p.bias_exp.into())?,
+                refractory: Refractory::new(p.refractory as i64)?,
+                vmin: VminExponent::new(p.vmin.into())?,
+                vmax: VmaxExponent::new(p.vmax.into())?,
+            })
         };
+        let neurons = PerCompartment::Each(self.neurons.iter().map(neuron).collect::<Result<_, _>>()?);
         let count = self.neurons.len() as u32;
         let population = |name: &str, count, units| Population {
             name: name.to_string(),
@@ -92,7 +90,7 @@ impl Plan {
             units,
             payload: None,
         };
-        let units = Units::Loihi { first: CompartmentId(0), neurons, start_step: 0 };
+        let units = Units::Compartments { first: CompartmentId(0), neurons, start_step: 0 };
         let projection = |link: &Link| {
             Ok::<_, OutOfRange>(Projection {
                 name: "link".to_string(),

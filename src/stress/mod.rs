@@ -1,18 +1,21 @@
-//! Does the arithmetic hold at its edges? A suite with a verdict a case.
+//! Tests of the arithmetic at the ends of its ranges: a suite with a verdict for each case.
 //!
-//! Comes in: a target whose cores the integer cases are mapped onto. Goes out: [`Verdict`]s. Each integer case is run by
-//! three: the machine, the golden interpreter, and a model in 128-bit integers written from `docs/semantics.md` with
-//! remainders and quotients ([`exact`]); it passes when every register and spike of every step agrees *and* the edge that
-//! it is about was met (something wrapped, clipped, spiked). Cases in real numbers hold the recursions of `reference`
-//! against compensated sums of the definition, with a bound that follows from the number of roundings.
+//! Input: a target whose cores the integer cases are mapped onto. Output: [`Verdict`]s. Three engines run each integer
+//! case: the machine, the golden interpreter, and a model in 128-bit integers written from `docs/semantics.md` with
+//! remainders and quotients ([`exact`]). A case passes when every register and spike of every step agrees *and* the edge
+//! that it is about was reached (something wrapped, clipped, spiked). Cases in real numbers hold the recursions of
+//! `reference` against compensated sums of the definition; the bound follows from the number of roundings.
 
 pub mod exact;
 mod integers;
+mod outcome;
 mod reals;
+
+use outcome::Outcome;
 
 use crate::desc::target::Target;
 
-/// What became of a case.
+/// The result of a case.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Verdict {
     /// The case.
@@ -32,9 +35,6 @@ pub struct Case {
     pub name: &'static str,
     run: fn(&Target) -> Outcome,
 }
-
-/// Steps and what was seen, or steps and what is wrong.
-type Outcome = Result<(u64, String), (u64, String)>;
 
 impl Case {
     /// Runs it; the target's limits on the variety of compartments are lifted, since a case holds many kinds.

@@ -4,11 +4,12 @@
 //! products and two sums a step), each of relative size u, half of the distance from 1 to the next number. So the error of
 //! a kernel a over inputs x is at most `u sum_k abs(x) a(k) (4 k + 4)`, however many steps have been run: it cannot grow.
 
-use super::Outcome;
+use super::outcome::Outcome;
 use crate::base::rng;
 use crate::desc::network::ThresholdTest;
+use crate::neuron::RealForm;
 use crate::reference::Real;
-use crate::reference::cuba::{self, Cuba};
+use crate::reference::cuba::Cuba;
 use crate::reference::kernel::{Alpha, Kernel};
 use crate::reference::srm::{self, Filter, Srm};
 
@@ -114,7 +115,7 @@ pub(super) fn refractory_f64(_: &crate::desc::target::Target) -> Outcome {
 }
 
 pub(super) fn cuba_f64(_: &crate::desc::target::Target) -> Outcome {
-    let p = cuba::Parameters {
+    let p = RealForm {
         keep_u: 0.75,
         keep_v: 0.96875,
         threshold: f64::MAX,

@@ -7,9 +7,8 @@
 use super::raster::Raster;
 use super::surrogate::Surrogate;
 use crate::base::fixed::Decay;
-use crate::desc::network::Semantics;
 use crate::desc::training::CreditDesc;
-use crate::machine::update::neuron::{Fields, Registers, update};
+use crate::neuron::{Fields, Registers, update};
 use crate::reference::kernel::{Alpha, EPSILON, Kernel};
 
 /// The longest kernel in timesteps.
@@ -327,7 +326,7 @@ impl Loihi {
                 let f = &self.fields[j];
                 let was = registers[j];
                 let held = f.holds(&was);
-                let (now, effect) = update(was, z[j] as i32, f, Semantics::Hardware);
+                let (now, effect) = update(was, z[j] as i32, f);
                 registers[j] = now;
                 // The register reads 0 at a spike; what crossed the threshold is u plus what v had left.
                 let v = if effect.spiked {

@@ -7,14 +7,11 @@ use super::network::{Layer, Mantissas, Source, Topology};
 use super::optimiser::{Optimiser, Rule};
 use super::surrogate::Surrogate;
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
-use crate::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, OutOfRange, Refractory, ThresholdMantissa, VmaxExponent, VminExponent,
-    WeightExponent,
-};
+use crate::base::fixed::{Decay, OutOfRange, Refractory, ThresholdMantissa, WeightExponent};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, TrainingFile};
 use crate::ir::quantised::Neuron;
-use crate::machine::update::neuron::Fields;
+use crate::neuron;
 use crate::reference::kernel::{Alpha, Kernel};
 use crate::reference::srm::Parameters;
 
@@ -188,17 +185,9 @@ fn cells(
             for (u, v) in u.into_iter().zip(v) {
                 let (du, dv) = (problems.field(span, decay_of(u))?, problems.field(span, decay_of(v))?);
                 let threshold = theta * f64::from(mantissas.unit()) * response_peak(du, dv);
-                let neuron = Neuron {
-                    du,
-                    dv,
-                    vth: problems.field(span, ThresholdMantissa::new(threshold.round() as i64))?,
-                    bias_mant: problems.field(span, BiasMantissa::new(0))?,
-                    bias_exp: BiasExponent::MIN,
-                    refractory,
-                    vmin: VminExponent::MAX,
-                    vmax: VmaxExponent::MAX,
-                };
-                fields.push(Fields::new(neuron, 0, Semantics::Hardware, ThresholdTest::Strict));
+                let vth = problems.field(span, ThresholdMantissa::new(threshold.round() as i64))?;
+                let neuron = Neuron { du, dv, vth, refractory, ..Neuron::PLAIN };
+                fields.push(neuron::fields(&neuron, 0, Semantics::Hardware, ThresholdTest::Strict));
             }
             Ok((Cells::Loihi(Loihi::new(fields, theta as f32, mantissas.unit(), credit)), Some(mantissas)))
         }

@@ -11,8 +11,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use nsim::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
-    WeightBits, WeightExponent,
+    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
 };
 use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::compile::{Options, compile};
@@ -24,7 +23,7 @@ use nsim::io::target::load_target;
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::program::Program;
 use nsim::ir::quantised::{
-    Connectivity, Neuron, Neurons, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
+    Connectivity, Neuron, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
 };
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
@@ -123,11 +122,8 @@ pub fn neuron(du: i64, dv: i64, vth_mant: i64, refractory: i64) -> Neuron {
         du: Decay::new(du).unwrap(),
         dv: Decay::new(dv).unwrap(),
         vth: ThresholdMantissa::new(vth_mant).unwrap(),
-        bias_mant: BiasMantissa::new(0).unwrap(),
-        bias_exp: BiasExponent::new(0).unwrap(),
         refractory: Refractory::new(refractory).unwrap(),
-        vmin: VminExponent::new(23).unwrap(),
-        vmax: VmaxExponent::new(7).unwrap(),
+        ..Neuron::PLAIN
     }
 }
 
@@ -183,23 +179,11 @@ impl Net {
     /// Adds compartments with their parameters.
     pub fn loihi(&mut self, shape: Shape, neurons: &[Neuron], start_step: u32) -> PopulationId {
         assert_eq!(shape.len() as usize, neurons.len());
-        fn each<T>(neurons: &[Neuron], field: impl Fn(&Neuron) -> T) -> PerCompartment<T> {
-            PerCompartment::Each(neurons.iter().map(field).collect())
-        }
-        let neurons = Neurons {
-            du: each(neurons, |n| n.du),
-            dv: each(neurons, |n| n.dv),
-            vth: each(neurons, |n| n.vth),
-            bias_mant: each(neurons, |n| n.bias_mant),
-            bias_exp: each(neurons, |n| n.bias_exp),
-            refractory: each(neurons, |n| n.refractory),
-            vmin: each(neurons, |n| n.vmin),
-            vmax: each(neurons, |n| n.vmax),
-        };
+        let neurons = PerCompartment::Each(neurons.to_vec());
         let first = CompartmentId(self.compartments);
         self.compartments += shape.len();
         self.parts.output = PopulationId(self.parts.populations.len() as u32);
-        self.add(shape, Units::Loihi { first, neurons, start_step })
+        self.add(shape, Units::Compartments { first, neurons, start_step })
     }
 
     fn add(&mut self, shape: Shape, units: Units) -> PopulationId {

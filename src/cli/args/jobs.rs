@@ -17,7 +17,7 @@ use crate::error::Error;
 use crate::io;
 use crate::ir::graph::Graph;
 use crate::ir::program::Program;
-use crate::ir::pruned::Pruned;
+use crate::ir::quantised::Pruned;
 use crate::ir::quantised::Quantised;
 use crate::report;
 

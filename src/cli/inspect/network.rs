@@ -76,33 +76,20 @@ pub(super) fn of_network(network: &Network) -> Findings {
         .map(|population| {
             let desc = &population.value;
             let (kind, parameters) = match desc {
-                PopulationDesc::Input { .. } => ("input", String::new()),
+                PopulationDesc::Input(_) => ("input".to_string(), String::new()),
                 PopulationDesc::Srm(srm) => (
-                    "srm",
+                    "srm".to_string(),
                     format!(
                         "tau_sr_ms {}, tau_ref_ms {}, scale_ref {}, theta {}",
                         srm.tau_sr_ms.value, srm.tau_ref_ms.value, srm.scale_ref.value, srm.theta.value
                     ),
                 ),
-                PopulationDesc::Loihi(loihi) => {
-                    let shown = [
-                        ("du", &loihi.du),
-                        ("dv", &loihi.dv),
-                        ("tau_u_ms", &loihi.tau_u_ms),
-                        ("tau_v_ms", &loihi.tau_v_ms),
-                        ("vth_mant", &loihi.vth_mant),
-                        ("vth", &loihi.vth),
-                        ("bias_mant", &loihi.bias_mant),
-                        ("bias", &loihi.bias),
-                        ("refractory", &loihi.refractory),
-                    ];
-                    let given = shown.into_iter().filter_map(|(name, parameter)| {
-                        Some(match &parameter.as_ref()?.value {
-                            ParameterValue::Same(x) => format!("{name} {x}"),
-                            ParameterValue::Each(_) => format!("{name} each"),
-                        })
+                PopulationDesc::Neurons(neurons) => {
+                    let given = neurons.parameters.iter().map(|(name, parameter)| match &parameter.value {
+                        ParameterValue::Same(x) => format!("{name} {x}"),
+                        ParameterValue::Each(_) => format!("{name} each"),
                     });
-                    ("loihi", given.collect::<Vec<_>>().join(", "))
+                    (neurons.kind.name().to_lowercase(), given.collect::<Vec<_>>().join(", "))
                 }
             };
             let shape = &desc.shape().value;

@@ -133,7 +133,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
     let first = match population.units {
         Units::Input(first) => first.0,
-        Units::Loihi { first, .. } => network.channels() + first.0,
+        Units::Compartments { first, .. } => network.channels() + first.0,
     };
     (first..first + population.shape.len()).all(|source| {
         let graded = program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
@@ -143,7 +143,7 @@ fn carries_the_same(network: &Quantised, population: &Population, program: &Prog
 
 fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Difference> {
     for population in network.populations() {
-        let Units::Loihi { first, neurons, start_step } = &population.units else { continue };
+        let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
         for index in 0..population.shape.len() {
             let id = CompartmentId(first.0 + index);
             let meant = Compartment { neuron: neurons.get(index), start_step: *start_step };
@@ -163,7 +163,7 @@ fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Differ
 fn name_of(units: &Units, index: u32) -> String {
     match units {
         Units::Input(first) => format!("input channel {}", ChannelId(first.0 + index)),
-        Units::Loihi { first, .. } => format!("compartment {}", CompartmentId(first.0 + index)),
+        Units::Compartments { first, .. } => format!("compartment {}", CompartmentId(first.0 + index)),
     }
 }
 
@@ -171,7 +171,7 @@ fn name_of(units: &Units, index: u32) -> String {
 fn messages_of<'a>(program: &'a Program, units: &Units, index: u32) -> &'a [AxonTarget] {
     match units {
         Units::Input(first) => program.channel(ChannelId(first.0 + index)),
-        Units::Loihi { first, .. } => {
+        Units::Compartments { first, .. } => {
             let seat = program.seats()[CompartmentId(first.0 + index)];
             program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
         }

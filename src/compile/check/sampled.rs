@@ -63,7 +63,9 @@ fn check_parameters(network: &Quantised, partition: &Partition, sampled: &Sample
     let (held, image) = (&partition.members()[sampled.core], &sampled.image);
     let meant = held.iter().filter_map(|&id| {
         let (population, index) = network.population_of(id);
-        let Units::Loihi { neurons, start_step, .. } = &network.populations()[population].units else { return None };
+        let Units::Compartments { neurons, start_step, .. } = &network.populations()[population].units else {
+            return None;
+        };
         Some(Compartment { neuron: neurons.get(index), start_step: *start_step })
     });
     match image.ids == *held && meant.eq(image.compartments.iter().copied()) {
@@ -90,7 +92,7 @@ fn check_synapses(network: &Quantised, partition: &Partition, sampled: &SampledC
         let into: Vec<_> = into.filter_map(|p| Some((p, on_core.get(&p.target)?))).collect();
         let first_source = match &population.units {
             Units::Input(first) => first.0,
-            Units::Loihi { first, .. } => network.channels() + first.0,
+            Units::Compartments { first, .. } => network.channels() + first.0,
         };
         let mut candidates: Vec<u32> = into
             .iter()

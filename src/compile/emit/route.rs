@@ -92,7 +92,7 @@ fn graded(network: &Quantised) -> Vec<Graded> {
     let of = |population: &Population| {
         let first = match population.units {
             Units::Input(first) => first.0,
-            Units::Loihi { first, .. } => network.channels() + first.0,
+            Units::Compartments { first, .. } => network.channels() + first.0,
         };
         Some(Graded { sources: first..first + population.shape.len(), payload: population.payload? })
     };
@@ -155,7 +155,7 @@ fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment>
             };
             let population = known.filter(inside).unwrap_or_else(|| network.population_of(id).0);
             known = Some(population);
-            let Units::Loihi { first, neurons, start_step } = &network.populations()[population].units else {
+            let Units::Compartments { first, neurons, start_step } = &network.populations()[population].units else {
                 return None;
             };
             Some(Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step })

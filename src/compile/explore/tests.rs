@@ -85,8 +85,9 @@ fn layered(seed: u64) -> Quantised {
         let mut own_neurons = neurons();
         if draw(2, k + 10) == 0 {
             let n = shape.0 * shape.1 * shape.2;
-            let of = |i: u32| crate::base::fixed::Decay::new(i64::from(i % 3) * 100).unwrap();
-            own_neurons.du = PerCompartment::Each((0..n).map(of).collect());
+            let du = |i: u32| crate::base::fixed::Decay::new(i64::from(i % 3) * 100).unwrap();
+            let neuron = |i| crate::ir::quantised::Neuron { du: du(i), ..neurons().get(i) };
+            own_neurons = PerCompartment::Each((0..n).map(neuron).collect());
         }
         let to = net.loihi_with(&format!("layer{layer}"), volume(shape.0, shape.1, shape.2), own_neurons);
         let sign = [SignMode::Mixed, SignMode::Excitatory][draw(2, k + 11) as usize];

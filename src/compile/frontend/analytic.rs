@@ -14,10 +14,10 @@
 use std::sync::Arc;
 
 use crate::base::fixed::{DECAY_ONE, Decay, Refractory};
+use crate::desc::neurons::NeuronKind;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::ir::graph::{
-    BiasParameter, DecayParameter, Graph, LoihiParameters, PerCompartment, PopulationKind, ProjectionKind,
-    SrmParameters, ThresholdParameter, Values,
+    Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, SrmParameters, Values,
 };
 
 /// What stands for a population of spike response neurons.
@@ -96,25 +96,25 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
 pub fn starts(graph: &Graph) -> Vec<Option<Fit>> {
     let fit = |kind: &PopulationKind| match kind {
         PopulationKind::Srm(srm) => Some(start(srm, graph.facts().timestep_ms)),
-        PopulationKind::Input | PopulationKind::Loihi(_) => None,
+        PopulationKind::Input | PopulationKind::Neurons(_) => None,
     };
     graph.populations().map(|(_, population)| fit(&population.kind)).collect()
 }
 
-fn parameters(fit: &Fit) -> LoihiParameters {
-    let decay = |decay: Decay| DecayParameter::Effective(Values::constant(decay.get().into()));
+fn parameters(fit: &Fit) -> NeuronParameters {
     let bias = match fit.biases.as_slice() {
         [] => Values::constant(0.0),
         each => Values { each: PerCompartment::Each(each.to_vec()), ..Values::constant(0.0) },
     };
-    LoihiParameters {
-        current_decay: decay(fit.du),
-        voltage_decay: decay(fit.dv),
-        threshold: ThresholdParameter::Real(Values::constant(fit.threshold)),
-        bias: BiasParameter::Real(bias),
-        refractory: Values::constant(fit.refractory.get().into()),
-        vmin_exp: Values::constant(23.0),
-        vmax_exp: Values::constant(7.0),
+    NeuronParameters {
+        kind: NeuronKind::Loihi,
+        given: vec![
+            ("du", Values::constant(fit.du.get().into())),
+            ("dv", Values::constant(fit.dv.get().into())),
+            ("vth", Values::constant(fit.threshold)),
+            ("bias", bias),
+            ("refractory", Values::constant(fit.refractory.get().into())),
+        ],
         start_step: 0,
     }
 }
@@ -145,7 +145,7 @@ fn scaled(kind: &ProjectionKind, gains: &[f64]) -> ProjectionKind {
 #[must_use]
 pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
     let kinds = graph.with_kinds(|node, population| match (&population.kind, &fits[node.index()]) {
-        (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Loihi(Box::new(parameters(fit))),
+        (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),
         (other, _) => other.clone(),
     });
     kinds.with_projections(|target, projection| match &fits[target.index()] {

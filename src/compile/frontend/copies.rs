@@ -50,7 +50,7 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
             copy.name = copied_name(&population.name, k);
             match &mut copy.units {
                 Units::Input(first) => *first = ChannelId(first.0 + k * network.channels()),
-                Units::Loihi { first, .. } => *first = CompartmentId(first.0 + k * network.compartments()),
+                Units::Compartments { first, .. } => *first = CompartmentId(first.0 + k * network.compartments()),
             }
             parts.populations.push(copy);
         }

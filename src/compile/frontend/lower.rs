@@ -13,14 +13,15 @@ use crate::base::diagnostic::{Diagnostic, Span};
 use crate::base::fixed::{Delay, Payload, SignMode};
 use crate::base::rng;
 use crate::desc::network::{
-    Conv2dDesc, DenseDesc, LoihiDesc, Network, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
+    Conv2dDesc, DenseDesc, Network, NeuronsDesc, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
     Source, SparseDesc, SrmDesc, SumPool2dDesc, SynapseDesc, Weights,
 };
+use crate::desc::neurons::ParameterField;
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::ir::graph::{
-    BiasParameter, DecayParameter, Graph, LoihiParameters, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, PerCompartment,
-    Population, PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, ThresholdParameter, Values, Window,
+    Graph, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment, Population, PopulationKind,
+    Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
 };
 
 /// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
@@ -132,9 +133,9 @@ impl Lowering<'_> {
         }
         let shape = self.shape(desc.value.shape())?;
         let kind = match &desc.value {
-            PopulationDesc::Input { .. } => PopulationKind::Input,
-            PopulationDesc::Loihi(loihi) => {
-                PopulationKind::Loihi(Box::new(self.loihi(loihi, desc.span, shape.len())?))
+            PopulationDesc::Input(_) => PopulationKind::Input,
+            PopulationDesc::Neurons(neurons) => {
+                PopulationKind::Neurons(self.neurons(neurons, desc.span, shape.len())?)
             }
             PopulationDesc::Srm(srm) => PopulationKind::Srm(self.srm(srm)?),
         };
@@ -163,50 +164,28 @@ impl Lowering<'_> {
         }
     }
 
-    fn loihi(&self, desc: &LoihiDesc, span: Span, units: u32) -> Result<LoihiParameters, Diagnostic> {
+    fn neurons(&self, desc: &NeuronsDesc, span: Span, units: u32) -> Result<NeuronParameters, Diagnostic> {
         let name = &desc.name.value;
-        let one_of = |a: &Option<Parameter>, b: &Option<Parameter>, names: [&str; 2]| match (a, b) {
-            (Some(_), Some(second)) => {
-                let message = format!("population '{name}' gives both {} and {}", names[0], names[1]);
-                Err(self.error("model.parameter-twice", message, second.span).help("keep one of them"))
+        for ParameterField { name: integer, default, real, help, .. } in desc.kind.parameters() {
+            let other = real.and_then(|(real, _)| Some((real, desc.get(real)?)));
+            match (desc.get(integer), other) {
+                (Some(_), Some((real, second))) => {
+                    let message = format!("population '{name}' gives both {integer} and {real}");
+                    return Err(self.error("model.parameter-twice", message, second.span).help("keep one of them"));
+                }
+                (None, None) if default.is_none() => {
+                    let message = format!("population '{name}' has no {integer}");
+                    return Err(self.error("model.parameter-missing", message, span).help(*help));
+                }
+                _ => {}
             }
-            _ => Ok(()),
-        };
-        let missing = |what: &str, help: &str| {
-            self.error("model.parameter-missing", format!("population '{name}' has no {what}"), span).help(help)
-        };
-        one_of(&desc.du, &desc.tau_u_ms, ["du", "tau_u_ms"])?;
-        one_of(&desc.dv, &desc.tau_v_ms, ["dv", "tau_v_ms"])?;
-        one_of(&desc.vth_mant, &desc.vth, ["vth_mant", "vth"])?;
-        one_of(&desc.bias_mant, &desc.bias, ["bias_mant", "bias"])?;
-        one_of(&desc.bias_exp, &desc.bias, ["bias_exp", "bias"])?;
-        let values = |parameter: &Parameter, what: &str| self.values(name, what, parameter, units);
-        let decay = |field: &Option<Parameter>, tau: &Option<Parameter>, names: [&'static str; 2]| match (field, tau) {
-            (Some(field), _) => Ok(DecayParameter::Effective(values(field, names[0])?)),
-            (_, Some(tau)) => Ok(DecayParameter::TimeConstantMs(values(tau, names[1])?)),
-            (None, None) => Err(missing(names[0], "give the effective decay 0..4096, or a time constant in ms")),
-        };
-        let or = |parameter: &Option<Parameter>, what: &str, default: f64| match parameter {
-            Some(parameter) => values(parameter, what),
-            None => Ok(Values::constant(default)),
-        };
-        let threshold = match (&desc.vth_mant, &desc.vth) {
-            (Some(mantissa), _) => ThresholdParameter::Mantissa(values(mantissa, "vth_mant")?),
-            (_, Some(real)) => ThresholdParameter::Real(values(real, "vth")?),
-            (None, None) => return Err(missing("vth_mant", "give the threshold mantissa, or a real threshold vth")),
-        };
-        let bias = match &desc.bias {
-            Some(real) if matches!(threshold, ThresholdParameter::Mantissa(_)) => {
-                let message = format!("population '{name}' has a real bias beside an integer threshold");
-                return Err(self
-                    .error("model.parameter", message, real.span)
-                    .help("give bias_mant and bias_exp, or a real vth"));
-            }
-            Some(real) => BiasParameter::Real(values(real, "bias")?),
-            None => {
-                BiasParameter::Integer(or(&desc.bias_mant, "bias_mant", 0.0)?, or(&desc.bias_exp, "bias_exp", 0.0)?)
-            }
-        };
+        }
+        if let (Some(real), None) = (desc.get("bias"), desc.get("vth")) {
+            let message = format!("population '{name}' has a real bias beside an integer threshold");
+            return Err(self
+                .error("model.parameter", message, real.span)
+                .help("give bias_mant and bias_exp, or a real vth"));
+        }
         let start_step = match &desc.start_step {
             Some(step) => u32::try_from(step.value).map_err(|_| {
                 let message = format!("population '{name}': start_step {} is outside 0..=2^32 - 1", step.value);
@@ -214,16 +193,9 @@ impl Lowering<'_> {
             })?,
             None => 0,
         };
-        Ok(LoihiParameters {
-            current_decay: decay(&desc.du, &desc.tau_u_ms, ["du", "tau_u_ms"])?,
-            voltage_decay: decay(&desc.dv, &desc.tau_v_ms, ["dv", "tau_v_ms"])?,
-            threshold,
-            bias,
-            refractory: or(&desc.refractory, "refractory", 1.0)?,
-            vmin_exp: or(&desc.vmin_exp, "vmin_exp", 23.0)?,
-            vmax_exp: or(&desc.vmax_exp, "vmax_exp", 7.0)?,
-            start_step,
-        })
+        let values = |(what, value): &(&'static str, Parameter)| Ok((*what, self.values(name, what, value, units)?));
+        let given = desc.parameters.iter().map(values).collect::<Result<_, Diagnostic>>()?;
+        Ok(NeuronParameters { kind: desc.kind, given, start_step })
     }
 
     fn srm(&self, desc: &SrmDesc) -> Result<SrmParameters, Diagnostic> {

@@ -17,19 +17,18 @@ use petgraph::graph::NodeIndex;
 
 use crate::base::diagnostic::{Diagnostic, Span};
 use crate::base::fixed::{
-    BiasExponent, BiasMantissa, DECAY_ONE, Decay, OutOfRange, Refractory, SignMode, THRESHOLD_SHIFT, ThresholdMantissa,
-    VmaxExponent, VminExponent, WEIGHT_SHIFT, WeightBits, WeightExponent,
+    BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
+    WeightBits, WeightExponent,
 };
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId};
 use crate::desc::network::{Semantics, WeightRounding};
+use crate::desc::neurons::{Conversion, ParameterField};
 use crate::desc::tensor::Tensor;
-use crate::ir::graph::{
-    self, BiasParameter, DecayParameter, Graph, LoihiParameters, PerCompartment, PopulationKind, ProjectionKind,
-    ThresholdParameter, Values,
-};
+use crate::ir::graph::{self, Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
 use crate::ir::quantised::{
-    Connectivity, Neurons, Note, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
+    Connectivity, Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
 };
+use crate::neuron;
 
 /// Turns real parameters into integers.
 ///
@@ -48,11 +47,11 @@ pub fn quantise(graph: &Graph) -> Result<Quantised, Diagnostic> {
                 channels += population.shape.len();
                 Units::Input(first)
             }
-            PopulationKind::Loihi(parameters) => {
+            PopulationKind::Neurons(parameters) => {
                 let first = CompartmentId(compartments);
                 compartments += population.shape.len();
-                let neurons = stage.neurons(&population.name, parameters, *scale)?;
-                Units::Loihi { first, neurons, start_step: parameters.start_step }
+                let neurons = stage.neurons(population, parameters, *scale)?;
+                Units::Compartments { first, neurons, start_step: parameters.start_step }
             }
             PopulationKind::Srm(_) => return Err(stage.real_neurons(population)),
         };
@@ -141,8 +140,8 @@ impl Stage<'_> {
 
     /// Register units for a real unit of a population with a real threshold.
     fn scale(&self, node: NodeIndex, population: &graph::Population) -> Result<Option<f64>, Diagnostic> {
-        let PopulationKind::Loihi(parameters) = &population.kind else { return Ok(None) };
-        let ThresholdParameter::Real(threshold) = &parameters.threshold else { return Ok(None) };
+        let PopulationKind::Neurons(parameters) = &population.kind else { return Ok(None) };
+        let Some(threshold) = parameters.get("vth") else { return Ok(None) };
         let greatest = match &threshold.each {
             PerCompartment::Same(value) => *value,
             PerCompartment::Each(values) => values.iter().copied().fold(f64::MIN, f64::max),
@@ -191,14 +190,13 @@ impl Stage<'_> {
     }
 
     /// Integers of a field, one for all or one each.
-    fn field<T: Copy>(
+    fn field(
         &self,
-        population: &str,
-        what: &str,
+        (population, what): (&str, &str),
         values: &Values,
+        field: Field,
         to_integer: impl Fn(f64) -> f64,
-        new: impl Fn(i64) -> Result<T, OutOfRange>,
-    ) -> Result<PerCompartment<T>, Diagnostic> {
+    ) -> Result<PerCompartment<i64>, Diagnostic> {
         values.each.try_map(|index, value| {
             let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
             let integer = to_integer(value);
@@ -207,56 +205,82 @@ impl Stage<'_> {
                     format!("population '{population}': {what}{of} {value} is not an integer of the hardware");
                 return Err(self.error("model.not-integer", message, values.span));
             }
-            new(integer as i64).map_err(|e| {
+            field.check(integer as i64).map_err(|e| {
                 let message = format!("population '{population}': {what}{of}: {e}");
                 self.error("model.range", message, values.span)
             })
         })
     }
 
-    fn decay(
+    /// The integers of one parameter, whichever way it was given.
+    fn parameter(
         &self,
-        population: &str,
-        what: &str,
-        parameter: &DecayParameter,
-    ) -> Result<PerCompartment<Decay>, Diagnostic> {
-        match parameter {
-            DecayParameter::Effective(values) => self.field(population, what, values, |x| x, Decay::new),
-            DecayParameter::TimeConstantMs(values) => {
+        name: &str,
+        p: &NeuronParameters,
+        parameter: &ParameterField,
+        scale: Option<f64>,
+    ) -> Result<PerCompartment<i64>, Diagnostic> {
+        let what = (name, parameter.name);
+        if let Some(values) = p.get(parameter.name) {
+            return self.field(what, values, parameter.field, |x| x);
+        }
+        let scaled = |unit: f64| move |x: f64| (x * scale.unwrap_or(1.0) / unit).round_ties_even();
+        match parameter.real.and_then(|(real, conversion)| Some((real, conversion, p.get(real)?))) {
+            None => Ok(PerCompartment::Same(parameter.default.unwrap_or(0))),
+            Some((_, Conversion::TimeConstant, values)) => {
                 let positive = values.each.try_map(|_, tau| if tau > 0.0 { Ok(()) } else { Err(tau) });
                 if let Err(tau) = positive {
-                    let message = format!("population '{population}': a time constant of {tau} ms is not above 0");
+                    let message = format!("population '{name}': a time constant of {tau} ms is not above 0");
                     return Err(self
                         .error("model.time-constant", message, values.span)
                         .help("for no memory give an effective decay of 4096"));
                 }
                 let dt = self.graph.facts().timestep_ms;
                 let decay = |tau: f64| (DECAY_ONE as f64 * -(-dt / tau).exp_m1()).round_ties_even();
-                self.field(population, what, values, decay, Decay::new)
+                self.field(what, values, parameter.field, decay)
+            }
+            Some((real, Conversion::Threshold, values)) => {
+                self.field((name, real), values, parameter.field, scaled(f64::from(1 << THRESHOLD_SHIFT)))
+            }
+            Some((_, Conversion::BiasMantissa, values)) => {
+                self.real_bias(name, values, scaled(1.0))?.try_map(|_, (mantissa, _)| Ok(mantissa))
+            }
+            Some((_, Conversion::BiasExponent, values)) => {
+                self.real_bias(name, values, scaled(1.0))?.try_map(|_, (_, exponent)| Ok(exponent))
             }
         }
     }
 
-    fn neurons(&mut self, name: &str, p: &LoihiParameters, scale: Option<f64>) -> Result<Neurons, Diagnostic> {
-        let scaled = |unit: f64| move |x: f64| (x * scale.unwrap_or(1.0) / unit).round_ties_even();
-        let vth = match &p.threshold {
-            ThresholdParameter::Mantissa(values) => {
-                self.field(name, "vth_mant", values, |x| x, ThresholdMantissa::new)?
-            }
-            ThresholdParameter::Real(values) => {
-                let unit = f64::from(1 << THRESHOLD_SHIFT);
-                self.field(name, "vth", values, scaled(unit), ThresholdMantissa::new)?
-            }
+    fn neurons(
+        &mut self,
+        population: &graph::Population,
+        p: &NeuronParameters,
+        scale: Option<f64>,
+    ) -> Result<Neurons, Diagnostic> {
+        let (name, semantics) = (&population.name, self.graph.facts().semantics);
+        let kind = neuron::kind(p.kind);
+        if !kind.semantics.contains(&semantics) {
+            let message = format!("population '{name}': {} has no form in semantics {semantics:?}", p.kind.name());
+            return Err(self.error("model.semantics", message, population.span));
+        }
+        let integers: Vec<PerCompartment<i64>> = p
+            .kind
+            .parameters()
+            .iter()
+            .map(|parameter| self.parameter(name, p, parameter, scale))
+            .collect::<Result<_, _>>()?;
+        let neuron = |index: u32| {
+            let values: Vec<i64> = integers.iter().map(|values| values.get(index)).collect();
+            (kind.neuron)(&values)
+                .map_err(|e| self.error("model.range", format!("population '{name}': {e}"), population.span))
         };
-        let (bias_mant, bias_exp) = match &p.bias {
-            BiasParameter::Integer(mantissa, exponent) => (
-                self.field(name, "bias_mant", mantissa, |x| x, BiasMantissa::new)?,
-                self.field(name, "bias_exp", exponent, |x| x, BiasExponent::new)?,
-            ),
-            BiasParameter::Real(values) => self.real_bias(name, values, scaled(1.0))?,
+        let same = integers.iter().all(|values| matches!(values, PerCompartment::Same(_)));
+        let neurons = match same {
+            true => PerCompartment::Same(neuron(0)?),
+            false => PerCompartment::Each((0..population.shape.len()).map(neuron).collect::<Result<_, _>>()?),
         };
-        let no_bias = matches!(bias_mant, PerCompartment::Same(bias) if bias.get() == 0);
-        if self.graph.facts().semantics == Semantics::Slayer && !no_bias {
+        let biased = |neuron: &Neuron| neuron.bias_mant != BiasMantissa::ZERO;
+        if semantics == Semantics::Slayer && neurons.any(biased) {
             self.notes.push(Note {
                 entity: name.to_string(),
                 message: "SLAYER's kernel has no bias: it is ignored under semantics Slayer".to_string(),
@@ -268,32 +292,21 @@ impl Stage<'_> {
                 message: format!("a real unit counts {scale:.6} register units"),
             });
         }
-        Ok(Neurons {
-            du: self.decay(name, "du", &p.current_decay)?,
-            dv: self.decay(name, "dv", &p.voltage_decay)?,
-            vth,
-            bias_mant,
-            bias_exp,
-            refractory: self.field(name, "refractory", &p.refractory, |x| x, Refractory::new)?,
-            vmin: self.field(name, "vmin_exp", &p.vmin_exp, |x| x, VminExponent::new)?,
-            vmax: self.field(name, "vmax_exp", &p.vmax_exp, |x| x, VmaxExponent::new)?,
-        })
+        Ok(neurons)
     }
 
     /// Mantissa and exponent nearest to a real bias: the least exponent that its magnitude fits.
-    #[allow(clippy::type_complexity)]
     fn real_bias(
         &self,
         name: &str,
         values: &Values,
         to_register: impl Fn(f64) -> f64,
-    ) -> Result<(PerCompartment<BiasMantissa>, PerCompartment<BiasExponent>), Diagnostic> {
-        let both = values.each.try_map(|index, value| {
+    ) -> Result<PerCompartment<(i64, i64)>, Diagnostic> {
+        values.each.try_map(|index, value| {
             let register = to_register(value);
             let fitting = (0..=i64::from(BiasExponent::MAX.get())).find_map(|exponent| {
                 let mantissa = (register / (exponent as f64).exp2()).round_ties_even();
-                let mantissa = BiasMantissa::new(mantissa as i64).ok()?;
-                Some((mantissa, BiasExponent::new(exponent).ok()?))
+                Some((BiasMantissa::FIELD.check(mantissa as i64).ok()?, exponent))
             });
             fitting.ok_or_else(|| {
                 let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
@@ -301,9 +314,7 @@ impl Stage<'_> {
                     format!("population '{name}': bias{of} {value} is {register} register units, beyond 4095 * 2^7");
                 self.error("model.range", message, values.span)
             })
-        })?;
-        let mantissa = both.try_map(|_, pair| Ok::<_, Diagnostic>(pair.0))?;
-        Ok((mantissa, both.try_map(|_, pair| Ok::<_, Diagnostic>(pair.1))?))
+        })
     }
 
     fn projection(
@@ -566,7 +577,7 @@ mod tests {
         );
         let q = quantised(&text).unwrap();
         assert_eq!(dense(&q), [128, 254, -64, 32], "1.0 takes the greatest weight, 254");
-        let Units::Loihi { neurons, .. } = &q.populations().as_slice()[1].units else { panic!() };
+        let Units::Compartments { neurons, .. } = &q.populations().as_slice()[1].units else { panic!() };
         let neuron = neurons.get(1);
         // S = 254 * 64 register units: the threshold 0.5 S / 64 = 127; du = 4096 (1 - exp(-1 / tau)) = 1024.
         assert_eq!((neuron.vth.get(), neuron.du.get()), (127, 1024));

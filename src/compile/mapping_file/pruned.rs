@@ -4,7 +4,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
 use crate::compile::frontend::prune::{Plan, Scene};
 use crate::desc::mapping::{PrunedFile, Run};
-use crate::ir::pruned::Pruned;
+use crate::ir::quantised::Pruned;
 use crate::ir::quantised::Quantised;
 
 /// What a file records so that the same is left out again.

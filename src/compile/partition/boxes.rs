@@ -21,7 +21,7 @@ use crate::desc::resource::{Limits, Resource};
 use crate::desc::target::Target;
 use crate::ir::graph::PerCompartment;
 use crate::ir::partition::{CoreUsage, Partition};
-use crate::ir::quantised::{Neurons, Quantised, Units};
+use crate::ir::quantised::{Quantised, Units};
 
 /// Rounds of making boxes smaller because their output axons do not fit.
 const ROUNDS: usize = 12;
@@ -281,12 +281,8 @@ pub fn partition(
 fn profiles_of(network: &Quantised, held: &[CompartmentId]) -> (u32, u32) {
     let Some(&id) = held.first() else { return (0, 0) };
     let (population, index) = network.population_of(id);
-    let Units::Loihi { first, neurons, .. } = &network.populations()[population].units else { return (0, 0) };
-    let Neurons { du, dv, vth, refractory, .. } = neurons;
-    let same = matches!(
-        (du, dv, vth, refractory),
-        (PerCompartment::Same(_), PerCompartment::Same(_), PerCompartment::Same(_), PerCompartment::Same(_))
-    );
+    let Units::Compartments { first, neurons, .. } = &network.populations()[population].units else { return (0, 0) };
+    let same = matches!(neurons, PerCompartment::Same(_));
     let looked_at = if same { &[CompartmentId(first.0 + index)][..] } else { held };
     let all = looked_at.iter().map(|id| profiles(&neurons.get(id.0 - first.0)));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = all.unzip();

@@ -289,7 +289,9 @@ impl<'a> Filler<'a> {
         let mut misfits = Misfits::default();
         for Segment { population, indices } in order {
             let population = *population;
-            let Units::Loihi { first, neurons, .. } = &self.network.populations()[population].units else { continue };
+            let Units::Compartments { first, neurons, .. } = &self.network.populations()[population].units else {
+                continue;
+            };
             let newcomer = |at: u32| {
                 let index = indices.get(at);
                 let id = CompartmentId(first.0 + index);

@@ -149,7 +149,7 @@ pub fn tiles(
     let formats = Formats::of(network);
     let layer = Layer::of(network, population, &formats, &Places::of(network))?;
     let (shape, own_only) = (layer.shape, layer.own_only);
-    let Units::Loihi { first, neurons, .. } = &description.units else { return None };
+    let Units::Compartments { first, neurons, .. } = &description.units else { return None };
     let fits = |filling: &mut Filling, indices: &[u32]| {
         filling.next_core();
         let fits = filling.add_whole(indices.iter().map(|&index| {

@@ -300,7 +300,7 @@ fn count_profiles(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, usage
     let mut pairs: Vec<(CoreId, (u16, u16, u8))> = Vec::new();
     let mut thresholds: Vec<(CoreId, u32)> = Vec::new();
     for population in network.populations() {
-        let Units::Loihi { first, neurons, .. } = &population.units else { continue };
+        let Units::Compartments { first, neurons, .. } = &population.units else { continue };
         for index in 0..population.shape.len() {
             let core = seats[CompartmentId(first.0 + index)].core;
             let (profile, threshold) = profiles(&neurons.get(index));

@@ -496,7 +496,7 @@ mod tests {
             let fan_in = FanIn::new(&network);
             let mut filling = Filling::new(&network, &fan_in, &limits);
             for (id, population) in network.populations().enumerate() {
-                let Units::Loihi { first, neurons, .. } = &population.units else { continue };
+                let Units::Compartments { first, neurons, .. } = &population.units else { continue };
                 for index in 0..population.shape.len() {
                     let (id, population) = (CompartmentId(first.0 + index), id);
                     let neuron = neurons.get(index);

@@ -96,10 +96,7 @@ impl<'a> Gatherer<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::base::fixed::{
-        BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
-        WeightBits, WeightExponent,
-    };
+    use crate::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
     use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
     use crate::base::rng;
     use crate::desc::network::{Semantics, ThresholdTest};
@@ -114,19 +111,6 @@ mod tests {
     const CORES: u64 = 9;
     const SLOTS: u64 = 20;
     const CHANNELS: u64 = 1_500;
-
-    fn neuron() -> Neuron {
-        Neuron {
-            du: Decay::MAX,
-            dv: Decay::MAX,
-            vth: ThresholdMantissa::MAX,
-            bias_mant: BiasMantissa::new(0).unwrap(),
-            bias_exp: BiasExponent::new(0).unwrap(),
-            refractory: Refractory::new(1).unwrap(),
-            vmin: VminExponent::MAX,
-            vmax: VmaxExponent::MAX,
-        }
-    }
 
     fn format(exponent: i64, index_bits: Option<u8>) -> CoreFormat {
         let exponent = WeightExponent::new(exponent).unwrap();
@@ -195,7 +179,7 @@ mod tests {
             };
             cores.push(CoreImage {
                 site: Site { chip: 0, x: core as u32, y: 0, core: 0 },
-                compartments: vec![Compartment { neuron: neuron(), start_step: 0 }; SLOTS as usize],
+                compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize],
                 ids,
                 formats: vec![format(0, Some(4)), format(3, None)],
                 inputs,

@@ -21,7 +21,7 @@ use crate::machine::layout::flatten::Gatherer;
 use crate::machine::layout::lists::{Draft, Table};
 use crate::machine::layout::planner::Plan;
 use crate::machine::update::kernel::{LANES, Shared};
-use crate::machine::update::neuron::Fields;
+use crate::neuron::{self, Fields};
 
 /// Lanes of a granule.
 pub const GRANULE: usize = 64;
@@ -271,7 +271,7 @@ impl<'p> Image<'p> {
                 .map(|compartment| {
                     *known.entry((compartment.neuron, compartment.start_step)).or_insert_with(|| {
                         let (neuron, start) = (compartment.neuron, compartment.start_step);
-                        let fields = Fields::new(neuron, start, parts.semantics, parts.threshold);
+                        let fields = neuron::fields(&neuron, start, parts.semantics, parts.threshold);
                         self.shared.push(Shared::from(&fields));
                         self.fields.push(fields);
                         self.fields.len() as u32 - 1
@@ -331,10 +331,10 @@ impl<'p> Image<'p> {
     fn vector(&self, fields: BlockFields) -> Option<u32> {
         match fields {
             // Where a compartment spikes at rest, padding would too: it has to be left out lane by lane.
-            BlockFields::Same(f) if self.semantics == Semantics::Hardware => {
-                Some(f).filter(|&f| self.fields[f as usize].fires_from > 0)
+            BlockFields::Same(f) => {
+                Some(f).filter(|&f| self.fields[f as usize].vectors && self.fields[f as usize].fires_from > 0)
             }
-            _ => None,
+            BlockFields::Each(_) => None,
         }
     }
 
@@ -402,12 +402,11 @@ impl<'p> Image<'p> {
             share.names = vec![CompartmentId(0); share.lanes];
             for block in &share.blocks {
                 let lanes = 0..block.length;
-                let drives = |f: &Fields| f.bias != 0 || f.fires_from <= 0;
                 let driven = match block.fields {
-                    BlockFields::Same(f) => drives(&self.fields[f as usize]),
-                    BlockFields::Each(first) => {
-                        lanes.into_iter().any(|i| drives(&self.fields[self.field_of[(first + i) as usize] as usize]))
-                    }
+                    BlockFields::Same(f) => self.fields[f as usize].drives_itself(),
+                    BlockFields::Each(first) => lanes
+                        .into_iter()
+                        .any(|i| self.fields[self.field_of[(first + i) as usize] as usize].drives_itself()),
                 };
                 if driven {
                     let granule = block.start as usize / GRANULE;

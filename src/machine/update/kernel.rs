@@ -1,10 +1,10 @@
-//! Sixteen compartments at a time, in the chip's semantics: the vector form of `neuron::update`.
+//! Sixteen compartments at a time, in the chip's semantics: the vector form of [`crate::neuron::update`].
 //!
 //! Comes in: registers and sums of a block whose compartments share their fields, padded to whole chunks of sixteen.
 //! Goes out: the new registers, who spiked, who was not at rest, and which lanes left their field. Written as plain loops
 //! over arrays of sixteen that the compiler turns into vector instructions; `pulp` picks the widest set that the processor
 //! has, and all of them compute the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every
-//! result of either against `neuron::update`.
+//! result of either against the scalar update.
 //!
 //! A voltage and its refractory counter share a register, so that a step streams through less memory.
 //!
@@ -14,7 +14,7 @@
 use std::array::from_mut;
 
 use crate::base::fixed::{DECAY_ONE, UV_BITS, WEIGHT_SHIFT};
-use crate::machine::update::neuron::Fields;
+use crate::neuron::Fields;
 
 /// Compartments of a chunk.
 pub const LANES: usize = 16;
@@ -312,8 +312,9 @@ mod tests {
     };
     use crate::base::rng;
     use crate::desc::network::{Semantics, ThresholdTest};
+    use crate::desc::neurons::NeuronKind;
     use crate::ir::quantised::Neuron;
-    use crate::machine::update::neuron::{Registers, update};
+    use crate::neuron::{self, Registers, update};
 
     /// A number whose magnitude has a random number of bits, so that edges come up as often as middles.
     fn draw(seed: u64, index: u64, bits: u64) -> i64 {
@@ -327,6 +328,7 @@ mod tests {
         let of = |index, low: i64, high: i64| low + rng::below((high - low + 1) as u64, seed, index, 9) as i64;
         let decay = |index| [of(index, 0, 4096), 0, 1, 4095, 4096][of(index + 1, 0, 4) as usize];
         let neuron = Neuron {
+            kind: NeuronKind::Loihi,
             du: Decay::new(decay(0)).unwrap(),
             dv: Decay::new(decay(2)).unwrap(),
             vth: ThresholdMantissa::new([of(4, 0, 131_071), of(5, 0, 300)][of(6, 0, 1) as usize]).unwrap(),
@@ -337,7 +339,7 @@ mod tests {
             vmax: VmaxExponent::new([7, of(14, 0, 7)][of(15, 0, 1) as usize]).unwrap(),
         };
         let test = [ThresholdTest::Strict, ThresholdTest::Inclusive][of(16, 0, 1) as usize];
-        Fields::new(neuron, 0, Semantics::Hardware, test)
+        neuron::fields(&neuron, 0, Semantics::Hardware, test)
     }
 
     /// The kernel as the machine runs it, with the processor's widest vectors.
@@ -396,10 +398,8 @@ mod tests {
         let mut expected = Effects::default();
         for chunk in 0..COUNT / LANES {
             let lanes = chunk * LANES..(chunk + 1) * LANES;
-            let results: Vec<_> = lanes
-                .clone()
-                .map(|lane| update(registers[lane], arrived[lane].value(), &f, Semantics::Hardware))
-                .collect();
+            let results: Vec<_> =
+                lanes.clone().map(|lane| update(registers[lane], arrived[lane].value(), &f)).collect();
             if results.iter().any(|(_, effect)| effect.q_wrapped | effect.u_wrapped | effect.v_clipped) {
                 expected.overflowed |= 1 << chunk;
                 assert_eq!(
@@ -411,8 +411,7 @@ mod tests {
             }
             for (lane, (new, effect)) in lanes.clone().zip(results) {
                 assert_eq!((u[lane], load(v[lane])), (new.u, (new.v, new.hold)), "seed {seed} lane {lane}");
-                let r = registers[lane];
-                let at_rest = r.u == 0 && r.v == 0 && !f.holds(&r) && arrived[lane].value() == 0 && f.bias == 0;
+                let at_rest = f.at_rest(&registers[lane], arrived[lane].value());
                 expected.spiked |= u64::from(effect.spiked) << lane;
                 expected.moved |= u64::from(!at_rest) << lane;
                 expected.busy |= new != Registers::default();

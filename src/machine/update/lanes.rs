@@ -14,7 +14,7 @@ use crate::machine::deliver::delay_ring::Ring;
 use crate::machine::layout::image::{Block, BlockFields, Image, Share, Stretch};
 use crate::machine::layout::store::Aligned;
 use crate::machine::update::kernel::{self, LANES, Portable, Sum, Vectors};
-use crate::machine::update::neuron::{Registers, update};
+use crate::neuron::{Registers, update};
 
 /// What a step is told.
 #[derive(Debug, Clone, Copy)]
@@ -446,9 +446,8 @@ impl State {
             if image.reset.is_some_and(|reset| reset.falls_on(order.step, fields.resets_from)) {
                 old = Registers::default();
             }
-            let rest = old.u == 0 && old.v == 0 && !fields.holds(&old) && arrived == 0 && fields.bias == 0;
-            did.moved |= u64::from(!rest) << offset;
-            let (new, effect) = update(old, arrived, fields, image.semantics);
+            did.moved |= u64::from(!fields.at_rest(&old, arrived)) << offset;
+            let (new, effect) = update(old, arrived, fields);
             self.set(lane, new);
             did.busy |= new != Registers::default();
             did.spiked |= u64::from(effect.spiked) << offset;

@@ -2,6 +2,5 @@
 
 pub mod kernel;
 pub(crate) mod lanes;
-pub mod neuron;
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod vectors;

@@ -29,10 +29,10 @@ use std::sync::Arc;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
-use crate::ir::graph::{PerCompartment, Shape};
-use crate::ir::pruned::{Kind, Pruned, Row};
+use crate::ir::graph::Shape;
+use crate::ir::pruned::{Kind, Row};
 use crate::ir::quantised::{
-    Connectivity, Inconsistent, Neurons, Parts, Population, Projection, Quantised, SpikeSource, Units,
+    Connectivity, Inconsistent, Parts, Population, Projection, Pruned, Quantised, SpikeSource, Units,
 };
 use crate::ir::spikes::{Sample, Stimulus};
 
@@ -261,7 +261,7 @@ impl Survey {
                     let dead = (0..population.shape.len()).filter(|index| dead[ChannelId(first.0 + index)]);
                     tally.add(Kind::DeadInput, &population.name, dead.count() as u64);
                 }
-                Units::Loihi { first, .. } => {
+                Units::Compartments { first, .. } => {
                     let (mut next, mut silent, mut unreachable) = (0, 0, 0);
                     for compartment in (first.0..first.0 + population.shape.len()).map(CompartmentId) {
                         let stays = whole[id] || (fires[compartment] && reaches[compartment]);
@@ -294,7 +294,7 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
     let mut kept = IdVec::new();
     let mut populations = IdVec::new();
     for population in &before.populations {
-        let Units::Loihi { first, neurons, start_step } = &population.units else {
+        let Units::Compartments { first, neurons, start_step } = &population.units else {
             kept.push(None);
             populations.push(population.clone());
             continue;
@@ -303,8 +303,8 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
         let indices: Vec<u32> = (0..population.shape.len()).filter(stays).collect();
         let all = indices.len() == population.shape.len() as usize;
         let shape = if all { population.shape } else { Shape::Line(indices.len() as u32) };
-        let neurons = if all { neurons.clone() } else { of_these(neurons, &indices) };
-        let units = Units::Loihi { first: CompartmentId(compartments), neurons, start_step: *start_step };
+        let neurons = if all { neurons.clone() } else { neurons.pick(&indices) };
+        let units = Units::Compartments { first: CompartmentId(compartments), neurons, start_step: *start_step };
         compartments += shape.len();
         populations.push(Population { shape, units, ..population.clone() });
         kept.push((!all).then_some(indices));
@@ -324,33 +324,13 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
     (parts, kept)
 }
 
-/// The parameters of these compartments.
-fn of_these(neurons: &Neurons, indices: &[u32]) -> Neurons {
-    fn pick<T: Copy>(values: &PerCompartment<T>, indices: &[u32]) -> PerCompartment<T> {
-        match values {
-            PerCompartment::Same(value) => PerCompartment::Same(*value),
-            PerCompartment::Each(_) => PerCompartment::Each(indices.iter().map(|&index| values.get(index)).collect()),
-        }
-    }
-    Neurons {
-        du: pick(&neurons.du, indices),
-        dv: pick(&neurons.dv, indices),
-        vth: pick(&neurons.vth, indices),
-        bias_mant: pick(&neurons.bias_mant, indices),
-        bias_exp: pick(&neurons.bias_exp, indices),
-        refractory: pick(&neurons.refractory, indices),
-        vmin: pick(&neurons.vmin, indices),
-        vmax: pick(&neurons.vmax, indices),
-    }
-}
-
 /// The synapses of a projection that are left, `None` when there is none; as they were when none goes.
 fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally: &mut Tally) -> Option<Connectivity> {
     let (source, target) = (&network.populations()[projection.source], &network.populations()[projection.target]);
     let to = target.first_compartment()?;
     let source_at = |index: u32| match &source.units {
         Units::Input(first) => SpikeSource::Channel(ChannelId(first.0 + index)),
-        Units::Loihi { first, .. } => SpikeSource::Compartment(CompartmentId(first.0 + index)),
+        Units::Compartments { first, .. } => SpikeSource::Compartment(CompartmentId(first.0 + index)),
     };
     let place = |index: u32| survey.place[CompartmentId(to.0 + index)];
     let (mut zero, mut loose, mut left) = (0, 0, 0u64);

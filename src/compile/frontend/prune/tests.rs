@@ -5,6 +5,9 @@ use crate::base::fixed::{BiasMantissa, SignMode, ThresholdMantissa};
 use crate::compile::testing::{Builder, format, limits, neurons, target};
 use crate::compile::{CompileError, Options, compile, compile_saved};
 use crate::desc::network::{Semantics, ThresholdTest};
+use crate::ir::graph::PerCompartment;
+use crate::ir::quantised::Neuron;
+use crate::neuron::{Arrivals, may_spike};
 
 /// Counts in the order of `Kind::ALL`.
 fn counts(network: &Quantised) -> [u64; 5] {
@@ -91,7 +94,7 @@ fn a_loop_that_nothing_starts_is_silent_and_one_with_a_bias_is_not() {
     let looped = |bias: i64| {
         let mut builder = Builder::new();
         let input = builder.input("in", 1);
-        let biased = Neurons { bias_mant: PerCompartment::Same(BiasMantissa::new(bias).unwrap()), ..neurons() };
+        let biased = PerCompartment::Same(Neuron { bias_mant: BiasMantissa::new(bias).unwrap(), ..neurons().get(0) });
         let ring = builder.loihi_with("ring", Shape::Line(3), biased);
         let out = builder.loihi("out", 1);
         builder.dense(ring, ring, |_, _| 200);
@@ -109,7 +112,7 @@ fn a_loop_that_nothing_starts_is_silent_and_one_with_a_bias_is_not() {
 fn a_silent_output_stays_but_is_no_source() {
     let mut builder = Builder::new();
     let input = builder.input("in", 1);
-    let high = Neurons { vth: PerCompartment::Same(ThresholdMantissa::MAX), ..neurons() };
+    let high = PerCompartment::Same(Neuron { vth: ThresholdMantissa::MAX, ..neurons().get(0) });
     let out = builder.loihi_with("out", Shape::Line(2), high);
     builder.dense(input, out, |_, _| 2);
     builder.dense(out, out, |_, _| 2);
@@ -172,12 +175,12 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
 fn a_threshold_that_may_be_met_at_rest_is_no_silence() {
     let mut neuron = neurons().get(0);
     neuron.vth = ThresholdMantissa::new(0).unwrap();
-    let none = bound::Arrivals::default();
+    let none = Arrivals::default();
     for semantics in [Semantics::Hardware, Semantics::Lava, Semantics::Slayer] {
-        assert!(bound::may_spike(&neuron, semantics, ThresholdTest::Inclusive, none));
-        assert!(!bound::may_spike(&neuron, semantics, ThresholdTest::Strict, none));
+        assert!(may_spike(&neuron, semantics, ThresholdTest::Inclusive, none));
+        assert!(!may_spike(&neuron, semantics, ThresholdTest::Strict, none));
     }
     neuron.bias_mant = BiasMantissa::new(-1).unwrap();
-    assert!(!bound::may_spike(&neuron, Semantics::Hardware, ThresholdTest::Inclusive, none));
-    assert!(bound::may_spike(&neuron, Semantics::Slayer, ThresholdTest::Inclusive, none), "SLAYER has no bias");
+    assert!(!may_spike(&neuron, Semantics::Hardware, ThresholdTest::Inclusive, none));
+    assert!(may_spike(&neuron, Semantics::Slayer, ThresholdTest::Inclusive, none), "SLAYER has no bias");
 }

@@ -56,13 +56,8 @@ impl Reader<'_> {
             }
             None => 0,
         };
-        self.model.populations.push(PopulationBuilder {
-            name: name.to_string(),
-            shape: shape.clone(),
-            loihi,
-            srm: None,
-            start_step,
-        });
+        let population = PopulationBuilder { loihi, start_step, ..PopulationBuilder::input(name, shape.clone()) };
+        self.model.populations.push(population);
         self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });
     }
 

@@ -87,13 +87,8 @@ impl Reader<'_> {
         }
         if self.model.population(&name).is_none() {
             let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 0.0), ("bias_mant", 1.0), ("bias_exp", 0.0)];
-            self.model.populations.push(PopulationBuilder {
-                name: name.clone(),
-                shape: vec![1],
-                loihi: Some(parameters.into_iter().map(|(key, value)| (key, Parameter::Same(value))).collect()),
-                srm: None,
-                start_step: 0,
-            });
+            let parameters = parameters.map(|(key, value)| (key, Parameter::Same(value))).to_vec();
+            self.model.populations.push(PopulationBuilder::loihi(&name, vec![1], parameters));
         }
         name
     }
@@ -244,13 +239,7 @@ impl Reader<'_> {
             ("dv", Parameter::Same(4096.0)),
             ("vth_mant", Parameter::Same(NEVER)),
         ];
-        self.model.populations.push(PopulationBuilder {
-            name: name.clone(),
-            shape,
-            loihi: Some(parameters),
-            srm: None,
-            start_step: 0,
-        });
+        self.model.populations.push(PopulationBuilder::loihi(&name, shape, parameters));
         let neuron = Discrete {
             du: Parameter::Same(4096.0),
             dv: Parameter::Same(4096.0),

@@ -101,7 +101,7 @@ impl Reader<'_> {
                 parameters
             });
             let name = self.names[name].clone();
-            self.model.populations.push(PopulationBuilder { name, shape, loihi, srm: None, start_step: 0 });
+            self.model.populations.push(PopulationBuilder { loihi, ..PopulationBuilder::input(&name, shape) });
         }
         for name in &order {
             if let Some(neuron) = discrete.remove(name).flatten() {
