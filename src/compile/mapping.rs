@@ -14,7 +14,7 @@ use crate::ir::placement::Placement;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 
-/// What says which synapses each core has.
+/// How the synapses of each core are given.
 #[derive(Debug, Clone)]
 pub enum Synapses {
     /// The tables of every core.
@@ -43,7 +43,7 @@ pub struct Mapping<P = Synapses> {
     pub partition: Partition,
     /// Cores on the board.
     pub placement: Placement,
-    /// What says which synapses each core has.
+    /// How the synapses of each core are given.
     pub program: P,
     /// How it was compared with its network.
     pub checked: Checked,

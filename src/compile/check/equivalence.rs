@@ -238,7 +238,7 @@ impl Decoder {
     }
 }
 
-/// R(s): what the network says.
+/// R(s): the network's synapses.
 fn mean(network: &Quantised, outgoing: &[&Projection], index: u32, meant: &mut Vec<SynapseCode>) {
     meant.clear();
     for projection in outgoing {

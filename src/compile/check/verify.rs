@@ -1,7 +1,7 @@
-//! Rules that a finished program keeps, checked on its own tables.
+//! Rules for a finished program, checked on its own tables.
 //!
 //! Input: a [`Program`] and a target. Output: nothing, or the first [`Violation`]. Nothing is taken from the stages that
-//! made the program: every count is made again from what the machine would read. `Program::new` has checked that tables
+//! made the program: every count is recomputed from what the machine would read. `Program::new` has checked that tables
 //! are closed; beyond that, of every core (each bullet is a variant of [`Violation`]):
 //!
 //! - the mesh is the target's (`Mesh`), and no two cores stand at one place of it (`Site`);
@@ -11,7 +11,7 @@
 //!   sources are the same atom of one, and a source is the same atom on every core (`Population`);
 //! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the core's index and delay
 //!   widths or none (`Format`);
-//! - in a list the synapses of one format stand together, and two groups do not differ in density or delay alone
+//! - in a list the synapses of one format are consecutive, and two groups do not differ in density or delay alone
 //!   (`Scattered`);
 //! - the slots of a dense group follow each other; those of a sparse group ascend and fit its index, and a
 //!   group with runs leaves out no more slots than they hold (`Slots`);
@@ -19,7 +19,7 @@
 //! - weights are multiples of their format's least step, in its range (`Weight`);
 //! - every resource of [`CoreUsage`] is within its limit (`Excess`).
 //!
-//! Whether the program says what its network says is for [`crate::compile::check::equivalence`].
+//! Whether the program has its network's synapses is for [`crate::compile::check::equivalence`].
 
 use std::collections::BTreeSet;
 
@@ -77,7 +77,7 @@ pub enum Violation {
         /// What is wrong with it.
         what: &'static str,
     },
-    /// Synapses of one format that do not stand together.
+    /// Synapses of one format that are not consecutive.
     #[error("{core}: list {list} has its synapses of one format in several places")]
     Scattered {
         /// The core.
@@ -142,7 +142,7 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     for (channel, messages) in program.parts().channels.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
     }
-    // Threads may finish in any order; the violation of the lowest core is told.
+    // Threads may finish in any order; the violation of the lowest core is reported.
     let found: Vec<Violation> = program
         .cores()
         .as_slice()
@@ -351,7 +351,7 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
                 && group.iter().all(|s| u32::from(s.slot) < 1 << bits)
         }
     };
-    // A run holds the slots left out, so no slot stands twice and no gap is wider than it can say.
+    // A run holds the number of slots left out, so no slot occurs twice and no gap is wider than a run can hold.
     let holds = |bits: u8| {
         group.windows(2).all(|pair| {
             u32::from(pair[1].slot).checked_sub(u32::from(pair[0].slot) + 1).is_some_and(|gap| gap < 1 << bits)

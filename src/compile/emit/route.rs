@@ -166,7 +166,7 @@ fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment>
 /// The formats of a core, its input axons with their lists, and the source of each input axon.
 type Written = (Vec<CoreFormat>, Stored, Vec<u32>);
 
-/// Lists on their way into a core's image.
+/// Writes the lists of a core's image.
 struct Writer<'a> {
     formats: &'a Formats,
     widths: Widths,
@@ -287,7 +287,7 @@ fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages 
         let mut lists = Lists::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
         for (core, (of_core, part)) in sources.iter().zip(parts()).enumerate() {
             for (axon, &source) in part.clone().zip(&of_core[part]) {
-                // Counts now say how many are still to come; cores ascend, so lists do.
+                // Counts are now those of the messages left to write; cores ascend, so lists do.
                 let source = (source - from) as usize;
                 let place = lists.get(source).len() - counts[source] as usize;
                 lists.get_mut(source)[place] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };

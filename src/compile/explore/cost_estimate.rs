@@ -2,8 +2,8 @@
 //!
 //! Input: a program on its places and the rates of its sources. Output: energy and time of a mean step under the target's
 //! first preset, by the equations of `docs/energy.md` applied to expected counts: those of a million steps, in whole
-//! numbers, so that they are the same everywhere. Every compartment counts as not at rest. A simulated step can take
-//! longer than this one, since spikes come together; which of two mappings is better is what it is for.
+//! numbers, so that they are the same everywhere. Every compartment counts as not at rest. A simulated step can
+//! take longer, since spikes arrive in bursts; the estimate is for comparing mappings.
 
 use std::cmp::Ordering;
 use std::ops::Range;

@@ -1,4 +1,4 @@
-//! What would make a network fit, tried.
+//! Changes that make a network fit, found by trying them.
 //!
 //! Input: a network that does not fit its target and the target. Output: [`Remedy`]s that were tried and made it fit, the
 //! cheapest change first. What is tried:
@@ -9,7 +9,7 @@
 //!   question, which the remedy says;
 //! - the next larger shipped boards.
 //!
-//! Left out on purpose: what needs another model (merging polarities, pooling, relays) is advice in the reason itself.
+//! Not tried: what needs another model (merging polarities, pooling, relays), which is advice in the reason itself.
 //! Another sign mode changes no count of words, so it is no remedy for what does not fit.
 
 use crate::base::fixed::WeightBits;
@@ -18,7 +18,7 @@ use crate::compile::{Compiled, Objective, Options, compile};
 use crate::desc::target::Target;
 use crate::ir::quantised::{Connectivity, Parts, Quantised};
 
-/// Synapses above which trying would take longer than thinking.
+/// Synapses above which trying changes would take too long.
 const MOST_SYNAPSES: u64 = 10_000_000;
 /// Weight bits that are tried.
 const BITS: [i64; 3] = [6, 5, 4];

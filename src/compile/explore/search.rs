@@ -4,8 +4,8 @@
 //! the part of each core that it may fill: cores that hold half as much take half as long and are twice as many. The first
 //! candidates are always the sequential order, unplaced as the public tools leave it and placed.
 //!
-//! The expected step of mean rates is not the simulated one: spikes come together, and more cores mean more messages over
-//! the busiest link when they do. For the time of a step a candidate must therefore be no slower than the unplaced
+//! The expected step of mean rates is not the simulated one: spikes come in bursts, and more cores mean more messages over
+//! the busiest link in a burst. For the time of a step a candidate must therefore be no slower than the unplaced
 //! sequential one when every source spikes at once, and when all sources of one population do: over all populations and, but
 //! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
 //! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
@@ -40,7 +40,7 @@ const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 /// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
 /// not enough for all (`nsim bench map`). The first two are always tried.
 const SHORTEST: [u32; 7] = [8, 1, 16, 32, 4, 64, 2];
-/// How much less a mean step must take to be trusted to take no longer when spikes come together.
+/// How much less a mean step must take to be trusted to take no longer in a burst.
 const MARGIN: f64 = 0.9;
 /// How much less it must take where no burst may take longer and that of all sources takes as much less.
 const EVERYWHERE: f64 = 0.95;
@@ -48,15 +48,15 @@ const EVERYWHERE: f64 = 0.95;
 const SHORT: f64 = 0.1;
 /// Populations whose bursts candidates are compared in.
 const MOST_BURSTS: usize = 16;
-/// Compartments that a second of effort allows to be cut into boxes anew, over all candidates.
+/// Compartments that a second of effort allows to be cut into boxes, over all candidates.
 const COMPARTMENTS_PER_SECOND: u64 = 20_000_000;
-/// Synapses that a second of effort allows to be mapped anew, over all candidates.
+/// Synapses that a second of effort allows to be mapped, over all candidates.
 const SYNAPSES_PER_SECOND: u64 = 4_000_000;
 
 /// A way of mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Candidate {
-    /// How compartments are gathered.
+    /// How compartments are grouped into cores.
     #[serde(serialize_with = "strategy_name")]
     pub strategy: Strategy,
     /// A core is filled to one part in so many.
@@ -223,7 +223,7 @@ impl Search<'_> {
         // The effort is for all of them together.
         let options = Options { effort_s: self.options.effort_s.div_ceil(ways.len() as u32), ..*self.options };
         let one_way = |(number, (strategy, divisor)): (usize, (Strategy, u32))| {
-            // The first is looked at unplaced too.
+            // The first is tried unplaced too.
             let places = if number == 0 && options.place { &[false, true][..] } else { &[options.place] };
             let made = self.mapped(&Options { strategy, ..options }, divisor, places);
             if let Err(error) = &made {
@@ -300,8 +300,8 @@ impl Search<'_> {
     }
 }
 
-/// The best of candidates, the first of which is what others are measured by; `times` are those of steps in which spikes
-/// come together, all of them first.
+/// The best of candidates, the first of which is what others are measured by; `times` are those of bursts,
+/// that of all sources first.
 fn chosen<M>(
     made: Vec<Made<M>>,
     objective: Objective,

@@ -3,9 +3,9 @@
 //! Input: a program and a rate for every source. Output: a [`Traffic`]. Each source sends one message to each of its
 //! cores. A message goes along its row of tiles first, then along its column (see [`crate::ir::placement`]); an input's
 //! message enters at the corner of its target's chip. Links are counted in both directions separately, over the whole
-//! board. Ways are added as differences at their ends, so that a message costs the same however long it is. A spike that
-//! is copied where ways part crosses each link once, however many of its messages do: those are multicast hops. Everything
-//! is counted in whole numbers ([`Rates`]) before it is brought to a step.
+//! board. Routes are added as differences at their ends, so that the work does not depend on their length. A multicast
+//! spike, copied where routes part, crosses each link once, however many of its messages do. Everything is counted in whole
+//! numbers ([`Rates`]) before it is divided by the steps that they count.
 
 use std::ops::Range;
 
@@ -25,7 +25,7 @@ pub struct Traffic {
     pub cut_spikes_per_step: f64,
     /// Links crossed, each message by itself.
     pub hops_per_step: f64,
-    /// Links crossed when a spike is copied where the ways of its messages part.
+    /// Links crossed when a spike is copied where the routes of its messages part.
     pub hops_multicast_per_step: f64,
     /// Messages over a link, on average over all links of the board.
     pub mean_link_load: f64,
@@ -37,7 +37,7 @@ pub struct Traffic {
 
 /// Loads of the links of one direction: lines of tiles, each with a link between neighbours.
 struct Lines {
-    /// One more than links of a line, so that a way can end at the last tile.
+    /// One more than links of a line, so that a route can end at the last tile.
     length: usize,
     differences: Vec<i64>,
 }
@@ -47,7 +47,7 @@ impl Lines {
         Lines { length: tiles as usize, differences: vec![0; lines as usize * tiles as usize] }
     }
 
-    /// Adds a way from tile `low` to tile `high` of a line, `low <= high`.
+    /// Adds a route from tile `low` to tile `high` of a line, `low <= high`.
     fn add(&mut self, line: u32, low: u32, high: u32, weight: i64) {
         let start = line as usize * self.length;
         self.differences[start + low as usize] += weight;
@@ -214,7 +214,7 @@ impl<'a> Counts<'a> {
         Counts { mesh, lines, cut: 0, multicast: 0, tree: Columns::new(mesh), of_chip: Vec::new() }
     }
 
-    /// What both have counted.
+    /// The sum of both.
     fn together(mut self, other: &Self) -> Self {
         for (lines, others) in self.lines.iter_mut().zip(&other.lines) {
             lines.differences.iter_mut().zip(&others.differences).for_each(|(sum, other)| *sum += other);

@@ -20,7 +20,7 @@ use crate::ir::graph::{
     Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, SrmParameters, Values,
 };
 
-/// What stands for a population of spike response neurons.
+/// The counterpart of a population of spike response neurons.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fit {
     /// Decay of the current.
@@ -119,7 +119,7 @@ fn parameters(fit: &Fit) -> NeuronParameters {
     }
 }
 
-/// The same way of reaching targets with each target's weights times its gain.
+/// The same connectivity with each target's weights times its gain.
 fn scaled(kind: &ProjectionKind, gains: &[f64]) -> ProjectionKind {
     match kind {
         ProjectionKind::Dense { weights, rows } => {

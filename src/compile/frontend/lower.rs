@@ -1,4 +1,4 @@
-//! `Network` -> [`Graph`]: names become nodes, arrays meet their shapes.
+//! `Network` -> [`Graph`]: names become nodes, arrays are checked against their shapes.
 //!
 //! Input: a parsed model with its arrays. Output: a graph whose endpoints exist, whose array sizes agree with its
 //! populations and whose delays are in range; or the first thing that is not so, with its place in the model file. What
@@ -495,7 +495,7 @@ impl Declared<'_> {
             );
             return Err(self.error("model.window", message, conv.groups.as_ref().map_or(self.span, |g| g.span)));
         }
-        // The kernel's size is read off the weights, so those are looked at first.
+        // The kernel's size is read off the weights, so those are read first.
         let kernel = match &conv.weights.source {
             Source::InPlace(tensor, _) => tensor.shape().to_vec(),
             Source::File(reference) => self.lowering.network.array(reference).shape().to_vec(),

@@ -75,7 +75,7 @@ pub fn quantise(graph: &Graph) -> Result<Quantised, Diagnostic> {
         reset: facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 }),
         notes: stage.notes,
     };
-    // Whatever is wrong from here on was not the user's doing, but is better told than trusted.
+    // An error from here on is a fault of this stage, reported instead of trusted.
     Quantised::new(parts).map_err(|e| Diagnostic::new("model.inconsistent", e.to_string()).in_file(facts.source.path()))
 }
 
@@ -360,7 +360,7 @@ impl Stage<'_> {
     }
 }
 
-/// Weights on their way to mantissas, with what rounding did to them.
+/// Weights as mantissas, with what rounding did to them.
 struct Rounding<'a, 'b> {
     stage: &'a mut Stage<'b>,
     projection: &'a graph::Projection,

@@ -1,8 +1,8 @@
 //! Boxes as a file, and back.
 //!
-//! Out goes, layer by layer, the size of a box and the core of each. In come such a file and a network: where layers are cut
-//! and where boxes sit are taken from it after checking that they are of this network and target; everything else is
-//! counted again. Nothing is made of the size that a file asks for before the file has been found to hold as much.
+//! A file holds, layer by layer, the size of a box and the core of each box. Loading one takes these from it after checking
+//! that they are of this network and target; everything else is counted again. Nothing is allocated by a number in the
+//! file before the file has been found to hold as many entries.
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};

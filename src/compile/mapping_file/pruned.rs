@@ -27,7 +27,7 @@ pub fn pruned_file(pruned: &Pruned) -> PrunedFile {
     PrunedFile { stimulus: pruned.stimulus.clone(), dead, probed }
 }
 
-/// The pruning that a file says was done to a network.
+/// The pruning that a file records.
 ///
 /// # Errors
 /// A diagnostic that names a population or a run of channels that the network does not have.

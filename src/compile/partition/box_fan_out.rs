@@ -19,7 +19,7 @@ use crate::desc::resource::Limits;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 
-/// Channels that one task looks at.
+/// Channels of one task.
 const PIECE: u32 = 1 << 14;
 
 /// Sources of one core, or of the inputs, that reach the same cores.

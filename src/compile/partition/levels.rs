@@ -1,18 +1,18 @@
-//! Compartments gathered into ever larger groups, by what they share.
+//! Compartments merged into ever larger groups, by the nets that they share.
 //!
 //! Input: a hypergraph. Output: levels of labels: on each level two groups of the level below have one label when they
 //! share more of their nets than either shares with any other group that is still free (heavy-connectivity matching, as
 //! multilevel partitioners coarsen: Karypis et al., "Multilevel hypergraph partitioning", DAC 1997; Catalyurek & Aykanat,
-//! "PaToH", 1999). A net of k pins counts 1 / (k - 1) of its weight for each pair; nets of many pins say nothing about
-//! pairs and are left out. The levels give an order in which compartments that belong together stand together, and the
+//! "PaToH", 1999). A net of k pins counts 1 / (k - 1) of its weight for each pair; nets of many pins tell
+//! no pair from another and are left out. The levels give an order in which related compartments are consecutive, and the
 //! groups that are moved as one during refinement.
 
 use crate::base::rng;
 use crate::compile::partition::hyper::{Csr, Groups, Hypergraph};
 
-/// Pins above which a net is not looked at.
+/// Pins above which a net is ignored.
 const LARGEST_NET: usize = 200;
-/// Nets of a group that are looked at, drawn from all of them where there are more.
+/// Nets of a group that are considered, a random sample where there are more.
 const NETS: u64 = 48;
 /// Levels after which it ends in any case.
 const LEVELS: usize = 40;
@@ -55,7 +55,7 @@ impl Levels {
         Levels { labels }
     }
 
-    /// All compartments that move, such that those of a group stand together, on every level.
+    /// All compartments that move, such that those of a group are consecutive on every level.
     #[must_use]
     pub fn order(&self) -> Vec<u32> {
         let mut ids: Vec<u32> =
@@ -74,7 +74,7 @@ fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
     let owners: Csr<u32> = groups.own.transposed(graph.nets.len(), |group, (net, _, _)| (net, group));
     let mut partner: Vec<Option<u32>> = vec![None; groups.len()];
     let (mut score, mut touched) = (vec![0f64; groups.len()], Vec::new());
-    // Groups take their turns in an order that is nobody's: in the file's, the last would find nobody free.
+    // Groups take their turns in random order: in the file's, the last would find no free partner.
     let mut turns: Vec<u32> = (0..groups.len() as u32).collect();
     turns.sort_unstable_by_key(|&group| rng::bits(SEED, groups.len() as u64, u64::from(group)));
     let size = |group: u32| groups.members.get(group).len();
@@ -133,8 +133,8 @@ fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
 
 /// An order by growth: from a compartment to the one that is joined to most of those already there, and so on.
 ///
-/// Compartments are joined when one reaches the other. Where nobody is joined to anything that is there, the next in the
-/// order of the file begins anew; and after `core` compartments what counts is only who is joined to those that follow.
+/// Compartments are joined when one reaches the other. Where none is joined to those chosen so far, the next in the order
+/// of the file starts again; and after `core` compartments what counts is only who is joined to those that follow.
 #[must_use]
 pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize) -> Vec<u32> {
     let n = fixed.len();
@@ -196,7 +196,7 @@ pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize) -> Vec<u32> {
         for &(net, _) in graph.into.get(id) {
             match owner[net as usize] {
                 Some(other) => join(other, graph.nets[net as usize].weight),
-                // Input channels are nobody's: who shares one belongs together.
+                // Input channels are on no core: compartments that share one belong together.
                 None => {
                     let pins = pins.get(net);
                     if pins.len() <= LARGEST_NET / 4 {

@@ -17,7 +17,7 @@ pub fn row_of_chips(cores: usize, target: &Target) -> IdVec<CoreId, u32> {
     (0..cores as u32).map(|core| core / target.chip().cores).collect()
 }
 
-/// A partition with members that somebody else chose and what they use.
+/// A partition of given members, with what they use.
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`] with a reason for each limit that a core exceeds; [`CompileError::Fault`] when a

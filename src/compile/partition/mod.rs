@@ -10,7 +10,7 @@
 //! - `Multilevel`: tiles; all others in the order of a hierarchy of groups ([`levels`]), and then groups of every size, the
 //!   largest first, are moved between cores while that saves messages ([`refine`]).
 //!
-//! A strategy also looks at what the ones above it find and keeps the best: fewest cores, then fewest messages. So none is
+//! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages. So none is
 //! ever worse than the one above. Copies of a network are one copy's partition repeated, so that no copy shares a core with
 //! another, unless filling all of them together takes fewer cores.
 
@@ -48,7 +48,7 @@ use crate::ir::quantised::{Connectivity, Quantised};
 /// How a partition is looked for.
 #[derive(Debug, Clone, Copy)]
 pub struct Search<'a> {
-    /// How compartments are gathered.
+    /// How compartments are grouped into cores.
     pub strategy: Strategy,
     /// How often sources of one copy spike.
     pub rates: &'a Rates,
@@ -67,7 +67,7 @@ impl<'a> Search<'a> {
 
 /// Units of work in a second, roughly; fixed, so that an effort means the same on every machine.
 const WORK_PER_SECOND: u64 = 200_000_000;
-/// Synapses that one unit of work looks at when a hypergraph is made and coarsened, level after level.
+/// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after level.
 const WORK_PER_PIN: u64 = 60;
 /// Passes of refinement on a level.
 const PASSES: usize = 3;
@@ -262,7 +262,7 @@ fn fewest<'m>(filler: &Filler<'_>, found: &'m [Found], rates: &Rates) -> Option<
     })
 }
 
-/// Members that it is not known of what they send.
+/// Members whose output axons have not been counted.
 fn uncounted(members: Members) -> Found {
     Found { members, sent: None }
 }

@@ -44,7 +44,7 @@ pub enum Chips {
     Apart,
 }
 
-/// Compartments of one population that should stand together, in this order.
+/// Compartments of one population to be kept together, in this order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
     /// The population.

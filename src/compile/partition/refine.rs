@@ -1,6 +1,6 @@
 //! Moving groups of compartments between cores while that saves messages.
 //!
-//! In come a [`State`] and [`Groups`]; the state is better afterwards, or the same. Passes are those of Fiduccia and
+//! Input: a [`State`] and [`Groups`]. Output: a state that is no worse. Passes are those of Fiduccia and
 //! Mattheyses ("A linear-time heuristic for improving network partitions", DAC 1982): the best move first, each group once
 //! a pass, moves that cost something are tried too, and at the end of a pass the state returns to the best that it has
 //! been in. Gains are exact: a group's gain is computed again when its turn comes. What differs from the paper: there are
@@ -16,7 +16,7 @@ use crate::compile::partition::hyper::{Groups, State};
 
 /// Moves without a new best after which a pass ends.
 const PATIENCE: usize = 400;
-/// Groups of the other core that are looked at for a change of places.
+/// Groups of the other core that are considered for a swap.
 const PARTNERS: u64 = 12;
 /// Work of looking one net up for a partner: a search through the cores that it reaches, several times.
 const PARTNER_WORK: u64 = 24;

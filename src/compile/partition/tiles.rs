@@ -9,8 +9,8 @@
 //! its output axons reach many tiles. Grids whose sources or whose weights alone are too many for a core
 //! are not tried, with lists of their own or shared ([`crate::compile::resources::axon_sharing`]), whichever are fewer.
 //!
-//! Compartments of a tile stand position by position, channels together, so that the targets of a spike follow each
-//! other; channel by channel where each channel only sees its own (pooling, depthwise convolution).
+//! Slots of a tile are ordered position by position, channels together, so that the targets of a spike are consecutive;
+//! channel by channel where each channel only receives its own (pooling, depthwise convolution).
 
 use std::collections::BTreeSet;
 
@@ -76,7 +76,7 @@ pub struct Grid {
     pub size: (u32, u32, u32),
 }
 
-/// A way of cutting an axis: parts, the size of one, and what sources reach of it ([`reached`]) by projection.
+/// A cut of an axis: parts, the size of one, and what sources reach of it ([`reached`]) by projection.
 type Along = (u32, u32, Vec<(u64, u64)>);
 
 /// Grids that may fit a core of so many compartments, the best first.
@@ -168,7 +168,7 @@ pub fn tiles(
     found.map(|grid| segments(population, shape, grid.size, own_only))
 }
 
-/// The first of these grids that fits, as far as trials tell.
+/// The first of these grids that fits, among those tried.
 pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
     // Of as many cores some are tried, which differ in what their lists have in common; a grid that failed says that others
     // with a few more cores are likely to fail too, so the trials thin out as they go on.
@@ -204,7 +204,7 @@ fn middle_of(length: u32, size: u32) -> u32 {
     (length.div_ceil(size) - 1) / 2
 }
 
-/// Indices of one tile, in the order in which they stand on its core.
+/// Indices of one tile, in slot order.
 #[must_use]
 pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), own_only: bool) -> Vec<u32> {
     let range = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);

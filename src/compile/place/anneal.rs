@@ -1,9 +1,9 @@
 //! Exchanging cores of a chip, and chips of the board, until messages go less far.
 //!
 //! Input: nets, places to start from and how much may be tried. Output: places, never worse under the objective. A
-//! proposal takes a core and another site of its chip, half of the time the one nearest to the middle of what the core
-//! talks to (the force-directed part), else any; who sits there changes places with it, and onto a tile that is not in use
-//! a whole tile moves, so that no more tiles are powered than before. It is accepted when it saves
+//! proposal takes a core and another site of its chip, half of the time the one nearest to the mean position of the cores
+//! that it exchanges messages with (the force-directed part), else any, and swaps the two; a tile that is not in use
+//! receives a whole tile, so that no more tiles are powered than before. It is accepted when it saves
 //! links, and otherwise with a probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
 //! simulated annealing", Science 220, 1983). The best places are kept.
 //!
@@ -19,13 +19,13 @@ use crate::compile::place::nets::{Columns, Nets};
 use crate::ir::firing_rates::Rates;
 use crate::ir::placement::{Mesh, Site};
 
-/// Rounds in which chips are annealed against each other; a single one begins anew from its best places.
+/// Rounds in which chips are annealed against each other; a single chip restarts from its best places.
 const ROUNDS: u64 = 6;
 /// The first temperature as a part of what a proposal changes on average.
 const HOTTEST: f64 = 0.3;
 /// The last temperature as a part of the first.
 const COOLEST: f64 = 5e-2;
-/// Destinations of nets that placing looks at in a second, roughly.
+/// Destinations of nets that placing visits in a second, roughly.
 const PLACED_PER_SECOND: u64 = 25_000_000;
 /// Proposals of a core in a round at most.
 const PROPOSALS: u64 = 200;
@@ -41,7 +41,7 @@ pub struct Search<'a> {
     pub rates: &'a Rates,
     /// Seed of the annealing.
     pub seed: u64,
-    /// Units of work: destinations of nets looked at.
+    /// Units of work: destinations of nets visited.
     pub work: u64,
 }
 
@@ -54,7 +54,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Places near what cores talk to.
+/// Places near the cores that exchange messages with each.
 #[must_use]
 pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
     let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites).objective(search.objective);
@@ -85,7 +85,7 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
     best
 }
 
-/// Links of a net as one number: twice the tree and once all ways.
+/// Links of a net as one number: twice the multicast tree and once all routes.
 fn worth(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Columns) -> i64 {
     let (tree, all) = nets.links(net, mesh, sites, columns);
     ((2 * tree + all) * nets.nets[net as usize].weight) as i64
@@ -184,7 +184,7 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
     best
 }
 
-/// The tile of this chip in the middle of what a core talks to.
+/// The tile of this chip nearest to the mean position of the cores that a core exchanges messages with.
 fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Option<(u32, u32)> {
     let (mut x, mut y, mut sum) = (0u64, 0u64, 0u64);
     let (left, top) = ((chip % mesh.chips_x) * mesh.width, (chip / mesh.chips_x) * mesh.height);

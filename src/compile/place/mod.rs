@@ -8,9 +8,9 @@
 //!   tile, as the public tools hand cores out.
 //! - *Annealed*: starts from the better of that order and a Hilbert curve through the tiles from the corner where inputs
 //!   enter (Jin et al., ASPLOS 2023, start from one too), and then exchanges cores ([`anneal`]): towards the middle of what
-//!   they talk to (force-directed) or at random, accepted as in simulated annealing. The objective is the number of links
+//!   they exchange messages with (force-directed) or at random, accepted as in simulated annealing. The objective is the number of links
 //!   that spikes cross in a step, as multicast trees and as single messages; under [`Objective::Latency`] the busiest link
-//!   and the longest way count as well. Chips are annealed in parallel, each against the others as they last were.
+//!   and the longest route count as well. Chips are annealed in parallel, each against the others as they last were.
 //!
 //! An annealed placement is taken only if its spikes cross no more links than in the sequential one.
 
@@ -50,7 +50,7 @@ pub fn sequential(cores: usize, target: &Target) -> Result<Placement, Reason> {
     Placement::new(mesh, sites.ok_or_else(too_many)?).map_err(|_| too_many())
 }
 
-/// A place for every core, near what it talks to; and the name of how it was found.
+/// A place for every core, near those it exchanges messages with; and the name of how it was found.
 ///
 /// # Errors
 /// As [`sequential`].
@@ -70,7 +70,7 @@ pub fn place(
     place_nets(&Nets::new(network, partition, search.rates), partition.cores(), target, search)
 }
 
-/// A place for the core of each box, near what it talks to; and the name of how it was found.
+/// A place for the core of each box, near those it exchanges messages with; and the name of how it was found.
 ///
 /// # Errors
 /// As [`sequential`].
@@ -85,7 +85,7 @@ pub fn place_boxes(
     place_nets(&Nets::from_flows(cores, flows), cores, target, search)
 }
 
-/// A place for each of so many cores, near what it talks to, when that is known; and the name of how it was found.
+/// A place for each core, given the nets; and the name of how it was found.
 ///
 /// # Errors
 /// As [`sequential`].

@@ -1,9 +1,9 @@
-//! What cores say to each other, and how far it goes.
+//! Messages between cores, and the links that they cross.
 //!
 //! Input: a network, its partition and rates. Output: *nets*: a core, or the corner where a chip's inputs enter, and the
 //! cores that its messages go to, with their rate. Sources of one core that reach the same cores are one net. Given places,
-//! a net costs links: those of the tree that its messages' ways form when a spike is sent once and copied where ways part
-//! (multicast), and those of all ways together (unicast). Ways are those of [`crate::ir::placement`]: east or west first.
+//! a net costs links: those of the multicast tree, in which a spike is sent once and copied where routes part, and those
+//! of all routes together (unicast). Routes are those of [`crate::ir::placement`]: east or west first.
 
 use std::collections::HashMap;
 
@@ -45,7 +45,7 @@ pub struct Costs {
     pub unicast: u64,
     /// The rates over the link that carries most single messages.
     pub busiest: u64,
-    /// Links of the longest way.
+    /// Links of the longest route.
     pub longest: u32,
 }
 
@@ -76,7 +76,7 @@ impl Columns {
         Columns { of: vec![(0, 0, 0); (mesh.chips_x * mesh.width) as usize], stamp: 0, used: Vec::new() }
     }
 
-    /// Links of the tree and of all ways from a tile to others.
+    /// Links of the multicast tree and of all single routes from a tile to others.
     pub fn links(&mut self, (sx, sy): (u32, u32), to: impl Iterator<Item = (u32, u32)>) -> (u64, u64) {
         self.stamp += 1;
         self.used.clear();
@@ -143,7 +143,7 @@ impl Nets {
         Nets { nets, reached, of_core: lists }
     }
 
-    /// Whether a core says anything to another.
+    /// Whether a core sends messages to another.
     #[must_use]
     pub fn sends(&self, core: CoreId) -> bool {
         self.of_core.get(core.0).iter().any(|&net| self.nets[net as usize].source.is_some())
@@ -156,7 +156,7 @@ impl Nets {
         of.filter(|net| net.source.is_none()).map(|net| net.weight).sum()
     }
 
-    /// Links of the tree and of all ways of one net.
+    /// Links of the multicast tree and of all single routes of one net.
     #[must_use]
     pub fn links(&self, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Columns) -> (u64, u64) {
         let reached = self.reached.get(net);

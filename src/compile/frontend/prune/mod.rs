@@ -278,8 +278,8 @@ impl Survey {
         Survey { dead, fires, place }
     }
 
-    /// Whether the spikes of a source matter.
-    fn speaks(&self, source: SpikeSource) -> bool {
+    /// Whether the spikes of a source can change anything.
+    fn matters(&self, source: SpikeSource) -> bool {
         match source {
             SpikeSource::Channel(channel) => !self.dead[channel],
             SpikeSource::Compartment(id) => self.fires[id] && self.place[id].is_some(),
@@ -335,10 +335,10 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
     let place = |index: u32| survey.place[CompartmentId(to.0 + index)];
     let (mut zero, mut loose, mut left) = (0, 0, 0u64);
     for index in 0..source.shape.len() {
-        let speaks = survey.speaks(source_at(index));
+        let matters = survey.matters(source_at(index));
         projection.connectivity.for_each_from(index, |target, weight| match projection.format.scaled(weight) {
             0 => zero += 1,
-            _ if speaks && place(target).is_some() => left += 1,
+            _ if matters && place(target).is_some() => left += 1,
             _ => loose += 1,
         });
     }
@@ -359,7 +359,7 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
         (vec![0u64], Vec::with_capacity(left as usize), Vec::with_capacity(left as usize));
     let mut row: Vec<(u32, i16)> = Vec::new();
     for index in (0..source.shape.len()).filter(|&index| stays(index)) {
-        if survey.speaks(source_at(index)) {
+        if survey.matters(source_at(index)) {
             projection.connectivity.for_each_from(index, |target, weight| {
                 if let Some(target) = place(target).filter(|_| projection.format.scaled(weight) != 0) {
                     row.push((target, weight));
