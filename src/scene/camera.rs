@@ -1,6 +1,6 @@
 //! An event camera: brightness of pixels -> events on changes of its logarithm, pooled 4 x 4.
 //!
-//! Comes in: a view that says how bright a pixel is (natural logarithm) and which pixels may have changed. Goes out: the
+//! Input: a view that says how bright a pixel is (natural logarithm) and which pixels may have changed. Output: the
 //! pooled channels that spike in a tick. A pixel sends an event when its brightness differs from that at its last
 //! event by the contrast threshold (Lichtsteiner, Posch and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal
 //! contrast vision sensor", IEEE JSSC 2008), then rests for its refractory time; noise events come on top. A pooled unit

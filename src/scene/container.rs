@@ -1,6 +1,6 @@
 //! The container scene: a gripper closes on one of four containers with one of five fill levels, lifts and holds it.
 //!
-//! Comes in: parameters with a seed. Goes out: for each sample the spikes of two fingers and of an event camera in 325 bins
+//! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event camera in 325 bins
 //! of 20 ms. Task, containers, largest fills and times are those of Taunyazov et al. 2020, section V: the recording begins
 //! with the gripper about to close (2.0 s), the fingers meet the container at about 4 s, it is lifted by 5 cm from 6 s to
 //! 8 s and held until 8.5 s. Class = 5 container + fill level.
@@ -13,9 +13,10 @@
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
+use super::parameter::{parameter, parameters, spread, unknown};
+use super::recording::{MOST_SAMPLES, Recording};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
 use super::wire::{self, Wire};
-use super::{MOST_SAMPLES, Recording, parameter, spread};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::stimulus::SceneArg;
 
@@ -266,74 +267,31 @@ impl Course {
     }
 }
 
+parameters! {
+    "container", Containers, set;
+    samples = parameter(1..=MOST_SAMPLES) => set.samples,
+    seed = parameter(0..=u64::MAX) => set.seed,
+    grip_n = spread(0.01..=100.0) => set.grip_n,
+    closing_m_per_s = spread(0.001..=1.0) => set.closing_m_per_s,
+    closing_s = spread(0.0..=10.0) => set.closing_s,
+    lift_s = spread(0.0..=10.0) => set.lift_s,
+    grasp_mm = spread(-50.0..=50.0) => set.grasp_mm,
+    fill_error = spread(-1.0..=1.0) => set.fill_error,
+    vibration = spread(0.0..=1.0) => set.vibration,
+    shake_mm = spread(0.0..=20.0) => set.shake_mm,
+    threshold_kpa = parameter(0.001..=1000.0) => set.skin.threshold_kpa,
+    touch_noise_kpa = parameter(0.0..=1000.0) => set.skin.noise_kpa,
+    touch_refractory_ms = parameter(1..=1000) => set.skin.refractory_ms,
+    adaptation_ms = parameter(1.0..=1e6) => set.skin.adaptation_ms,
+    contrast = parameter(0.01..=10.0) => set.pixels.contrast,
+    pixel_refractory_ms = parameter(1..=1000) => set.pixels.refractory_ms,
+    pixel_noise_hz = parameter(0.0..=100.0) => set.pixels.noise_hz,
+    s_min = parameter(1..=1000) => set.s_min,
+    aces_noise = parameter(0.0..=10.0) => set.wire.get_or_insert_default().noise,
+    aces_jitter_us = parameter(0..=wire::MOST_JITTER) => set.wire.get_or_insert_default().jitter_us,
+}
+
 impl Containers {
-    /// The parameters that can be set, for help.
-    pub const KEYS: [&str; 20] = [
-        "samples",
-        "seed",
-        "grip_n",
-        "closing_m_per_s",
-        "closing_s",
-        "lift_s",
-        "grasp_mm",
-        "fill_error",
-        "vibration",
-        "shake_mm",
-        "threshold_kpa",
-        "touch_noise_kpa",
-        "touch_refractory_ms",
-        "adaptation_ms",
-        "contrast",
-        "pixel_refractory_ms",
-        "pixel_noise_hz",
-        "s_min",
-        "aces_noise",
-        "aces_jitter_us",
-    ];
-
-    /// From `scene:container?..`: those of [`Containers::KEYS`] that are given; what is drawn for each sample is a value
-    /// or `low..high`.
-    ///
-    /// # Errors
-    /// `scene.parameter` for an unknown key or a value out of range.
-    pub fn parse(scene: &SceneArg) -> Result<Self, Diagnostic> {
-        let mut set = Containers::default();
-        for (key, value) in &scene.parameters {
-            match key.as_str() {
-                "samples" => set.samples = parameter(key, value, 1..=MOST_SAMPLES)?,
-                "seed" => set.seed = parameter(key, value, 0..=u64::MAX)?,
-                "grip_n" => set.grip_n = spread(key, value, 0.01..=100.0)?,
-                "closing_m_per_s" => set.closing_m_per_s = spread(key, value, 0.001..=1.0)?,
-                "closing_s" => set.closing_s = spread(key, value, 0.0..=10.0)?,
-                "lift_s" => set.lift_s = spread(key, value, 0.0..=10.0)?,
-                "grasp_mm" => set.grasp_mm = spread(key, value, -50.0..=50.0)?,
-                "fill_error" => set.fill_error = spread(key, value, -1.0..=1.0)?,
-                "vibration" => set.vibration = spread(key, value, 0.0..=1.0)?,
-                "shake_mm" => set.shake_mm = spread(key, value, 0.0..=20.0)?,
-                "threshold_kpa" => set.skin.threshold_kpa = parameter(key, value, 0.001..=1000.0)?,
-                "touch_noise_kpa" => set.skin.noise_kpa = parameter(key, value, 0.0..=1000.0)?,
-                "touch_refractory_ms" => set.skin.refractory_ms = parameter(key, value, 1..=1000)?,
-                "adaptation_ms" => set.skin.adaptation_ms = parameter(key, value, 1.0..=1e6)?,
-                "contrast" => set.pixels.contrast = parameter(key, value, 0.01..=10.0)?,
-                "pixel_refractory_ms" => set.pixels.refractory_ms = parameter(key, value, 1..=1000)?,
-                "pixel_noise_hz" => set.pixels.noise_hz = parameter(key, value, 0.0..=100.0)?,
-                "s_min" => set.s_min = parameter(key, value, 1..=1000)?,
-                "aces_noise" => set.wire.get_or_insert_default().noise = parameter(key, value, 0.0..=10.0)?,
-                "aces_jitter_us" => {
-                    set.wire.get_or_insert_default().jitter_us = parameter(key, value, 0..=wire::MOST_JITTER)?;
-                }
-                _ => {
-                    return Err(Diagnostic::new(
-                        "scene.parameter",
-                        format!("scene container has no parameter '{key}'"),
-                    )
-                    .help(format!("parameters are: {}", Self::KEYS.join(", "))));
-                }
-            }
-        }
-        Ok(set)
-    }
-
     /// What is recorded of a sample.
     #[must_use]
     pub fn recording(&self, sample: u32) -> Recording {

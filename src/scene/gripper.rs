@@ -1,13 +1,13 @@
 //! A gripper that holds a box between two soft fingers and lifts it: forces on the contact and the box's rotation.
 //!
-//! Comes in: a [`Grasp`]. Goes out: a [`Motion`], the state at the end of each millisecond from the closing of the fingers
+//! Input: a [`Grasp`]. Output: a [`Motion`], the state at the end of each millisecond from the closing of the fingers
 //! on. The model: the fingers' skin is a spring for vertical load and for twist about the axis through the fingertips; the
 //! contact is a soft finger whose friction bears a torque up to a limit that a vertical load lowers (Howe and Cutkosky,
 //! "Practical force-motion models for sliding manipulation", IJRR 1996: an ellipse of force and torque). While the lift
 //! takes the weight from the table, the torque of gravity on a centre of mass beside the grasp grows with it; beyond the
 //! limit the box slides about the axis.
 //!
-//! Left out: translation slip, waves in the skin, tilt out of the plane, contact of a corner with the table.
+//! Not modelled: translation slip, waves in the skin, tilt out of the plane, contact of a corner with the table.
 
 /// Acceleration of gravity in m/s^2.
 pub const GRAVITY: f64 = 9.81;
@@ -95,7 +95,7 @@ impl Grasp {
 
 /// The box and the contact at the end of a millisecond.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct State {
+pub struct GraspState {
     /// Normal force of each finger, N.
     pub grip_n: f64,
     /// Weight that the fingers bear, N.
@@ -120,7 +120,7 @@ pub struct Motion {
     /// Milliseconds before the recording begins that `states` begins with.
     pub before_ms: u32,
     /// One state a millisecond.
-    pub states: Vec<State>,
+    pub states: Vec<GraspState>,
     /// When the contact first slides, in ms of the recording.
     pub onset_ms: Option<f64>,
 }
@@ -128,7 +128,7 @@ pub struct Motion {
 impl Motion {
     /// The states within the recording.
     #[must_use]
-    pub fn recorded(&self) -> &[State] {
+    pub fn recorded(&self) -> &[GraspState] {
         &self.states[self.before_ms as usize..]
     }
 }
@@ -176,7 +176,7 @@ pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
                 }
             }
             angle += rate * dt;
-            state = Some(State {
+            state = Some(GraspState {
                 grip_n: grip,
                 load_n: load,
                 lift_m: lift,

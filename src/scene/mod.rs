@@ -1,19 +1,23 @@
 //! Synthetic stimuli: `scene:NAME?key=value&..`.
 //!
-//! Comes in: the network's input populations and a scene's parameters. Goes out: samples, the same for the same seed on
-//! any machine. `docs/scenes.md` has the equations, the parameters with their sources, and what the scenes look like.
+//! Input: the network's input populations and a scene's parameters. Output: samples. Invariant: the same seed gives the
+//! same samples on every machine and at any number of threads. `docs/scenes.md` has the equations, the sources of the
+//! parameters and statistics of the recordings.
 
 pub mod camera;
 pub mod container;
 pub mod draw;
 pub mod gripper;
 pub mod noise;
+mod parameter;
+mod recording;
 pub mod slip;
 pub mod touch;
 pub mod wire;
 
 use rayon::prelude::*;
 
+pub use self::recording::{MOST_SAMPLES, Recording, TOUCH, VISION};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
 use crate::desc::stimulus::SceneArg;
@@ -29,31 +33,6 @@ pub const SCENES: [(&str, &str); 3] = [
     ("noise", "independent spikes at a fixed rate (samples, steps, seed, rate, POPULATION=rate)"),
     ("slip", "a gripper lifts a box, which rotates or does not (samples, seed, and docs/scenes.md)"),
 ];
-
-/// The most samples of a scene.
-pub const MOST_SAMPLES: u32 = 100_000;
-
-/// What two fingers and a camera recorded of one sample.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Recording {
-    /// Timesteps.
-    pub steps: u32,
-    /// The class.
-    pub label: u32,
-    /// When what decides the class begins, in ms; none when it does not.
-    pub onset_ms: Option<f64>,
-    /// (step, channel) of touch; channel = (39 finger + taxel) 2 + polarity, polarity 1 for a rise.
-    pub touch: Vec<(u32, u32)>,
-    /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.
-    pub vision: Vec<(u32, u32)>,
-    /// What the taxels' common wire did to the events of touch, when there is one.
-    pub wire: Option<wire::Carried>,
-}
-
-/// The population that touch is for, and its channels.
-pub const TOUCH: (&str, u32) = ("tactile", 4 * touch::TAXELS as u32);
-/// The population that vision is for, and its channels.
-pub const VISION: (&str, u32) = ("vision", camera::POOLED as u32);
 
 /// Makes a scene for a network.
 ///
@@ -190,29 +169,4 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus, Diagnosti
         .collect::<Result<_, _>>()
         .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;
     Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed()) })
-}
-
-/// A parameter's value within a range.
-fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
-    key: &str,
-    value: &str,
-    range: std::ops::RangeInclusive<T>,
-) -> Result<T, Diagnostic> {
-    value.parse().ok().filter(|parsed| range.contains(parsed)).ok_or_else(|| {
-        Diagnostic::new(
-            "scene.parameter",
-            format!("scene parameter {key}={value} is not within {}..={}", range.start(), range.end()),
-        )
-    })
-}
-
-/// A parameter that is drawn for each sample: `low..high`, or one value for all; both within a range.
-fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64), Diagnostic> {
-    let (low, high) = value.split_once("..").unwrap_or((value, value));
-    let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
-    if low > high {
-        return Err(Diagnostic::new("scene.parameter", format!("scene parameter {key}={value} runs downward"))
-            .help("write low..high"));
-    }
-    Ok((low, high))
 }

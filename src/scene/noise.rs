@@ -13,7 +13,7 @@ use crate::base::rng;
 use crate::desc::stimulus::SceneArg;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::{Sample, Stimulus};
-use crate::scene::parameter;
+use crate::scene::parameter::{parameter, unknown};
 
 /// The scene's parameters.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,9 +43,9 @@ impl Noise {
                     noise.rates.insert(name.to_string(), parameter(key, value, 0.0..=1.0)?);
                 }
                 _ => {
-                    let inputs: Vec<&str> = network.inputs().map(|(_, p)| p.name.as_str()).collect();
-                    return Err(Diagnostic::new("scene.parameter", format!("scene noise has no parameter '{key}'"))
-                        .help(format!("parameters are: samples, steps, seed, rate, {}", inputs.join(", "))));
+                    let keys = ["samples", "steps", "seed", "rate"].into_iter();
+                    let keys: Vec<&str> = keys.chain(network.inputs().map(|(_, p)| p.name.as_str())).collect();
+                    return Err(unknown("noise", key, &keys));
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! The slip scene: a gripper lifts a box whose centre of mass may lie beside the grasp, and it rotates or does not.
 //!
-//! Comes in: parameters with a seed. Goes out: for each sample the spikes of two fingers and of an event camera over
+//! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event camera over
 //! 150 ms around the lift, its class (1 when the grasp slides, 0 when it holds) and when the sliding began. The task and
 //! its window are those of Taunyazov et al. 2020, section VI: objects that look and weigh the same, the grip strong enough
 //! to lift and too weak for an off-centre mass; 150 steps of 1 ms.
@@ -9,13 +9,13 @@
 //! lifting, the box by the softness of the fingers, and the box when it rotates. `docs/scenes.md` lists every parameter with
 //! its source.
 
-use super::Recording;
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
-use super::gripper::{Grasp, Motion, State, follow};
+use super::gripper::{Grasp, GraspState, Motion, follow};
+use super::parameter::{parameter, parameters, spread, unknown};
+use super::recording::{MOST_SAMPLES, Recording};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
 use super::wire::{self, Wire};
-use super::{MOST_SAMPLES, parameter, spread};
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::stimulus::SceneArg;
 
@@ -87,73 +87,32 @@ impl Default for Slip {
     }
 }
 
+parameters! {
+    "slip", Slip, slip;
+    samples = parameter(1..=MOST_SAMPLES) => slip.samples,
+    seed = parameter(0..=u64::MAX) => slip.seed,
+    mass_kg = spread(0.001..=10.0) => slip.mass_kg,
+    grip_n = spread(0.01..=100.0) => slip.grip_n,
+    friction = spread(0.01..=5.0) => slip.friction,
+    stable_ratio = spread(0.0..=10.0) => slip.stable_ratio,
+    slip_ratio = spread(0.0..=10.0) => slip.slip_ratio,
+    lift_ms = spread(0.0..=1000.0) => slip.lift_ms,
+    lift_m_per_s2 = spread(0.01..=100.0) => slip.lift_m_per_s2,
+    vibration = spread(0.0..=1.0) => slip.vibration,
+    chatter = spread(0.0..=1.0) => slip.chatter,
+    relief = spread(0.0..=1.0) => slip.relief,
+    threshold_kpa = parameter(0.001..=1000.0) => slip.skin.threshold_kpa,
+    touch_noise_kpa = parameter(0.0..=1000.0) => slip.skin.noise_kpa,
+    touch_refractory_ms = parameter(1..=1000) => slip.skin.refractory_ms,
+    contrast = parameter(0.01..=10.0) => slip.pixels.contrast,
+    pixel_refractory_ms = parameter(1..=1000) => slip.pixels.refractory_ms,
+    pixel_noise_hz = parameter(0.0..=100.0) => slip.pixels.noise_hz,
+    adaptation_ms = parameter(1.0..=1e6) => slip.skin.adaptation_ms,
+    aces_noise = parameter(0.0..=10.0) => slip.wire.get_or_insert_default().noise,
+    aces_jitter_us = parameter(0..=wire::MOST_JITTER) => slip.wire.get_or_insert_default().jitter_us,
+}
+
 impl Slip {
-    /// The parameters that can be set, for help.
-    pub const KEYS: [&str; 21] = [
-        "samples",
-        "seed",
-        "mass_kg",
-        "grip_n",
-        "friction",
-        "stable_ratio",
-        "slip_ratio",
-        "lift_ms",
-        "lift_m_per_s2",
-        "vibration",
-        "chatter",
-        "relief",
-        "threshold_kpa",
-        "touch_noise_kpa",
-        "touch_refractory_ms",
-        "contrast",
-        "pixel_refractory_ms",
-        "pixel_noise_hz",
-        "adaptation_ms",
-        "aces_noise",
-        "aces_jitter_us",
-    ];
-
-    /// From `scene:slip?..`: those of [`Slip::KEYS`] that are given; what is drawn for each sample is a value or
-    /// `low..high`.
-    ///
-    /// # Errors
-    /// `scene.parameter` for an unknown key or a value out of range.
-    pub fn parse(scene: &SceneArg) -> Result<Self, Diagnostic> {
-        let mut slip = Slip::default();
-        for (key, value) in &scene.parameters {
-            match key.as_str() {
-                "samples" => slip.samples = parameter(key, value, 1..=MOST_SAMPLES)?,
-                "seed" => slip.seed = parameter(key, value, 0..=u64::MAX)?,
-                "mass_kg" => slip.mass_kg = spread(key, value, 0.001..=10.0)?,
-                "grip_n" => slip.grip_n = spread(key, value, 0.01..=100.0)?,
-                "friction" => slip.friction = spread(key, value, 0.01..=5.0)?,
-                "stable_ratio" => slip.stable_ratio = spread(key, value, 0.0..=10.0)?,
-                "slip_ratio" => slip.slip_ratio = spread(key, value, 0.0..=10.0)?,
-                "lift_ms" => slip.lift_ms = spread(key, value, 0.0..=1000.0)?,
-                "lift_m_per_s2" => slip.lift_m_per_s2 = spread(key, value, 0.01..=100.0)?,
-                "vibration" => slip.vibration = spread(key, value, 0.0..=1.0)?,
-                "chatter" => slip.chatter = spread(key, value, 0.0..=1.0)?,
-                "relief" => slip.relief = spread(key, value, 0.0..=1.0)?,
-                "threshold_kpa" => slip.skin.threshold_kpa = parameter(key, value, 0.001..=1000.0)?,
-                "touch_noise_kpa" => slip.skin.noise_kpa = parameter(key, value, 0.0..=1000.0)?,
-                "touch_refractory_ms" => slip.skin.refractory_ms = parameter(key, value, 1..=1000)?,
-                "adaptation_ms" => slip.skin.adaptation_ms = parameter(key, value, 1.0..=1e6)?,
-                "contrast" => slip.pixels.contrast = parameter(key, value, 0.01..=10.0)?,
-                "pixel_refractory_ms" => slip.pixels.refractory_ms = parameter(key, value, 1..=1000)?,
-                "pixel_noise_hz" => slip.pixels.noise_hz = parameter(key, value, 0.0..=100.0)?,
-                "aces_noise" => slip.wire.get_or_insert_default().noise = parameter(key, value, 0.0..=10.0)?,
-                "aces_jitter_us" => {
-                    slip.wire.get_or_insert_default().jitter_us = parameter(key, value, 0..=wire::MOST_JITTER)?;
-                }
-                _ => {
-                    return Err(Diagnostic::new("scene.parameter", format!("scene slip has no parameter '{key}'"))
-                        .help(format!("parameters are: {}", Self::KEYS.join(", "))));
-                }
-            }
-        }
-        Ok(slip)
-    }
-
     /// What is recorded of a sample.
     #[must_use]
     pub fn recording(&self, sample: u32) -> Recording {
@@ -438,7 +397,7 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
     let (look, x, y) = Look::draw(draws);
     let tilt = draws.between(Purpose::Look, 2, (-0.02, 0.02));
     let bottom = y + look.top + look.brick.1 * BRICKS.1 as f32;
-    let pose = |state: &State, t: f64| {
+    let pose = |state: &GraspState, t: f64| {
         let angle = tilt + state.angle_rad;
         // The arm shakes by 0.1 mm where the grip force shakes by a tenth.
         let shake = vibration.at(t - 1e3 * grasp.lift_s) * 1.0 / PIXEL_MM;

@@ -1,0 +1,30 @@
+//! What a scene records: one sample of touch and vision.
+
+use super::camera::POOLED;
+use super::touch::TAXELS;
+use super::wire::Carried;
+
+/// The most samples of a scene.
+pub const MOST_SAMPLES: u32 = 100_000;
+
+/// What two fingers and a camera recorded of one sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    /// Timesteps.
+    pub steps: u32,
+    /// The class.
+    pub label: u32,
+    /// When what decides the class begins, in ms; none when it does not.
+    pub onset_ms: Option<f64>,
+    /// (step, channel) of touch; channel = (39 finger + taxel) 2 + polarity, polarity 1 for a rise.
+    pub touch: Vec<(u32, u32)>,
+    /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.
+    pub vision: Vec<(u32, u32)>,
+    /// What the taxels' common wire did to the events of touch, when there is one.
+    pub wire: Option<Carried>,
+}
+
+/// The population that touch is for, and its channels.
+pub const TOUCH: (&str, u32) = ("tactile", 4 * TAXELS as u32);
+/// The population that vision is for, and its channels.
+pub const VISION: (&str, u32) = ("vision", POOLED as u32);
