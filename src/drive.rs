@@ -53,7 +53,7 @@ pub struct Keep {
     pub output: (CompartmentId, u32),
     /// Probes; the steps that an early exit leaves off stay zero in them.
     pub probes: Vec<Probe>,
-    /// What ends a sample before its last step; its outputs are those of `output`.
+    /// What decides a sample before its last step, and whether it ends then; its outputs are those of `output`.
     pub early_exit: Option<EarlyExit>,
 }
 
@@ -66,9 +66,9 @@ pub struct Outcome {
     pub spikes: Vec<(u32, u32)>,
     /// Timesteps that were run.
     pub steps: u32,
-    /// The step after whose update the sample was decided, so that the rest was left off; `None` when it ran to its end.
+    /// The step after whose update the sample was decided; `None` when that was its last or never.
     pub decided_at: Option<u32>,
-    /// Timesteps of the sample that were left off.
+    /// Timesteps after that one: left off when a decision ends the sample.
     pub steps_saved: u32,
     /// Counts that any engine keeps.
     pub totals: Totals,
@@ -104,7 +104,8 @@ pub fn run_sample<E: Engine + ?Sized>(
     let mut step = 0;
     // Certainty may come in the midst of silence.
     let in_silence = |decision: &Option<Decision<'_>>, begin, end| decision.as_ref()?.decided_in_silence(begin, end);
-    while step < sample.steps() && outcome.decided_at.is_none() {
+    let ends = keep.early_exit.as_ref().is_some_and(|exit| exit.ends);
+    while step < sample.steps() && !(ends && outcome.decided_at.is_some()) {
         // A decision in silence takes its time, which is lost where the engine is not at rest.
         if sample.at(step).is_empty() && (decision.is_none() || engine.rest(0)) {
             let next = sample.next_spike(step);
@@ -113,8 +114,10 @@ pub fn run_sample<E: Engine + ?Sized>(
             if engine.rest(passed) {
                 outcome.skipped_steps += u64::from(passed);
                 after_step(engine, passed);
-                outcome.decided_at = decided;
                 step += passed;
+                if decided.is_some() {
+                    (outcome.decided_at, decision) = (decided, None);
+                }
                 continue;
             }
         }
@@ -134,13 +137,15 @@ pub fn run_sample<E: Engine + ?Sized>(
             record(engine, probe, step as usize, sample.steps() as usize, kept);
         }
         after_step(engine, 1);
-        outcome.decided_at = decision.as_mut().and_then(|decision| decision.decided_after(step).then_some(step));
+        if decision.as_mut().is_some_and(|decision| decision.decided_after(step)) {
+            (outcome.decided_at, decision) = (Some(step), None);
+        }
         step += 1;
     }
     outcome.steps = step;
-    outcome.steps_saved = sample.steps() - step;
     // What is decided by the last step is not early.
-    outcome.decided_at = outcome.decided_at.filter(|_| outcome.steps_saved > 0);
+    outcome.decided_at = outcome.decided_at.filter(|decided| decided + 1 < sample.steps());
+    outcome.steps_saved = outcome.decided_at.map_or(0, |decided| sample.steps() - decided - 1);
     outcome.totals = engine.totals();
     outcome.overflow = engine.overflow();
     outcome

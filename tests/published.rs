@@ -162,14 +162,14 @@ fn elsewhere() -> Vec<Elsewhere> {
     let path = root("mapping/constants/vtsnn-calibrated.ron");
     let table = CostTable::new(&io::target::load_constants(path.to_str().unwrap()).unwrap()).unwrap();
     let nj = |energy: Femtojoules| energy.0 as f64 / 1e6;
-    let updated = nj(table.compartment.energy + table.compartment_active.energy);
-    let update_us = (table.compartment.time.0 + table.compartment_active.time.0) as f64 / 1e6;
-    let core_step = nj(table.core_step);
-    let (core_mw, x86_mw) = (table.core_static.milliwatts(), table.x86_busy.milliwatts());
+    let updated = nj(table.compartment_energy + table.compartment_active_energy);
+    let update_us = (table.compartment_time.0 + table.compartment_active_time.0) as f64 / 1e6;
+    let core_step = nj(table.core_step_energy);
+    let (core_mw, x86_mw) = (table.core_static_power.milliwatts(), table.x86_busy_power.milliwatts());
     let barrier_us = |tiles| table.barrier(tiles).microseconds();
     // One branch of ten layers of 256, ten steps, 5 % firing: events, spikes, messages, updates, powered cores.
     let fired = 10.0 * 256.0 * 0.05 * 10.0;
-    let branch = fired * (256.0 * nj(table.synapse_dense.energy) + nj(table.spike.energy) + nj(table.axon_out.energy))
+    let branch = fired * (256.0 * nj(table.synapse_dense_energy) + nj(table.spike_energy) + nj(table.axon_out_energy))
         + 2560.0 * 10.0 * updated
         + 10.0 * 10.0 * core_step;
     let row = |what, published, unit, model, how| Elsewhere { what, published, unit, model, how };

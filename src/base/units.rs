@@ -11,6 +11,11 @@ macro_rules! quantity {
         $(#[$doc])*
         #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub struct $name(pub $repr);
+        impl From<u64> for $name {
+            fn from(count: u64) -> $name {
+                $name(count.into())
+            }
+        }
         impl Add for $name {
             type Output = $name;
             fn add(self, other: $name) -> $name {

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::bench::power::Power;
-use crate::cost::estimate::RowSource;
+use crate::cost::estimate::FigureSource;
 
 /// How often power is read.
 const EVERY: Duration = Duration::from_millis(20);
@@ -83,7 +83,7 @@ pub fn measure(
         return Err(format!("'{command}' counts {timesteps} timesteps in {seconds} s"));
     }
     let busy_mw = sum / f64::from(readings);
-    let power = Power { static_mw: idle_mw, dynamic_mw: (busy_mw - idle_mw).max(0.0), source: RowSource::Measured };
+    let power = Power { static_mw: idle_mw, dynamic_mw: (busy_mw - idle_mw).max(0.0), source: FigureSource::Measured };
     Ok(Measured { us_per_timestep: seconds * 1e6 / timesteps as f64, timesteps, power, readings })
 }
 

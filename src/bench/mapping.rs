@@ -15,8 +15,8 @@ use crate::compile::explore::traffic::Traffic;
 use crate::compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Objective, Options, Strategy, explore};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
-use crate::cost::meter::{Metered, StepMeter};
-use crate::cost::transport::{Transport, Ways};
+use crate::cost::meter::{MeterSettings, StepMeter};
+use crate::cost::transport::{MessageRoutes, Transport};
 use crate::desc::target::Target;
 use crate::golden::Golden;
 use crate::ir::firing_rates::Rates;
@@ -179,12 +179,12 @@ fn simulated(
     let failed = |error: &dyn std::fmt::Display| Failure::Run(case.name, error.to_string());
     let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
     let table = CostTable::new(constants).map_err(|e| failed(&e))?;
-    let deployment = Deployment::of("packed", &compiled.placement, target.chip(), case.copies);
-    let metered = Metered {
+    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), case.copies);
+    let metered = MeterSettings {
         tables: vec![table.clone()],
         tiles_used: deployment.tiles_used,
         copies: case.copies.into(),
-        ways: Arc::new(Ways::of(&compiled.program)),
+        routes: Arc::new(MessageRoutes::of_program(&compiled.program)),
         transport: Transport::Analytic,
     };
     let mut meter = StepMeter::new(metered);
@@ -204,9 +204,9 @@ fn simulated(
     let steps = f64::from(STEPS);
     let time: f64 = lane.time.iter().map(|time| time.total().microseconds()).sum::<f64>() / steps;
     let dynamic: f64 = lane.energy.iter().copied().sum::<Femtojoules>().microjoules() / steps;
-    let fixed = (table.core_step * deployment.cores_powered).microjoules();
+    let fixed = (table.core_step_energy * deployment.cores_powered).microjoules();
     // Milliwatts times microseconds are nanojoules.
-    let powered = table.core_static.milliwatts() * deployment.cores_powered as f64 * time * 1e-3;
+    let powered = table.core_static_power.milliwatts() * deployment.cores_powered as f64 * time * 1e-3;
     Ok((dynamic + fixed + powered, time))
 }
 

@@ -23,8 +23,8 @@ use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::quantise::quantise;
 use crate::compile::{CompileError, Options, compile};
 use crate::cost::constants::CostTable;
-use crate::cost::meter::{Metered, StepMeter};
-use crate::cost::transport::{Transport, Ways};
+use crate::cost::meter::{MeterSettings, StepMeter};
+use crate::cost::transport::{MessageRoutes, Transport};
 use crate::desc::target::Target;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::drive::decision::{EarlyExit, Rule};
@@ -322,7 +322,13 @@ impl<'a> Subject<'a> {
         let image = Image::new(program, 1).map_err(|e| wrong(&e))?;
         let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
         let tables = tables.map_err(|e| wrong(&e))?;
-        let metered = Metered { tables, tiles_used: 1, copies: 1, ways: Arc::new(Ways::of(program)), transport };
+        let metered = MeterSettings {
+            tables,
+            tiles_used: 1,
+            copies: 1,
+            routes: Arc::new(MessageRoutes::of_program(program)),
+            transport,
+        };
         let meter = StepMeter::new(metered);
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
         let output = (CompartmentId(self.output.first), self.output.count);

@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::cost::estimate::RowSource;
+use crate::cost::estimate::FigureSource;
 
 /// Where Linux keeps the tree.
 pub const POWERCAP: &str = "/sys/class/powercap";
@@ -107,7 +107,7 @@ pub struct Power {
     /// On top, while it ran.
     pub dynamic_mw: f64,
     /// Measured or assumed.
-    pub source: RowSource,
+    pub source: FigureSource,
 }
 
 impl PowerMeter {
@@ -138,7 +138,7 @@ impl PowerMeter {
         let stated = |idle_mw: f64, busy_mw: f64| Power {
             static_mw: idle_mw,
             dynamic_mw: (busy_mw - idle_mw).max(0.0),
-            source: RowSource::Assumed,
+            source: FigureSource::Assumed,
         };
         match self {
             PowerMeter::Stated { idle_mw, busy_mw, .. } => (run(), stated(*idle_mw, *busy_mw)),
@@ -149,7 +149,7 @@ impl PowerMeter {
                 let power = match (before, after) {
                     (Ok(before), Ok(after)) => {
                         let busy_mw = rapl.between(&before, &after) as f64 / took / 1e3;
-                        let (static_mw, source) = (*idle_mw, RowSource::Measured);
+                        let (static_mw, source) = (*idle_mw, FigureSource::Measured);
                         Power { static_mw, dynamic_mw: (busy_mw - idle_mw).max(0.0), source }
                     }
                     // Counters that were there a moment ago: take what they said last.
@@ -230,7 +230,7 @@ mod tests {
         let meter = PowerMeter::new(broken.path(), None, (10_000.0, 65_000.0), Duration::ZERO);
         let (out, power) = meter.during(|| 3);
         assert_eq!((out, power.static_mw, power.dynamic_mw), (3, 10_000.0, 55_000.0));
-        assert_eq!(power.source, RowSource::Assumed);
+        assert_eq!(power.source, FigureSource::Assumed);
         assert!(meter.source().contains("assumed, 10 W idle and 65 W busy, since"), "{}", meter.source());
     }
 
@@ -246,7 +246,7 @@ mod tests {
             std::fs::write(&counter, "1000\n").unwrap();
         });
         // 2 mJ over at least 20 ms, across the end of the range.
-        assert_eq!((power.source, power.static_mw), (RowSource::Measured, 0.0));
+        assert_eq!((power.source, power.static_mw), (FigureSource::Measured, 0.0));
         assert!(power.dynamic_mw > 0.0 && power.dynamic_mw <= 100.0, "{power:?}");
         let stated = PowerMeter::new(tree.path(), Some((5.0, 8.0)), (1.0, 2.0), Duration::ZERO);
         assert!(matches!(stated, PowerMeter::Stated { busy_mw, .. } if busy_mw == 8.0));

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::cli::args::jobs::{self, JobArgs};
+use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::explore::{self, remedy};
@@ -40,11 +41,11 @@ pub struct MapArgs {
     /// Copies of the model; 1 unless a mapping says otherwise
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// What the mapping is to be good for: cores, energy or latency
-    #[arg(long, default_value = "cores", value_parser = objective)]
+    /// What the mapping is to be good for
+    #[arg(long, default_value = "cores", value_parser = one_of(&Objective::ALL, Objective::name))]
     pub objective: Objective,
-    /// How compartments are gathered on cores: sequential, greedy or multilevel
-    #[arg(long, default_value = "multilevel", value_parser = strategy, conflicts_with = "mapping")]
+    /// How compartments are gathered on cores
+    #[arg(long, default_value = "multilevel", value_parser = one_of(&Strategy::ALL, Strategy::name), conflicts_with = "mapping")]
     pub strategy: Strategy,
     /// Leave cores in the order of the partition instead of placing them near what they talk to
     #[arg(long, conflicts_with = "mapping")]
@@ -68,23 +69,6 @@ pub struct MapArgs {
     /// Where to save the mapping
     #[arg(short, long)]
     pub output: Option<PathBuf>,
-}
-
-fn objective(name: &str) -> Result<Objective, String> {
-    named(name, &Objective::ALL, Objective::name)
-}
-
-fn strategy(name: &str) -> Result<Strategy, String> {
-    named(name, &Strategy::ALL, Strategy::name)
-}
-
-/// The value of this name, or the names that there are.
-fn named<T: Copy>(name: &str, all: &[T], name_of: fn(T) -> &'static str) -> Result<T, String> {
-    let found = all.iter().find(|&&value| name_of(value) == name);
-    found.copied().ok_or_else(|| {
-        let names: Vec<&str> = all.iter().map(|&value| name_of(value)).collect();
-        format!("it is one of {}", names.join(", "))
-    })
 }
 
 /// Runs `nsim map`.
@@ -138,7 +122,9 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     };
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
     let model = &network.file().name;
-    let question = Question { model, target: &target, options: &options, pruned, remedies: &remedies };
+    let scenario = io::scenario::shipped_for(&args.job.model)?;
+    let scenario = scenario.as_ref();
+    let question = Question { model, target: &target, options: &options, pruned, remedies: &remedies, scenario };
     let outcome = match &mapped {
         Ok(mapped) => {
             let traffic = mapped.traffic();
@@ -195,12 +181,16 @@ fn larger(target: &Target) -> Result<Vec<Target>, Error> {
     Ok(boards)
 }
 
+fn strategy(name: &str) -> Option<Strategy> {
+    Strategy::ALL.into_iter().find(|strategy| strategy.name() == name)
+}
+
 /// How to compile; what a mapping was made with counts unless it is said otherwise.
 fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
     Options {
         copies: args.copies.or(mapping.map(|file| file.copies)).unwrap_or(1),
         // A file may have been made by other hands than any of these.
-        strategy: mapping.and_then(|file| strategy(&file.strategy).ok()).unwrap_or(args.strategy),
+        strategy: mapping.and_then(|file| strategy(&file.strategy)).unwrap_or(args.strategy),
         objective: args.objective,
         seed: mapping.map_or(args.seed, |file| file.seed),
         place: !args.unplaced,

@@ -67,7 +67,7 @@ enum Command {
     Map(map::MapArgs),
     Run(run::Args),
     /// Report power, latency and energy of a network, beside other hardware
-    Energy(energy::EnergyArgs),
+    Energy(energy::args::EnergyArgs),
     Agree(agree::Args),
     Bench(bench::Args),
     Scene(scene::Args),

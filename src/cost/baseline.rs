@@ -1,11 +1,10 @@
 //! Other hardware's rows of the energy table, and the workloads for which they hold.
 //!
-//! A measured row says nothing about another network: for one that does not match, [`Baseline::row`] gives the reason
-//! instead of a row.
+//! A measured row holds for one network only: for any other, [`Baseline::row`] returns the reason instead of a row.
 
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::base::units::Picoseconds;
-use crate::cost::estimate::{Convention, Row, RowSource};
+use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
 use crate::desc::baseline::{BaselineFile, DenseLayer, Mode};
 use crate::desc::spanned::parse;
 use crate::desc::target::Status;
@@ -26,7 +25,7 @@ pub struct NetworkShape {
 impl NetworkShape {
     /// The shape of one copy of a network, as it was before any pruning.
     #[must_use]
-    pub fn of(network: &Quantised) -> Self {
+    pub fn of_network(network: &Quantised) -> Self {
         let network = network.original();
         let inputs = network.populations().iter().filter(|population| matches!(population.units, Units::Input(_)));
         let dense = network.projections().iter().filter(|p| matches!(p.connectivity, Connectivity::Dense { .. }));
@@ -75,7 +74,7 @@ pub struct Work {
 impl Work {
     /// The work of a network, as it was before any pruning.
     #[must_use]
-    pub fn of(network: &Quantised) -> Self {
+    pub fn of_network(network: &Quantised) -> Self {
         let network = network.original();
         let size = |id| network.populations()[id].shape.len();
         let synapses = |projection: &crate::ir::quantised::Projection| -> u64 {
@@ -115,9 +114,9 @@ pub struct Figures {
     /// Time of a timestep.
     pub latency_us: f64,
     /// Where the time comes from.
-    pub source: RowSource,
+    pub source: FigureSource,
     /// Where the power comes from.
-    pub power_source: RowSource,
+    pub power_source: FigureSource,
 }
 
 impl Figures {
@@ -132,10 +131,10 @@ impl Figures {
 
     /// A row of the table.
     #[must_use]
-    pub fn row(&self, hardware: &str, convention: Convention, steps: Option<u32>) -> Row {
+    pub fn row(&self, hardware: &str, convention: Convention, steps: Option<u32>) -> EnergyRow {
         let total = self.static_mw + self.dynamic_mw;
         let energy = convention.energy_uj(total, self.latency_us, steps);
-        Row {
+        EnergyRow {
             hardware: hardware.to_string(),
             unit: "total",
             convention,
@@ -245,7 +244,7 @@ impl Baseline {
         timestep: Picoseconds,
         mode: Mode,
         convention: Convention,
-    ) -> Result<Row, String> {
+    ) -> Result<EnergyRow, String> {
         let on = &self.file.measured_on;
         let name = &self.file.name;
         if *shape != self.shape {
@@ -270,7 +269,7 @@ impl Baseline {
             Convention::Physical => (total * latency / 1e3, total * latency / 1e3 * latency),
             Convention::Published => (row.printed_energy_uj.value, row.printed_edp.value),
         };
-        Ok(Row {
+        Ok(EnergyRow {
             hardware: self.file.hardware.clone(),
             unit: "total",
             convention,
@@ -287,11 +286,11 @@ impl Baseline {
         })
     }
 
-    fn status(&self) -> RowSource {
+    fn status(&self) -> FigureSource {
         match self.file.status {
-            Status::Published => RowSource::Published,
-            Status::Calibrated => RowSource::Modelled,
-            Status::Assumed => RowSource::Assumed,
+            Status::Published => FigureSource::Published,
+            Status::Calibrated => FigureSource::Modelled,
+            Status::Assumed => FigureSource::Assumed,
         }
     }
 
@@ -305,7 +304,7 @@ impl Baseline {
         timestep: Picoseconds,
         mode: Mode,
         convention: Convention,
-    ) -> Option<Row> {
+    ) -> Option<EnergyRow> {
         let roofline = self.file.roofline.as_ref()?;
         let window = f64::from(steps.filter(|&steps| steps > 0)?);
         let value = |figure: &crate::desc::baseline::RooflineFigure| figure.value.value;
@@ -317,8 +316,8 @@ impl Baseline {
             static_mw: idle,
             dynamic_mw: (active - idle).max(0.0) + filled,
             latency_us: window_us / window,
-            source: RowSource::Modelled,
-            power_source: RowSource::Modelled,
+            source: FigureSource::Modelled,
+            power_source: FigureSource::Modelled,
         };
         // The paper's card drew as much while it waited for a window as without waiting.
         let figures = match mode {
@@ -345,7 +344,7 @@ pub(crate) mod tests {
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
         let row = |mode, convention| {
             let row = gpu.row(&vtsnn(), Some(150), MS, mode, convention).unwrap();
-            assert!(matches!(row.source, RowSource::Published));
+            assert!(matches!(row.source, FigureSource::Published));
             (row.energy_uj.unwrap(), row.edp_pjs.unwrap())
         };
         assert_eq!(row(Mode::Offline, Convention::Published), (399.0, 8431.0));
@@ -387,7 +386,7 @@ pub(crate) mod tests {
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
         let row = |mode| gpu.modelled(&measured(), Some(150), MS, mode, Convention::Physical).unwrap();
         let (offline, realtime) = (row(Mode::Offline), row(Mode::Realtime));
-        assert!(matches!(offline.source, RowSource::Modelled));
+        assert!(matches!(offline.source, FigureSource::Modelled));
         assert!((offline.latency_us.unwrap() - 21.0).abs() < 0.05, "{offline:?}");
         assert!((offline.total_mw.unwrap() / 59_890.0 - 1.0).abs() < 0.01, "{offline:?}");
         // Published in real time: 1045.6 us and 61930 mW.
@@ -413,8 +412,8 @@ pub(crate) mod tests {
             static_mw: 10.0,
             dynamic_mw: 100.0,
             latency_us: 25.0,
-            source: RowSource::Measured,
-            power_source: RowSource::Assumed,
+            source: FigureSource::Measured,
+            power_source: FigureSource::Assumed,
         };
         let window = figures.in_real_time(1000.0, true, true);
         assert_eq!((window.latency_us, window.dynamic_mw), (1025.0, 100.0 * 25.0 / 1025.0));

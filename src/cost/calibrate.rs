@@ -1,14 +1,13 @@
 //! Named constants from a table of measurements, by least squares.
 //!
-//! Comes in: where to start, the cells with their rounding, and a model that predicts the cells for any constants (a
-//! simulated run). Goes out: the constants, none negative, each a whole number of its integer unit. Gauss-Newton: the
-//! model is linear in all constants but for latency in a denominator and the slowest core, so a few rounds are enough.
-//!
-//! What it refuses: constants of which the table says nothing, or which it cannot tell apart.
+//! Input: starting values, the cells with their rounding, and a model that predicts the cells for any constants (a
+//! simulated run). Output: the constants. Invariants: none is negative, each is a whole number of its integer unit.
+//! Errors: constants that no cell depends on, or that the table cannot distinguish. Gauss-Newton converges in a few
+//! iterations: except for latency in a denominator and the slowest core, the model is linear in all constants.
 
 /// Rounds after which a fit is given up.
 const ROUNDS: usize = 30;
-/// Share of a column that must be its own for a constant to be told from the others.
+/// Least share of a column that is independent of the others, for its constant to be distinguishable.
 const INDEPENDENT: f64 = 1e-9;
 
 /// A constant to be fitted.
@@ -112,8 +111,8 @@ fn decimal(steps: f64, step: f64) -> f64 {
     steps / per_unit
 }
 
-/// The change that brings the model nearest to what is wanted without leaving what is not negative, and what it left at
-/// zero. Columns that cannot be told from others give the index of one.
+/// The least-squares change that keeps every constant non-negative, and which constants it left at zero. `Err` has the
+/// index of a column that depends on the others.
 fn least_squares(columns: &[Vec<f64>], wanted: &[f64], at: &[f64]) -> Result<(Vec<f64>, Vec<usize>), usize> {
     let mut held: Vec<usize> = Vec::new();
     loop {

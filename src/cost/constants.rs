@@ -1,133 +1,66 @@
 //! A preset of constants in integers.
 //!
-//! Files hold decimal numbers in pJ, ns, us and mW; sums are made of fJ, ps and nW. The conversion is exact: a number with
-//! more digits than its integer unit can hold is refused, not rounded, so that what is charged is what the file says.
+//! Input: decimal numbers in pJ, ns, us and mW. Output: integers in fJ, ps and nW. The conversion is exact: a number with
+//! more digits than its integer unit can hold is refused, not rounded, so that the file's value is the one charged.
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::units::{Femtojoules, Nanowatts, Picoseconds};
-use crate::desc::target::{Constant, Constants, Unit};
+use crate::desc::target::{Constant, Constants, Unit, for_each_constant};
 
-/// Energy and time of one operation.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Operation {
-    /// Its energy.
-    pub energy: Femtojoules,
-    /// Its time on the core or link that does it.
-    pub time: Picoseconds,
+/// The type of a constant in its least unit.
+macro_rules! integer {
+    (pJ) => {
+        Femtojoules
+    };
+    (ns) => {
+        Picoseconds
+    };
+    (mW) => {
+        Nanowatts
+    };
+    (messages) => {
+        u64
+    };
 }
 
-/// A preset of constants, ready to be multiplied with counts. The fields mean what those of
-/// [`crate::desc::target::Constants`] do.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct CostTable {
-    name: String,
-    /// A synaptic event of a dense list.
-    pub synapse_dense: Operation,
-    /// A synaptic event of a sparse list.
-    pub synapse_sparse: Operation,
-    /// A dendritic accumulator read in a step: energy only.
-    pub dendrite: Femtojoules,
-    /// A compartment visited.
-    pub compartment: Operation,
-    /// On top, when it is not at rest.
-    pub compartment_active: Operation,
-    /// On top, when it spikes.
-    pub spike: Operation,
-    /// A message sent.
-    pub axon_out: Operation,
-    /// A message received.
-    pub axon_in: Operation,
-    /// A message that stays within its tile.
-    pub local_hop: Operation,
-    /// A link crossed east or west.
-    pub hop_ew: Operation,
-    /// A link crossed north or south.
-    pub hop_ns: Operation,
-    /// On top, for a link between chips.
-    pub hop_chip: Operation,
-    /// A powered core in a step: energy only.
-    pub core_step: Femtojoules,
-    /// A message on a link: time only.
-    pub link: Picoseconds,
-    /// A message on a link between chips: time only.
-    pub link_chip: Picoseconds,
-    /// Messages that wait at a link.
-    pub link_buffer: u64,
-    /// A spike injected from outside: time only.
-    pub injection: Picoseconds,
-    /// The turn of one copy's injection in a step.
-    pub injection_step: Picoseconds,
-    /// An output spike read out: time only.
-    pub readout: Picoseconds,
-    /// Static power of a powered core.
-    pub core_static: Nanowatts,
-    /// Static power of an x86 core in use.
-    pub x86_static: Nanowatts,
-    /// Power of an x86 core in use on top.
-    pub x86_busy: Nanowatts,
-    /// Barrier times by tiles in use, ascending and not empty.
-    barrier: Vec<(u64, Picoseconds)>,
+macro_rules! cost_table {
+    ($($(#[$attribute:meta])* $field:ident: $unit:ident,)*) => {
+        /// A preset of constants, ready to be multiplied with counts. The fields mean what those of [`Constants`] do.
+        #[derive(Debug, Clone, PartialEq, Eq)]
+        pub struct CostTable {
+            name: String,
+            /// Barrier times by tiles in use, ascending and not empty.
+            barrier: Vec<(u64, Picoseconds)>,
+            $(#[doc = concat!("[`Constants::", stringify!($field), "`]")] pub $field: integer!($unit),)*
+        }
+
+        impl CostTable {
+            /// Converts a preset.
+            ///
+            /// # Errors
+            /// A diagnostic at the first constant that is negative, too large, or has more digits than fJ, ps or nW can
+            /// hold, and when there is no barrier time or the times are not in ascending order of tiles.
+            pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
+                let preset = constants.name.as_str();
+                let barrier = constants.barrier.iter();
+                let barrier = barrier.map(|entry| Ok((entry.tiles, scaled(preset, "barrier", &entry.time)?.into())));
+                let barrier = barrier.collect::<Result<Vec<_>, Diagnostic>>()?;
+                if barrier.is_empty() || barrier.windows(2).any(|pair| pair[0].0 >= pair[1].0) {
+                    return Err(Diagnostic::new(
+                        "target.barrier",
+                        format!("preset {preset}: barrier times must be given in ascending order of tiles, at least one"),
+                    ));
+                }
+                $(let $field = scaled(preset, stringify!($field), &constants.$field)?.into();)*
+                Ok(CostTable { name: constants.name.clone(), barrier, $($field,)* })
+            }
+        }
+    };
 }
+
+for_each_constant!(cost_table);
 
 impl CostTable {
-    /// Converts a preset.
-    ///
-    /// # Errors
-    /// A diagnostic at the first constant that is negative, too large, or has more digits than fJ, ps or nW can hold, and
-    /// when there is no barrier time or the times are not in ascending order of tiles.
-    pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
-        let preset = constants.name.as_str();
-        let integer = |field: &str, constant: &Constant| scaled(preset, field, constant);
-        let energy = |field: &str, constant| integer(field, constant).map(|fj| Femtojoules(fj.into()));
-        let time = |field: &str, constant| integer(field, constant).map(Picoseconds);
-        let power = |field: &str, constant| integer(field, constant).map(Nanowatts);
-        macro_rules! operation {
-            ($energy:ident, $time:ident) => {
-                Operation {
-                    energy: energy(stringify!($energy), &constants.$energy)?,
-                    time: time(stringify!($time), &constants.$time)?,
-                }
-            };
-        }
-        let barrier = constants
-            .barrier
-            .iter()
-            .map(|entry| Ok((entry.tiles, time("barrier", &entry.time)?)))
-            .collect::<Result<Vec<_>, Diagnostic>>()?;
-        if barrier.is_empty() || barrier.windows(2).any(|pair| pair[0].0 >= pair[1].0) {
-            return Err(Diagnostic::new(
-                "target.barrier",
-                format!("preset {preset}: barrier times must be given in ascending order of tiles, at least one"),
-            ));
-        }
-        Ok(CostTable {
-            name: constants.name.clone(),
-            synapse_dense: operation!(synapse_dense_energy, synapse_dense_time),
-            synapse_sparse: operation!(synapse_sparse_energy, synapse_sparse_time),
-            dendrite: energy("dendrite_energy", &constants.dendrite_energy)?,
-            compartment: operation!(compartment_energy, compartment_time),
-            compartment_active: operation!(compartment_active_energy, compartment_active_time),
-            spike: operation!(spike_energy, spike_time),
-            axon_out: operation!(axon_out_energy, axon_out_time),
-            axon_in: operation!(axon_in_energy, axon_in_time),
-            local_hop: operation!(local_hop_energy, local_hop_time),
-            hop_ew: operation!(hop_ew_energy, hop_ew_time),
-            hop_ns: operation!(hop_ns_energy, hop_ns_time),
-            hop_chip: operation!(hop_chip_energy, hop_chip_time),
-            core_step: energy("core_step_energy", &constants.core_step_energy)?,
-            link: time("link_time", &constants.link_time)?,
-            link_chip: time("link_chip_time", &constants.link_chip_time)?,
-            link_buffer: integer("link_buffer", &constants.link_buffer)?,
-            injection: time("injection_time", &constants.injection_time)?,
-            injection_step: time("injection_step_time", &constants.injection_step_time)?,
-            readout: time("readout_time", &constants.readout_time)?,
-            core_static: power("core_static_power", &constants.core_static_power)?,
-            x86_static: power("x86_static_power", &constants.x86_static_power)?,
-            x86_busy: power("x86_busy_power", &constants.x86_busy_power)?,
-            barrier,
-        })
-    }
-
     /// The preset's name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -225,22 +158,29 @@ pub(crate) mod tests {
 
     #[test]
     fn the_presets_hold_what_their_sources_print() {
-        let op = |energy, time| Operation { energy: Femtojoules(energy), time: Picoseconds(time) };
+        let op = |energy, time| (Femtojoules(energy), Picoseconds(time));
         let davies = table("davies2018");
-        assert_eq!(davies.synapse_dense, op(23_600, 3_500));
-        assert_eq!(davies.compartment.energy + davies.compartment_active.energy, Femtojoules(81_000));
-        assert_eq!(davies.compartment.time + davies.compartment_active.time, Picoseconds(8_400));
+        assert_eq!((davies.synapse_dense_energy, davies.synapse_dense_time), op(23_600, 3_500));
+        assert_eq!(davies.compartment_energy + davies.compartment_active_energy, Femtojoules(81_000));
+        assert_eq!(davies.compartment_time + davies.compartment_active_time, Picoseconds(8_400));
         assert_eq!(
-            (davies.local_hop, davies.hop_ew, davies.hop_ns),
+            (
+                (davies.local_hop_energy, davies.local_hop_time),
+                (davies.hop_ew_energy, davies.hop_ew_time),
+                (davies.hop_ns_energy, davies.hop_ns_time)
+            ),
             (op(1_700, 2_100), op(3_000, 4_100), op(4_000, 6_500))
         );
         let sana = table("sanafe-calibrated");
         // SANA-FE src/pipeline.hpp adds the costs up: idle 51.2 pJ, updated 72.8 pJ / 9.7 ns, spiking 142.1 pJ / 39.7 ns.
-        assert_eq!(sana.compartment, op(51_200, 6_000));
-        assert_eq!(sana.compartment.energy + sana.compartment_active.energy, Femtojoules(72_800));
-        assert_eq!(sana.compartment.energy + sana.compartment_active.energy + sana.spike.energy, Femtojoules(142_100));
-        assert_eq!(sana.compartment.time + sana.compartment_active.time + sana.spike.time, Picoseconds(39_700));
-        assert_eq!((sana.axon_out, sana.axon_in), (op(111_000, 5_100), op(0, 16_000)));
+        assert_eq!((sana.compartment_energy, sana.compartment_time), op(51_200, 6_000));
+        assert_eq!(sana.compartment_energy + sana.compartment_active_energy, Femtojoules(72_800));
+        assert_eq!(sana.compartment_energy + sana.compartment_active_energy + sana.spike_energy, Femtojoules(142_100));
+        assert_eq!(sana.compartment_time + sana.compartment_active_time + sana.spike_time, Picoseconds(39_700));
+        assert_eq!(
+            ((sana.axon_out_energy, sana.axon_out_time), (sana.axon_in_energy, sana.axon_in_time)),
+            (op(111_000, 5_100), op(0, 16_000))
+        );
     }
 
     #[test]

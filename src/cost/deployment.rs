@@ -4,6 +4,7 @@
 
 use std::collections::BTreeSet;
 
+use crate::desc::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::target::{Chip, PowerUnit};
 use crate::ir::placement::Placement;
 
@@ -29,7 +30,7 @@ pub struct Deployment {
 impl Deployment {
     /// The mapping's own numbers; the placement holds all copies.
     #[must_use]
-    pub fn of(name: impl Into<String>, placement: &Placement, chip: &Chip, copies: u32) -> Self {
+    pub fn from_placement(name: impl Into<String>, placement: &Placement, chip: &Chip, copies: u32) -> Self {
         let chips_used = u64::from(placement.chips_used());
         Deployment {
             name: name.into(),
@@ -42,20 +43,12 @@ impl Deployment {
         }
     }
 
-    /// The VT-SNN paper's deployment of 32 copies on Nahuku-32: 594 neuron cores and 5 x86 cores used, 624 neuron cores
-    /// powered for the barrier (appendix, "Power Utilization"). 624 cores are 156 tiles of 4 and 594 cores are 5 chips of
-    /// 128: both are inferences.
+    /// The numbers of a published job.
     #[must_use]
-    pub fn paper() -> Self {
-        Deployment {
-            name: "paper".to_string(),
-            copies: 32,
-            cores_used: 594,
-            cores_powered: 624,
-            tiles_used: 156,
-            chips_used: 5,
-            x86_cores: 5,
-        }
+    pub fn from_scenario(name: impl Into<String>, scenario: &ScenarioFile) -> Self {
+        let DeployedCores { cores_used, cores_powered, tiles_used, chips_used, x86_cores } = scenario.deployment.value;
+        let copies = scenario.copies.value;
+        Deployment { name: name.into(), copies, cores_used, cores_powered, tiles_used, chips_used, x86_cores }
     }
 }
 
@@ -93,6 +86,13 @@ pub(crate) mod tests {
         parse(&SourceText::new("loihi1", std::fs::read_to_string(path).unwrap()), "target.syntax").unwrap()
     }
 
+    /// The published deployment of the shipped model.
+    pub(crate) fn paper() -> Deployment {
+        let path = format!("{}/mapping/scenarios/vtsnn-slip-paper.ron", env!("CARGO_MANIFEST_DIR"));
+        let source = SourceText::new("scenario", std::fs::read_to_string(path).unwrap());
+        Deployment::from_scenario("paper", &parse(&source, "scenario.syntax").unwrap())
+    }
+
     pub(crate) fn sequential(cores: u32) -> Placement {
         let mesh = Mesh { chips_x: 8, chips_y: 4, width: 8, height: 4, cores_per_tile: 4, cores_per_chip: 128 };
         let sites = (0..cores).map(|number| mesh.site(number).unwrap()).collect::<Vec<_>>();
@@ -114,8 +114,8 @@ pub(crate) mod tests {
 
     #[test]
     fn the_paper_s_594_cores_take_5_chips_and_5_x86_cores_when_filled_in_order() {
-        let packed = Deployment::of("packed", &sequential(594), &loihi1(), 32);
-        let paper = Deployment::paper();
+        let packed = Deployment::from_placement("packed", &sequential(594), &loihi1(), 32);
+        let paper = paper();
         assert_eq!((packed.cores_used, packed.chips_used, packed.x86_cores), (594, 5, 5));
         assert_eq!((paper.cores_used, paper.chips_used, paper.x86_cores), (594, 5, 5));
         // Filled without gaps they would be 149 tiles; the paper's 624 powered cores are 156.

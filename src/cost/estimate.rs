@@ -1,8 +1,10 @@
 //! The rows of the energy table: power, latency, energy and energy-delay product of one copy.
 //!
-//! Goes in: what a run did ([`Activity`], [`StepMeter`]) and where it is deployed. Comes out: rows whose parts add up
-//! (x86 + neuron = total, static + dynamic = total), the breakdown of the dynamic energy, and how it spreads over the
-//! timesteps. Figures that are not known are `None`, and a note says why. Equations are those of `docs/energy.md`.
+//! Input: the activity of a run ([`Activity`], [`StepMeter`]) and its deployment. Output: the rows, the breakdown of the
+//! dynamic energy, and its distribution over the timesteps. Invariants: x86 + neuron = total, static + dynamic = total; an
+//! unknown figure is `None`, and a note says why. Equations are those of `docs/energy.md`.
+
+use std::ops::Range;
 
 use serde::Serialize;
 
@@ -10,31 +12,12 @@ use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{Lane, Spread, StepMeter, paced};
-use crate::cost::model::{Breakdown, energy};
+use crate::cost::model::{StepTime, energy};
 use crate::desc::baseline::Mode;
+pub use crate::desc::scenario::Convention;
 use crate::ir::activity::Activity;
 
-/// What "energy per timestep" and "energy-delay product" mean.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Convention {
-    /// Power times time (13).
-    #[default]
-    Physical,
-    /// The VT-SNN paper's arithmetic: the energy of a millisecond divided by the timesteps of a sample (14), (15).
-    Published,
-}
-
 impl Convention {
-    /// As it is typed and printed.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Convention::Physical => "physical",
-            Convention::Published => "published",
-        }
-    }
-
     /// Energy of a timestep in uJ. `published` needs the timesteps of a sample.
     #[must_use]
     pub fn energy_uj(self, total_mw: f64, latency_us: f64, steps_per_sample: Option<u32>) -> Option<f64> {
@@ -50,7 +33,7 @@ impl Convention {
 /// Where a row comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum RowSource {
+pub enum FigureSource {
     /// From the counts of a simulated run.
     Simulated,
     /// Measured on this machine.
@@ -63,16 +46,16 @@ pub enum RowSource {
     Assumed,
 }
 
-impl RowSource {
+impl FigureSource {
     /// As it is printed.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            RowSource::Simulated => "simulated",
-            RowSource::Measured => "measured",
-            RowSource::Published => "published",
-            RowSource::Modelled => "modelled",
-            RowSource::Assumed => "assumed",
+            FigureSource::Simulated => "simulated",
+            FigureSource::Measured => "measured",
+            FigureSource::Published => "published",
+            FigureSource::Modelled => "modelled",
+            FigureSource::Assumed => "assumed",
         }
     }
 }
@@ -90,14 +73,14 @@ pub struct Bound {
 
 /// A row of the table, for one copy.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
+pub struct EnergyRow {
     /// `loihi`, or a baseline's hardware.
     pub hardware: String,
     /// `x86`, `neuron` or `total`.
     pub unit: &'static str,
     /// What the energy and the energy-delay product mean.
     pub convention: Convention,
-    /// Power that is drawn whatever happens.
+    /// Power drawn without activity.
     pub static_mw: Option<f64>,
     /// Power on top.
     pub dynamic_mw: Option<f64>,
@@ -114,12 +97,12 @@ pub struct Row {
     /// The greatest.
     pub high: Option<Bound>,
     /// Where it comes from.
-    pub source: RowSource,
+    pub source: FigureSource,
     /// Where its power comes from, which may be another place than its time.
-    pub power_source: RowSource,
+    pub power_source: FigureSource,
 }
 
-impl Row {
+impl EnergyRow {
     /// A figure by the name that tables of measurements use.
     #[must_use]
     pub fn figure(&self, name: &str) -> Option<f64> {
@@ -162,7 +145,7 @@ pub struct Case<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// `x86`, `neuron`, `total`.
-    pub rows: Vec<Row>,
+    pub rows: Vec<EnergyRow>,
     /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without timesteps.
     pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
     /// Energy of the timesteps of a copy, all power included, physical: its mean is the energy of the `total` row.
@@ -198,20 +181,19 @@ impl Case<'_> {
         f64::from(self.deployment.copies.max(1))
     }
 
-    /// Time of all steps in ps, exact.
-    fn total_time(&self, lane: &Lane) -> u128 {
-        lane.time.iter().map(|time| u128::from(paced(time.total(), self.bin()).0)).sum()
+    /// Time of steps in ps, exact.
+    fn time_of(&self, steps: &[StepTime]) -> u128 {
+        steps.iter().map(|time| u128::from(paced(time.total(), self.bin()).0)).sum()
     }
 
     /// Energy of a step that powered cores spend alike in every step, for one copy, in fJ: equation (8).
     fn core_step_fj(&self, table: &CostTable) -> f64 {
-        table.core_step.0 as f64 * self.deployment.cores_powered as f64 / self.copies()
+        table.core_step_energy.0 as f64 * self.deployment.cores_powered as f64 / self.copies()
     }
 
-    /// Dynamic energy of all steps of one copy in fJ.
-    fn dynamic_fj(&self, events: &Breakdown, table: &CostTable) -> f64 {
-        let steps = self.activity.steps() as f64;
-        events.total().0 as f64 / f64::from(self.copies_counted.max(1)) + self.core_step_fj(table) * steps
+    /// Dynamic energy of one copy in fJ, in so many steps with these events.
+    fn dynamic_fj(&self, events: Femtojoules, steps: f64, table: &CostTable) -> f64 {
+        events.0 as f64 / f64::from(self.copies_counted.max(1)) + self.core_step_fj(table) * steps
     }
 
     /// Energy of one copy in each step: of its events and cores, and with all power that flows meanwhile.
@@ -227,26 +209,26 @@ impl Case<'_> {
 
     fn powers(&self, table: &CostTable, lane: &Lane) -> Powers {
         let share = |cores: u64, power: f64| cores as f64 * power / self.copies();
-        let events = energy(self.activity, table, 0);
-        let time = self.total_time(lane);
+        let events = energy(self.activity, table, 0).total();
+        let time = self.time_of(&lane.time);
         let known = time > 0;
         Powers {
-            x86_static: share(self.deployment.x86_cores, table.x86_static.milliwatts()),
-            x86_dynamic: share(self.deployment.x86_cores, table.x86_busy.milliwatts()),
-            neuron_static: share(self.deployment.cores_powered, table.core_static.milliwatts()),
+            x86_static: share(self.deployment.x86_cores, table.x86_static_power.milliwatts()),
+            x86_dynamic: share(self.deployment.x86_cores, table.x86_busy_power.milliwatts()),
+            neuron_static: share(self.deployment.cores_powered, table.core_static_power.milliwatts()),
             // 1 fJ in 1 ps is 1 mW.
-            neuron_dynamic: known.then(|| self.dynamic_fj(&events, table) / time as f64),
+            neuron_dynamic: known.then(|| self.dynamic_fj(events, self.activity.steps() as f64, table) / time as f64),
             latency_us: known.then(|| time as f64 / 1e6 / lane.time.len() as f64),
         }
     }
 
-    fn rows(&self, powers: Powers) -> [Row; 3] {
+    fn rows(&self, powers: Powers) -> [EnergyRow; 3] {
         let row = |unit, static_mw: f64, dynamic_mw: Option<f64>, source| {
             let total_mw = dynamic_mw.map(|dynamic_mw| static_mw + dynamic_mw);
             let energy_uj = total_mw
                 .zip(powers.latency_us)
                 .and_then(|(total, latency)| self.convention.energy_uj(total, latency, self.steps_per_sample));
-            Row {
+            EnergyRow {
                 hardware: "loihi".to_string(),
                 unit,
                 convention: self.convention,
@@ -265,13 +247,13 @@ impl Case<'_> {
         };
         let Powers { x86_static, x86_dynamic, neuron_static, neuron_dynamic, .. } = powers;
         [
-            row("x86", x86_static, Some(x86_dynamic), RowSource::Modelled),
-            row("neuron", neuron_static, neuron_dynamic, RowSource::Simulated),
+            row("x86", x86_static, Some(x86_dynamic), FigureSource::Modelled),
+            row("neuron", neuron_static, neuron_dynamic, FigureSource::Simulated),
             row(
                 "total",
                 x86_static + neuron_static,
                 neuron_dynamic.map(|neuron| x86_dynamic + neuron),
-                RowSource::Simulated,
+                FigureSource::Simulated,
             ),
         ]
     }
@@ -286,17 +268,24 @@ pub struct Spent {
     pub energy_uj: f64,
 }
 
-/// What a run spends, whatever the convention: the mean of a step (13) times the steps.
+/// What one copy spends in these steps of the meter, whatever the convention: for the whole run, the mean of a step (13)
+/// times the steps.
 ///
 /// # Panics
-/// When the meter has no such preset: a mistake of the caller.
+/// When the meter has no such preset or step: a mistake of the caller.
 #[must_use]
-pub fn spent(case: &Case<'_>) -> Spent {
+pub fn spent(case: &Case<'_>, steps: impl IntoIterator<Item = Range<usize>>) -> Spent {
     let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
+    let (mut time, mut events, mut count) = (0, Femtojoules::default(), 0);
+    for range in steps {
+        time += case.time_of(&lane.time[range.clone()]);
+        events += lane.energy[range.clone()].iter().copied().sum();
+        count += range.len();
+    }
+    let time_us = time as f64 / 1e6;
     let powers = case.powers(table, lane);
-    let time_us = case.total_time(lane) as f64 / 1e6;
     let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
-    let dynamic_uj = case.dynamic_fj(&energy(case.activity, table, 0), table) / 1e9;
+    let dynamic_uj = case.dynamic_fj(events, count as f64, table) / 1e9;
     Spent { time_us, energy_uj: always_mw * time_us / 1e3 + dynamic_uj }
 }
 
@@ -318,11 +307,12 @@ pub fn spent_by_step_uj(case: &Case<'_>) -> Vec<f64> {
 pub fn estimate(case: &Case<'_>) -> Estimate {
     assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
     let presets: Vec<(&CostTable, &Lane)> = case.meter.tables().iter().zip(case.meter.lanes()).collect();
-    let all: Vec<[Row; 3]> = presets.iter().map(|(table, lane)| case.rows(case.powers(table, lane))).collect();
+    let all: Vec<[EnergyRow; 3]> = presets.iter().map(|(table, lane)| case.rows(case.powers(table, lane))).collect();
     let mut rows = all[case.preset].clone();
     for (i, row) in rows.iter_mut().enumerate() {
         let bound = |pick: fn(f64, f64) -> f64| {
-            let over = |figure: fn(&Row) -> Option<f64>| all.iter().filter_map(|rows| figure(&rows[i])).reduce(pick);
+            let over =
+                |figure: fn(&EnergyRow) -> Option<f64>| all.iter().filter_map(|rows| figure(&rows[i])).reduce(pick);
             Bound {
                 total_mw: over(|r| r.total_mw),
                 latency_us: over(|r| r.latency_us),
@@ -339,7 +329,7 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
     let mut notes = Vec::new();
     if !some_steps {
         notes.push("no timestep was run: dynamic power, latency and energy are not known".to_string());
-    } else if case.total_time(lane) == 0 {
+    } else if case.time_of(&lane.time) == 0 {
         notes
             .push("a timestep takes no time under these constants: dynamic power and energy are not known".to_string());
     }
@@ -362,14 +352,14 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
     });
     let powers = case.powers(table, lane);
     let (dynamic_uj, whole_uj) = case.steps_uj(table, lane, &powers);
-    let mean_us = |part: fn(&crate::cost::model::StepTime) -> Picoseconds| {
+    let mean_us = |part: fn(&StepTime) -> Picoseconds| {
         lane.time.iter().map(|time| u128::from(part(time).0)).sum::<u128>() as f64 / 1e6 / steps
     };
     Estimate {
         rows: rows.into(),
         breakdown_pj,
-        per_timestep_uj: Spread::of(whole_uj),
-        per_timestep_dynamic_uj: Spread::of(dynamic_uj),
+        per_timestep_uj: Spread::from_series(whole_uj),
+        per_timestep_dynamic_uj: Spread::from_series(dynamic_uj),
         time_us: some_steps.then(|| {
             [
                 ("injection", mean_us(|time| time.injection)),
@@ -389,6 +379,7 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::cost::constants::tests::{preset, table};
+    use crate::cost::deployment::tests::paper;
     use crate::cost::model::tests::any_step;
     use crate::ir::activity::{CoreCounts, StepActivity};
 
@@ -460,7 +451,7 @@ pub(crate) mod tests {
     #[test]
     fn the_paper_s_deployment_draws_the_paper_s_static_and_x86_power() {
         let run = run(&[StepActivity::new(1)], both(), 156);
-        let paper = Deployment::paper();
+        let paper = paper();
         let [x86, neuron, _] = estimate(&case(&run, &paper)).rows.try_into().unwrap();
         let within = |figure: Option<f64>, text: &str| {
             let (value, half) = printed(text);
@@ -512,7 +503,7 @@ pub(crate) mod tests {
         // fJ: 100 * 52000; and 50 * 23600 + 100 * 52000 + 10 * 29000 + 10 * 1700.
         let (quiet_fj, busy_fj) = (5_200_000.0, 6_687_000.0);
         let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * b.abs(), "{a} against {b}");
-        let [x86, neuron, total] = <[Row; 3]>::try_from(found.rows).unwrap();
+        let [x86, neuron, total] = <[EnergyRow; 3]>::try_from(found.rows).unwrap();
         near(neuron.latency_us.unwrap(), latency);
         near(neuron.static_mw.unwrap(), 4.0 * 0.6 / 2.0);
         near(neuron.dynamic_mw.unwrap(), (quiet_fj + busy_fj) / (first + second));
@@ -543,7 +534,7 @@ pub(crate) mod tests {
     #[test]
     fn what_was_not_run_is_unknown_and_says_so() {
         let run = run(&[], both(), 1);
-        let found = estimate(&case(&run, &Deployment::paper()));
+        let found = estimate(&case(&run, &paper()));
         assert_eq!((found.rows[2].dynamic_mw, found.rows[2].energy_uj, found.rows[2].latency_us), (None, None, None));
         assert!(found.rows[2].static_mw.is_some());
         assert_eq!((found.breakdown_pj, found.per_timestep_uj), (None, None));
@@ -553,7 +544,7 @@ pub(crate) mod tests {
     #[test]
     fn the_published_convention_needs_samples_of_one_length() {
         let run = run(&[StepActivity::new(1)], both(), 1);
-        let paper = Deployment::paper();
+        let paper = paper();
         let uneven = Case { convention: Convention::Published, steps_per_sample: None, ..case(&run, &paper) };
         let found = estimate(&uneven);
         assert_eq!(found.rows[2].energy_uj, None);
@@ -571,7 +562,7 @@ pub(crate) mod tests {
             let mut constants = preset("sanafe-calibrated");
             constants.core_step_energy.value = f64::from(core_step).into();
             let run = run(&steps, vec![CostTable::new(&constants).unwrap(), table("davies2018")], 5);
-            let deployment = Deployment { copies, cores_powered: powered, ..Deployment::paper() };
+            let deployment = Deployment { copies, cores_powered: powered, ..paper() };
             let found = estimate(&Case {
                 copies_counted,
                 mode: if realtime { Mode::Realtime } else { Mode::Offline },
@@ -579,8 +570,8 @@ pub(crate) mod tests {
                 ..case(&run, &deployment)
             });
             let near = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
-            let [x86, neuron, total] = <[Row; 3]>::try_from(found.rows).unwrap();
-            for figure in [|r: &Row| r.static_mw, |r: &Row| r.dynamic_mw, |r: &Row| r.total_mw, |r: &Row| r.energy_uj] {
+            let [x86, neuron, total] = <[EnergyRow; 3]>::try_from(found.rows).unwrap();
+            for figure in [|r: &EnergyRow| r.static_mw, |r: &EnergyRow| r.dynamic_mw, |r: &EnergyRow| r.total_mw, |r: &EnergyRow| r.energy_uj] {
                 prop_assert!(near(figure(&x86).unwrap() + figure(&neuron).unwrap(), figure(&total).unwrap()));
             }
             for row in [&x86, &neuron, &total] {

@@ -1,10 +1,9 @@
 //! Energy and time of each step of a run, for every preset at once.
 //!
-//! A run feeds each timestep's counts to a [`StepMeter`]; what comes out are totals, and the least, median, 99th
-//! percentile and greatest step. Meters of samples that ran in parallel are merged in the order of the samples; totals
-//! and order statistics would be the same in any order.
+//! Input: the counts of each timestep. Output: energy and time of each step, and order statistics of them. Meters of
+//! samples that ran in parallel are merged in the order of the samples.
 //!
-//! What powered cores spend in every step alike (equation (8)) is not metered: it depends on the deployment, not on the
+//! The constant energy of powered cores (equation (8)) is not metered: it depends on the deployment, not on the
 //! activity, and [`crate::cost::estimate`] adds it.
 
 use std::sync::Arc;
@@ -12,7 +11,7 @@ use std::sync::Arc;
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::model::{StepTime, step_energy};
-use crate::cost::transport::{Transport, Ways};
+use crate::cost::transport::{MessageRoutes, Transport};
 use crate::ir::activity::StepActivity;
 
 /// The steps of a run under one preset.
@@ -27,21 +26,21 @@ pub struct Lane {
 /// Energy and time of each step so far.
 #[derive(Debug, Clone)]
 pub struct StepMeter {
-    board: Arc<Metered>,
+    board: Arc<MeterSettings>,
     lanes: Vec<Lane>,
 }
 
-/// What steps are metered under.
+/// The conditions under which steps are metered.
 #[derive(Debug)]
-pub struct Metered {
+pub struct MeterSettings {
     /// Presets, one a lane.
     pub tables: Vec<CostTable>,
     /// Tiles in the barrier.
     pub tiles_used: u64,
     /// Copies in the program, whose outputs are all read.
     pub copies: u64,
-    /// The ways of the program's messages.
-    pub ways: Arc<Ways>,
+    /// The routes of the program's messages.
+    pub routes: Arc<MessageRoutes>,
     /// The model of the mesh.
     pub transport: Transport,
 }
@@ -49,7 +48,7 @@ pub struct Metered {
 impl StepMeter {
     /// A meter for these presets.
     #[must_use]
-    pub fn new(metered: impl Into<Arc<Metered>>) -> Self {
+    pub fn new(metered: impl Into<Arc<MeterSettings>>) -> Self {
         let board = metered.into();
         let lanes = vec![Lane::default(); board.tables.len()];
         StepMeter { board, lanes }
@@ -63,8 +62,8 @@ impl StepMeter {
 
     /// Adds a timestep that happened so many times in a row.
     pub fn add(&mut self, step: &StepActivity, times: u32) {
-        let Metered { tables, tiles_used, copies, ways, transport } = &*self.board;
-        let step_times = ways.step_times(step, tables, *transport, *tiles_used, *copies);
+        let MeterSettings { tables, tiles_used, copies, routes, transport } = &*self.board;
+        let step_times = routes.step_times(step, tables, *transport, *tiles_used, *copies);
         for ((lane, table), time) in self.lanes.iter_mut().zip(tables).zip(step_times) {
             let energy = step_energy(step, table, 0).total();
             lane.energy.extend(std::iter::repeat_n(energy, times as usize));
@@ -125,7 +124,7 @@ pub struct Spread {
 impl Spread {
     /// Of a series; `None` when it is empty.
     #[must_use]
-    pub fn of(mut series: Vec<f64>) -> Option<Self> {
+    pub fn from_series(mut series: Vec<f64>) -> Option<Self> {
         series.sort_unstable_by(f64::total_cmp);
         let rank = |percent: usize| series[(series.len() * percent).div_ceil(100).max(1) - 1];
         (!series.is_empty()).then(|| Spread { min: series[0], p50: rank(50), p99: rank(99), max: rank(100) })
@@ -145,22 +144,27 @@ pub(crate) mod tests {
     use super::*;
     use crate::cost::constants::tests::table;
     use crate::cost::model::{energy, tests::any_step};
-    use crate::cost::transport::tests::no_ways;
+    use crate::cost::transport::tests::no_routes;
     use crate::ir::activity::Activity;
 
     /// A meter of steps whose messages are not followed.
     pub(crate) fn meter(tables: Vec<CostTable>, tiles_used: u64) -> StepMeter {
-        let metered =
-            Metered { tables, tiles_used, copies: 1, ways: Arc::new(no_ways()), transport: Transport::Analytic };
+        let metered = MeterSettings {
+            tables,
+            tiles_used,
+            copies: 1,
+            routes: Arc::new(no_routes()),
+            transport: Transport::Analytic,
+        };
         StepMeter::new(metered)
     }
 
     #[test]
     fn order_statistics_are_by_nearest_rank() {
-        let spread = Spread::of((1..=200).rev().map(f64::from).collect()).unwrap();
+        let spread = Spread::from_series((1..=200).rev().map(f64::from).collect()).unwrap();
         assert_eq!(spread, Spread { min: 1.0, p50: 100.0, p99: 198.0, max: 200.0 });
-        assert_eq!(Spread::of(vec![3.0]).unwrap(), Spread { min: 3.0, p50: 3.0, p99: 3.0, max: 3.0 });
-        assert_eq!(Spread::of(vec![]), None);
+        assert_eq!(Spread::from_series(vec![3.0]).unwrap(), Spread { min: 3.0, p50: 3.0, p99: 3.0, max: 3.0 });
+        assert_eq!(Spread::from_series(vec![]), None);
     }
 
     proptest! {

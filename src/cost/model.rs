@@ -1,9 +1,7 @@
 //! Energy and time of counts: equations (1) to (11) of `docs/energy.md`.
 //!
-//! Energy is linear in the counts, so the energy of a run is the sum of the energies of its steps, to the femtojoule, and
-//! may be computed from either. Time is not (a step lasts as long as its slowest core) and needs the counts of each step.
-
-use std::ops::{Add, AddAssign};
+//! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is not linear (a step lasts
+//! as long as its slowest core) and needs the counts of each step.
 
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
@@ -54,28 +52,6 @@ impl Breakdown {
     }
 }
 
-impl Add for Breakdown {
-    type Output = Breakdown;
-    fn add(self, other: Breakdown) -> Breakdown {
-        Breakdown {
-            synapse: self.synapse + other.synapse,
-            dendrite: self.dendrite + other.dendrite,
-            compartment: self.compartment + other.compartment,
-            spike: self.spike + other.spike,
-            axon_out: self.axon_out + other.axon_out,
-            axon_in: self.axon_in + other.axon_in,
-            hop: self.hop + other.hop,
-            core_step: self.core_step + other.core_step,
-        }
-    }
-}
-
-impl AddAssign for Breakdown {
-    fn add_assign(&mut self, other: Breakdown) {
-        *self = *self + other;
-    }
-}
-
 /// Energy of one timestep.
 #[must_use]
 pub fn step_energy(step: &StepActivity, table: &CostTable, cores_powered: u64) -> Breakdown {
@@ -83,28 +59,28 @@ pub fn step_energy(step: &StepActivity, table: &CostTable, cores_powered: u64) -
     for core in &step.cores {
         sum += *core;
     }
-    of_counts(sum, step.hops, 1, table, cores_powered)
+    energy_of_counts(sum, step.hops, 1, table, cores_powered)
 }
 
 /// Energy of a whole run: equal to the sum over its steps.
 #[must_use]
 pub fn energy(activity: &Activity, table: &CostTable, cores_powered: u64) -> Breakdown {
-    of_counts(activity.sum(), activity.hops(), activity.steps(), table, cores_powered)
+    energy_of_counts(activity.sum(), activity.hops(), activity.steps(), table, cores_powered)
 }
 
-fn of_counts(sum: CoreCounts, hops: HopCounts, steps: u64, table: &CostTable, cores_powered: u64) -> Breakdown {
+fn energy_of_counts(sum: CoreCounts, hops: HopCounts, steps: u64, table: &CostTable, cores_powered: u64) -> Breakdown {
     Breakdown {
-        synapse: table.synapse_dense.energy * sum.events_dense + table.synapse_sparse.energy * sum.events_sparse,
-        dendrite: table.dendrite * sum.visited,
-        compartment: table.compartment.energy * sum.visited + table.compartment_active.energy * sum.active,
-        spike: table.spike.energy * sum.spikes,
-        axon_out: table.axon_out.energy * sum.messages_out,
-        axon_in: table.axon_in.energy * sum.messages_in,
-        hop: table.local_hop.energy * hops.local
-            + table.hop_ew.energy * hops.east_west
-            + table.hop_ns.energy * hops.north_south
-            + table.hop_chip.energy * hops.chip,
-        core_step: table.core_step * cores_powered * steps,
+        synapse: table.synapse_dense_energy * sum.events_dense + table.synapse_sparse_energy * sum.events_sparse,
+        dendrite: table.dendrite_energy * sum.visited,
+        compartment: table.compartment_energy * sum.visited + table.compartment_active_energy * sum.active,
+        spike: table.spike_energy * sum.spikes,
+        axon_out: table.axon_out_energy * sum.messages_out,
+        axon_in: table.axon_in_energy * sum.messages_in,
+        hop: table.local_hop_energy * hops.local
+            + table.hop_ew_energy * hops.east_west
+            + table.hop_ns_energy * hops.north_south
+            + table.hop_chip_energy * hops.chip,
+        core_step: table.core_step_energy * cores_powered * steps,
     }
 }
 
@@ -136,30 +112,30 @@ impl StepTime {
 #[must_use]
 pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
     times(&[
-        (table.axon_in.time, core.messages_in),
-        (table.synapse_dense.time, core.events_dense),
-        (table.synapse_sparse.time, core.events_sparse),
-        (table.compartment.time, core.visited),
-        (table.compartment_active.time, core.active),
-        (table.spike.time, core.spikes),
-        (table.axon_out.time, core.messages_out),
+        (table.axon_in_time, core.messages_in),
+        (table.synapse_dense_time, core.events_dense),
+        (table.synapse_sparse_time, core.events_sparse),
+        (table.compartment_time, core.visited),
+        (table.compartment_active_time, core.active),
+        (table.spike_time, core.spikes),
+        (table.axon_out_time, core.messages_out),
     ])
 }
 
-/// Time of a message's way through an empty mesh.
+/// Time of a message's route through an empty mesh.
 #[must_use]
 pub fn route_time(route: Route, table: &CostTable) -> Picoseconds {
     if route.links() == 0 {
-        return table.local_hop.time;
+        return table.local_hop_time;
     }
     times(&[
-        (table.hop_ew.time, route.east_west.into()),
-        (table.hop_ns.time, route.north_south.into()),
-        (table.hop_chip.time, route.chip.into()),
+        (table.hop_ew_time, route.east_west.into()),
+        (table.hop_ns_time, route.north_south.into()),
+        (table.hop_chip_time, route.chip.into()),
     ])
 }
 
-/// A sum of products that stays at the end of the range instead of leaving it.
+/// A saturating sum of products.
 pub(crate) fn times(terms: &[(Picoseconds, u64)]) -> Picoseconds {
     let sum = terms.iter().fold(0u128, |sum, &(time, count)| sum + u128::from(time.0) * u128::from(count));
     Picoseconds(u64::try_from(sum).unwrap_or(u64::MAX))
@@ -171,11 +147,11 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::cost::constants::tests::{preset, table};
-    use crate::cost::transport::{Transport, tests::no_ways};
+    use crate::cost::transport::{Transport, tests::no_routes};
 
     /// The time of a step whose messages are not followed.
     fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
-        no_ways().step_time(step, table, Transport::Analytic, tiles_used, 1)
+        no_routes().step_time(step, table, Transport::Analytic, tiles_used, 1)
     }
 
     /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5 dense events on the other.
@@ -229,7 +205,10 @@ pub(crate) mod tests {
         assert_eq!(breakdown.core_step, Femtojoules(7 * 10_000));
         assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
         let read = StepActivity { spikes_out: 3, ..step() };
-        assert_eq!(no_ways().step_time(&read, &table, Transport::Analytic, 1, 4).readout, Picoseconds(3 * 4 * 11_000));
+        assert_eq!(
+            no_routes().step_time(&read, &table, Transport::Analytic, 1, 4).readout,
+            Picoseconds(3 * 4 * 11_000)
+        );
         let time = step_time(&step(), &table, 1);
         assert_eq!((time.injection, time.transport), (Picoseconds(7_000), Picoseconds(2 * 4_100 + 6_500 + 50_000)));
     }
@@ -298,12 +277,14 @@ pub(crate) mod tests {
                 constants.core_step_energy.value = 12.345.into();
                 let table = CostTable::new(&constants).unwrap();
                 let mut activity = Activity::new(3);
-                let mut sum = Breakdown::default();
+                let mut sums = Breakdown::default().parts();
                 for step in &steps {
                     activity.add_steps(step, 1);
-                    sum += step_energy(step, &table, powered);
+                    for ((_, sum), (_, energy)) in sums.iter_mut().zip(step_energy(step, &table, powered).parts()) {
+                        *sum += energy;
+                    }
                 }
-                prop_assert_eq!(energy(&activity, &table, powered), sum);
+                prop_assert_eq!(energy(&activity, &table, powered).parts(), sums);
             }
         }
 

@@ -1,13 +1,13 @@
 //! How long a step's messages take: two models of the mesh.
 //!
-//! Goes in: a program's ways ([`Ways`], made once) and what a step did. Comes out: the time that the cores and the mesh
-//! need together, (11) and (17) of `docs/energy.md`. `analytic` adds the longest way and the wait at the busiest link to
-//! the slowest core; it costs about as much as counting. `queued` follows every message through finite buffers: senders
-//! that find their way full are held up, links and receivers take one message after the other.
+//! Input: a program's routes ([`MessageRoutes`], computed once) and the activity of a step. Output: the time of cores and
+//! mesh together, (11) and (17) of `docs/energy.md`. `analytic` adds the longest route and the wait at the busiest link to
+//! the slowest core; it costs about as much as counting. `queued` follows every message through finite buffers: a sender
+//! whose route is full is stalled, links and receivers take one message at a time.
 //!
-//! The queue is semi-analytic, as the one that SANA-FE calls `detailed` (schedule.cpp, read as a description): a message
-//! does not move link by link, but what is under way on its path when it leaves decides how long it takes. Left out on
-//! purpose: routers' arbitration, virtual channels, and flits; barrier messages, whose time is a constant.
+//! The queue is semi-analytic, as SANA-FE's `detailed` schedule (schedule.cpp, read as a description): a message does not
+//! move link by link; its time follows from the messages in flight along its route when it leaves. Not modelled:
+//! arbitration in routers, virtual channels and flits; barrier messages, whose time is a constant.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -24,7 +24,7 @@ use crate::ir::program::{CoreImage, Lists, Program};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Transport {
-    /// The longest way, and the wait at the busiest link.
+    /// The longest route, and the wait at the busiest link.
     #[default]
     Analytic,
     /// Every message through finite buffers.
@@ -45,7 +45,7 @@ impl Transport {
     }
 }
 
-/// A link in one direction, or a sender's own way into its router.
+/// A link in one direction, or a sender's link into its router.
 type Link = u32;
 
 /// One message that a spike of some source sends.
@@ -60,7 +60,7 @@ struct Message {
 ///
 /// Senders are the cores and, behind them, the port of each chip, through which its inputs enter: the chip's corner.
 #[derive(Debug, Clone)]
-pub struct Ways {
+pub struct MessageRoutes {
     columns: u32,
     rows: u32,
     chip_width: u32,
@@ -72,7 +72,7 @@ pub struct Ways {
     inputs: Lists<Message>,
     /// By compartment.
     spikes: Lists<Message>,
-    /// Core, slot and compartments of that core, by compartment.
+    /// Core, slot, and number of compartments of that core, by compartment.
     seats: Vec<(CoreId, u32, u32)>,
     chips_x: u32,
 }
@@ -85,10 +85,10 @@ fn events(image: &CoreImage, axon: u16) -> (u32, u32) {
     (count as u32, (synapses.len() - count) as u32)
 }
 
-impl Ways {
-    /// The ways of a program's messages.
+impl MessageRoutes {
+    /// The routes of a program's messages.
     #[must_use]
-    pub fn of(program: &Program) -> Self {
+    pub fn of_program(program: &Program) -> Self {
         let mesh = *program.mesh();
         let cores = program.cores();
         let message = |target: &crate::ir::program::AxonTarget| {
@@ -108,7 +108,7 @@ impl Ways {
         }
         let of_cores = cores.iter().map(|image| mesh.tile(image.site));
         let corner = |chip: u32| (chip % mesh.chips_x * mesh.width, chip / mesh.chips_x * mesh.height);
-        Ways {
+        MessageRoutes {
             columns: mesh.chips_x * mesh.width,
             rows: mesh.chips_y * mesh.height,
             chip_width: mesh.width,
@@ -139,12 +139,12 @@ impl Ways {
         4 * (self.columns * self.rows) as usize + self.tiles.len()
     }
 
-    /// The sender's way into its router.
+    /// The sender's link into its router.
     fn first_link(&self, sender: usize) -> Link {
         4 * self.columns * self.rows + sender as u32
     }
 
-    /// Every link of the mesh on a message's way, along its row first, and whether it joins two chips. A link is named by
+    /// Every link on a message's route, along its row first, and whether it joins two chips. A link is numbered by
     /// the tile that it leads to and its direction.
     fn each_link(&self, from: usize, to: usize, mut see: impl FnMut(Link, bool)) {
         let ((mut x, mut y), (tx, ty)) = (self.tiles[from], self.tiles[to]);
@@ -176,8 +176,8 @@ impl Ways {
         if step.channels.is_empty() && step.fired.is_empty() {
             return [0; 2];
         }
-        // Rows eastwards and westwards, columns southwards and northwards: a message adds one where it enters a line of
-        // tiles and takes it away where it leaves, so that a long way costs as much as a short one.
+        // Difference arrays over rows (east, west) and columns (south, north): +1 where a message enters a line of tiles, -1
+        // where it leaves, so the cost is independent of the route's length.
         let (columns, rows) = (self.columns as usize, self.rows as usize);
         let mut lines = [(); 4].map(|()| vec![0i32; columns * rows]);
         self.each_message(step, |sender, message| {
@@ -237,7 +237,7 @@ impl Ways {
             let way = if sent { route_time(step.longest, table) } else { Picoseconds(0) };
             // The first message finds its link free.
             let wait = |link: Picoseconds, load: u32| link.0.saturating_mul(u64::from(load.saturating_sub(1)));
-            let wait = wait(table.link, busiest[0]).max(wait(table.link_chip, busiest[1]));
+            let wait = wait(table.link_time, busiest[0]).max(wait(table.link_chip_time, busiest[1]));
             (cores, Picoseconds(way.0.saturating_add(wait)))
         };
         let time = |table: &CostTable| {
@@ -246,8 +246,8 @@ impl Ways {
                 Transport::Queued => Queue::new(self, table).run(step),
             };
             StepTime {
-                injection: times(&[(table.injection, step.spikes_in), (table.injection_step, copies)]),
-                readout: times(&[(table.readout, step.spikes_out.saturating_mul(copies))]),
+                injection: times(&[(table.injection_time, step.spikes_in), (table.injection_step_time, copies)]),
+                readout: times(&[(table.readout_time, step.spikes_out.saturating_mul(copies))]),
                 slowest_core,
                 transport,
                 barrier: table.barrier(tiles_used),
@@ -268,33 +268,33 @@ struct Ready {
     handling: u64,
 }
 
-/// Occupancy is counted in fractions of a message: integers, so that what leaves takes away just what it brought.
+/// Occupancy is fixed-point in fractions of a message: integers, so that subtracting undoes adding exactly.
 const MESSAGE: u64 = 1 << 32;
 
-/// Messages under way in one step.
+/// Messages in flight in one step.
 struct Queue<'w> {
-    ways: &'w Ways,
+    routes: &'w MessageRoutes,
     table: &'w CostTable,
     /// Of each link, in parts of a [`MESSAGE`].
     occupied: Vec<u64>,
     /// When each link can take the next message.
     free: Vec<u64>,
-    /// When each core has dealt with what it received.
+    /// When each core has handled its messages.
     done: Vec<u64>,
     /// Time of receipt, sender, receiver, handling.
     under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
-    /// Of those: their handling times together.
+    /// Sum of their handling times.
     handling: u128,
 }
 
 impl<'w> Queue<'w> {
-    fn new(ways: &'w Ways, table: &'w CostTable) -> Self {
+    fn new(routes: &'w MessageRoutes, table: &'w CostTable) -> Self {
         Queue {
-            ways,
+            routes,
             table,
-            occupied: vec![0; ways.links()],
-            free: vec![0; ways.links()],
-            done: vec![0; ways.cores],
+            occupied: vec![0; routes.links()],
+            free: vec![0; routes.links()],
+            done: vec![0; routes.cores],
             under_way: BinaryHeap::new(),
             handling: 0,
         }
@@ -302,20 +302,20 @@ impl<'w> Queue<'w> {
 
     /// What each sender sends, in order, and how long it is busy after its last message.
     fn senders(&self, step: &StepActivity) -> Vec<(Vec<Ready>, u64)> {
-        let (ways, table) = (self.ways, self.table);
+        let (routes, table) = (self.routes, self.table);
         let handling = |message: &Message| {
             let counts = [
-                (table.axon_in.time, 1),
-                (table.synapse_dense.time, message.events_dense.into()),
-                (table.synapse_sparse.time, message.events_sparse.into()),
+                (table.axon_in_time, 1),
+                (table.synapse_dense_time, message.events_dense.into()),
+                (table.synapse_sparse_time, message.events_sparse.into()),
             ];
             times(&counts).0
         };
         let ready = |after: u64, message: &Message| Ready { after, to: message.core.0, handling: handling(message) };
-        let mut senders: Vec<(Vec<Ready>, u64)> = vec![Default::default(); ways.tiles.len()];
+        let mut senders: Vec<(Vec<Ready>, u64)> = vec![Default::default(); routes.tiles.len()];
         for channel in &step.channels {
-            for message in ways.inputs.get(channel.index()) {
-                senders[ways.port(message.core)].0.push(ready(0, message));
+            for message in routes.inputs.get(channel.index()) {
+                senders[routes.port(message.core)].0.push(ready(0, message));
             }
         }
         // Visits in slot order, each for the mean time of its core's.
@@ -323,19 +323,19 @@ impl<'w> Queue<'w> {
             .cores
             .iter()
             .map(|core| {
-                times(&[(table.compartment.time, core.visited), (table.compartment_active.time, core.active)]).0
+                times(&[(table.compartment_time, core.visited), (table.compartment_active_time, core.active)]).0
             })
             .collect();
-        let mut fired: Vec<_> = step.fired.iter().map(|c| (ways.seats[c.index()], c.index())).collect();
+        let mut fired: Vec<_> = step.fired.iter().map(|c| (routes.seats[c.index()], c.index())).collect();
         fired.sort_unstable();
-        let mut passed = vec![0u64; ways.cores];
+        let mut passed = vec![0u64; routes.cores];
         for &((core, slot, slots), compartment) in &fired {
             let until = (u128::from(visits[core.index()]) * u128::from(slot + 1) / u128::from(slots.max(1))) as u64;
             let sender = &mut senders[core.index()];
             // A spike that sends nothing takes its time from the next.
-            sender.1 += until - std::mem::replace(&mut passed[core.index()], until) + table.spike.time.0;
-            for message in ways.spikes.get(compartment) {
-                sender.0.push(ready(std::mem::take(&mut sender.1) + table.axon_out.time.0, message));
+            sender.1 += until - std::mem::replace(&mut passed[core.index()], until) + table.spike_time.0;
+            for message in routes.spikes.get(compartment) {
+                sender.0.push(ready(std::mem::take(&mut sender.1) + table.axon_out_time.0, message));
             }
         }
         for (core, &visited) in visits.iter().enumerate() {
@@ -356,22 +356,22 @@ impl<'w> Queue<'w> {
     }
 
     fn occupy(&mut self, from: usize, to: usize, enters: bool) {
-        let ways = self.ways;
-        let part = MESSAGE / (u64::from(ways.route(from, to).links()) + 2);
+        let routes = self.routes;
+        let part = MESSAGE / (u64::from(routes.route(from, to).links()) + 2);
         let mut change = |link: Link| {
             let occupied = &mut self.occupied[link as usize];
             *occupied = if enters { *occupied + part } else { *occupied - part };
         };
-        change(ways.first_link(from));
-        ways.each_link(from, to, |link, _| change(link));
+        change(routes.first_link(from));
+        routes.each_link(from, to, |link, _| change(link));
     }
 
     /// Sends a message at `now`; returns when its sender was done with it and when its receiver was.
     fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
-        let (ways, to) = (self.ways, message.to as usize);
-        let route = ways.route(from, to);
-        let mut along = u128::from(self.occupied[ways.first_link(from) as usize]);
-        ways.each_link(from, to, |link, _| along += u128::from(self.occupied[link as usize]));
+        let (routes, to) = (self.routes, message.to as usize);
+        let route = routes.route(from, to);
+        let mut along = u128::from(self.occupied[routes.first_link(from) as usize]);
+        routes.each_link(from, to, |link, _| along += u128::from(self.occupied[link as usize]));
         let links = u128::from(route.links()) + 1;
         let mean = self.handling / (self.under_way.len() as u128).max(1);
         let whole = u128::from(MESSAGE);
@@ -381,10 +381,10 @@ impl<'w> Queue<'w> {
         let congested = (along * mean / whole / links) as u64;
         // One message after the other on each link.
         let mut at = leaves;
-        ways.each_link(from, to, |link, between_chips| {
+        routes.each_link(from, to, |link, between_chips| {
             let free = &mut self.free[link as usize];
             at = at.max(*free);
-            *free = at + if between_chips { self.table.link_chip.0 } else { self.table.link.0 };
+            *free = at + if between_chips { self.table.link_chip_time.0 } else { self.table.link_time.0 };
         });
         let waited = at - leaves;
         let way = (route_time(route, self.table).0 + waited).max(congested);
@@ -399,7 +399,7 @@ impl<'w> Queue<'w> {
     /// The busiest core's own time and what the mesh adds to it.
     fn run(mut self, step: &StepActivity) -> (Picoseconds, Picoseconds) {
         let senders = self.senders(step);
-        let mut received = vec![0u64; self.ways.cores];
+        let mut received = vec![0u64; self.routes.cores];
         let mut alone = 0;
         for (messages, after) in &senders {
             alone = alone.max(messages.iter().map(|message| message.after).sum::<u64>() + after);
@@ -437,13 +437,13 @@ pub(crate) mod tests {
     use crate::cost::constants::tests::{preset, table};
     use crate::ir::activity::CoreCounts;
 
-    /// The ways of a program of two cores without messages.
-    pub(crate) fn no_ways() -> Ways {
-        ways(&[(0, 0), (0, 0)], &[], &[])
+    /// The routes of a program of two cores without messages.
+    pub(crate) fn no_routes() -> MessageRoutes {
+        routes(&[(0, 0), (0, 0)], &[], &[])
     }
 
-    /// Ways on one chip of 8 by 4 tiles, with 10 compartments a core; lists of (receiving core, dense synapses).
-    fn ways(tiles: &[(u32, u32)], inputs: &[&[(u32, u32)]], spikes: &[&[(u32, u32)]]) -> Ways {
+    /// MessageRoutes on one chip of 8 by 4 tiles, with 10 compartments a core; lists of (receiving core, dense synapses).
+    fn routes(tiles: &[(u32, u32)], inputs: &[&[(u32, u32)]], spikes: &[&[(u32, u32)]]) -> MessageRoutes {
         let lists = |from: &[&[(u32, u32)]]| {
             let mut lists = Lists::default();
             for list in from {
@@ -455,7 +455,7 @@ pub(crate) mod tests {
             }
             lists
         };
-        Ways {
+        MessageRoutes {
             columns: 8,
             rows: 4,
             chip_width: 8,
@@ -481,19 +481,19 @@ pub(crate) mod tests {
             let lists: Vec<Vec<(u32, u32)>> = (0..90).map(list).collect();
             let spikes: Vec<&[(u32, u32)]> = lists.iter().map(Vec::as_slice).collect();
             // Chips of 4 by 2 tiles; the ports of all but the first are not drawn.
-            let ways = Ways { chip_width: 4, chip_height: 2, ..ways(&tiles, &[], &spikes) };
+            let routes = MessageRoutes { chip_width: 4, chip_height: 2, ..routes(&tiles, &[], &spikes) };
             let fired: Vec<u32> = (0..90).filter(|&i| draw(3, 7_000 + 100 * seed + i) == 0).map(|i| i as u32).collect();
             let step = step(9, &[], &fired);
-            let (mut load, mut busiest) = (vec![0u32; ways.links()], [0; 2]);
-            ways.each_message(&step, |sender, message| {
-                ways.each_link(sender, message.core.index(), |link, between_chips| {
+            let (mut load, mut busiest) = (vec![0u32; routes.links()], [0; 2]);
+            routes.each_message(&step, |sender, message| {
+                routes.each_link(sender, message.core.index(), |link, between_chips| {
                     load[link as usize] += 1;
                     let most: &mut u32 = &mut busiest[usize::from(between_chips)];
                     *most = (*most).max(load[link as usize]);
                 });
             });
             assert!(busiest[0] > 0 && busiest[1] > 0, "{busiest:?}");
-            assert_eq!(ways.busiest_links(&step), busiest, "seed {seed}");
+            assert_eq!(routes.busiest_links(&step), busiest, "seed {seed}");
         }
     }
 
@@ -508,8 +508,8 @@ pub(crate) mod tests {
         step
     }
 
-    fn queued(ways: &Ways, step: &StepActivity, table: &CostTable) -> u64 {
-        let (alone, added) = Queue::new(ways, table).run(step);
+    fn queued(routes: &MessageRoutes, step: &StepActivity, table: &CostTable) -> u64 {
+        let (alone, added) = Queue::new(routes, table).run(step);
         alone.0 + added.0
     }
 
@@ -518,11 +518,11 @@ pub(crate) mod tests {
         let sana = table("sanafe-calibrated");
         let mut spikes: Vec<&[(u32, u32)]> = vec![&[]; 20];
         spikes[3] = &[(1, 7)];
-        let ways = ways(&[(0, 0), (2, 1)], &[], &spikes);
+        let routes = routes(&[(0, 0), (2, 1)], &[], &spikes);
         let step = step(2, &[], &[3]);
         // Four visits, the spike, the axon; two links east and one south; an axon and seven synapses.
         let (sent, way, handled) = (4 * 6_000 + 30_000 + 5_100, 2 * 4_100 + 6_500, 16_000 + 7 * 3_800);
-        assert_eq!(queued(&ways, &step, &sana), sent + way + handled);
+        assert_eq!(queued(&routes, &step, &sana), sent + way + handled);
         // Six more visits follow while it is under way.
         assert!(6 * 6_000 < way + handled);
     }
@@ -530,23 +530,23 @@ pub(crate) mod tests {
     #[test]
     fn a_silent_step_takes_the_visits_of_the_slowest_core() {
         let sana = table("sanafe-calibrated");
-        let ways = ways(&[(0, 0), (2, 1)], &[], &[&[] as &[_]; 20]);
+        let routes = routes(&[(0, 0), (2, 1)], &[], &[&[] as &[_]; 20]);
         let mut step = step(2, &[], &[]);
         step.cores.as_mut_slice()[1].active = 5;
-        assert_eq!(queued(&ways, &step, &sana), 10 * 6_000 + 5 * 3_700);
+        assert_eq!(queued(&routes, &step, &sana), 10 * 6_000 + 5 * 3_700);
         step.fired = vec![CompartmentId(0)];
-        assert_eq!(queued(&ways, &step, &sana), 10 * 6_000 + 30_000);
+        assert_eq!(queued(&routes, &step, &sana), 10 * 6_000 + 30_000);
     }
 
     #[test]
     fn a_receiver_handles_one_message_after_the_other() {
         let sana = table("sanafe-calibrated");
         let list: Vec<&[(u32, u32)]> = vec![&[(0, 50)]; 12];
-        let ways = ways(&[(1, 0)], &list, &[&[] as &[_]; 10]);
+        let routes = routes(&[(1, 0)], &list, &[&[] as &[_]; 10]);
         let each = 16_000 + 50 * 3_800;
         let all: Vec<u32> = (0..12).collect();
         // The first arrives over one link.
-        assert_eq!(queued(&ways, &step(1, &all, &[]), &sana), 4_100 + 12 * each);
+        assert_eq!(queued(&routes, &step(1, &all, &[]), &sana), 4_100 + 12 * each);
     }
 
     #[test]
@@ -558,12 +558,12 @@ pub(crate) mod tests {
         let tiles: Vec<(u32, u32)> = (0..12).map(|_| (1, 0)).collect();
         let lists: Vec<[(u32, u32); 1]> = (0..12).map(|core| [(core, 0)]).collect();
         let lists: Vec<&[(u32, u32)]> = lists.iter().map(<[_; 1]>::as_slice).collect();
-        let ways = ways(&tiles, &lists, &[]);
+        let routes = routes(&tiles, &lists, &[]);
         let mut step = step(12, &(0..12).collect::<Vec<_>>(), &[]);
-        assert_eq!(queued(&ways, &step, &slow), 11 * 1_000_000 + 4_100 + 16_000);
+        assert_eq!(queued(&routes, &step, &slow), 11 * 1_000_000 + 4_100 + 16_000);
         step.messages_from_inputs = 12;
         step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 12);
-        let time = ways.step_time(&step, &slow, Transport::Analytic, 1, 1);
+        let time = routes.step_time(&step, &slow, Transport::Analytic, 1, 1);
         assert_eq!(time.transport, Picoseconds(4_100 + 11 * 1_000_000));
     }
 
@@ -573,11 +573,11 @@ pub(crate) mod tests {
         let mut spikes: Vec<&[(u32, u32)]> = vec![&[(1, 200)]; 10];
         spikes[9] = &[(2, 5_000)];
         spikes.extend([&[] as &[(u32, u32)]; 20]);
-        let ways = ways(&[(0, 0), (1, 0), (0, 1)], &[], &spikes);
+        let routes = routes(&[(0, 0), (1, 0), (0, 1)], &[], &spikes);
         let with = |buffer: f64| {
             let mut constants = preset("sanafe-calibrated");
             constants.link_buffer.value = buffer.into();
-            queued(&ways, &step(3, &[], &(0..10).collect::<Vec<_>>()), &CostTable::new(&constants).unwrap())
+            queued(&routes, &step(3, &[], &(0..10).collect::<Vec<_>>()), &CostTable::new(&constants).unwrap())
         };
         let mut last = u64::MAX;
         for buffer in [0.0, 1.0, 2.0, 4.0, 16.0, 1000.0] {
@@ -592,8 +592,8 @@ pub(crate) mod tests {
     fn what_enters_the_mesh_leaves_it() {
         let sana = table("sanafe-calibrated");
         let list: Vec<&[(u32, u32)]> = vec![&[(0, 5), (1, 3), (2, 9)]; 10];
-        let ways = ways(&[(7, 3), (3, 2), (0, 0)], &list, &[&[] as &[_]; 30]);
-        let mut queue = Queue::new(&ways, &sana);
+        let routes = routes(&[(7, 3), (3, 2), (0, 0)], &list, &[&[] as &[_]; 30]);
+        let mut queue = Queue::new(&routes, &sana);
         for (at, message) in
             queue.senders(&step(3, &(0..10).collect::<Vec<_>>(), &[])).pop().unwrap().0.iter().enumerate()
         {

@@ -17,6 +17,9 @@ pub enum Mode {
 }
 
 impl Mode {
+    /// Both, the default first.
+    pub const ALL: [Mode; 2] = [Mode::Offline, Mode::Realtime];
+
     /// As it is typed and printed.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -11,6 +11,7 @@ pub mod measurement;
 pub mod network;
 pub mod neurons;
 pub mod resource;
+pub mod scenario;
 pub mod spanned;
 pub mod stimulus;
 pub mod target;

@@ -225,6 +225,29 @@ pub(crate) fn refuse<T, E: serde::de::Error>(span: Span, message: impl std::fmt:
     fail(span, message)
 }
 
+/// The name in front of the first bracket of a RON text, past comments and attributes.
+#[must_use]
+pub fn root_name(text: &str) -> &str {
+    let mut rest = text;
+    loop {
+        rest = rest.trim_start();
+        let end = if rest.starts_with("//") {
+            rest.find('\n')
+        } else if rest.starts_with("/*") {
+            rest.find("*/").map(|end| end + 2)
+        } else if rest.starts_with("#!") {
+            rest.find(']').map(|end| end + 1)
+        } else {
+            let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+            return &rest[..end];
+        };
+        match end {
+            Some(end) => rest = &rest[end..],
+            None => return "",
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

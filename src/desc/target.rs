@@ -62,6 +62,20 @@ pub struct Constant {
     pub status: Status,
 }
 
+impl Constant {
+    fn not_given(unit: Unit) -> Self {
+        Constant { value: 0.0.into(), unit, source: "not given by this preset".to_string(), status: Status::Assumed }
+    }
+
+    fn no_energy() -> Self {
+        Constant::not_given(Unit::pJ)
+    }
+
+    fn no_time() -> Self {
+        Constant::not_given(Unit::ns)
+    }
+}
+
 /// Which cores draw static power: those that a unit in use belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 pub enum PowerUnit {
@@ -109,12 +123,104 @@ pub struct Residual {
     pub percent: f64,
 }
 
+/// Calls a macro with every single-valued constant and its unit: what holds a value for each is made from this list alone.
+/// Those that a source need not give are zero and assumed without it.
+macro_rules! for_each_constant {
+    ($make:ident) => {
+        $make! {
+            /// A synaptic event of a dense list.
+            synapse_dense_energy: pJ,
+            /// A synaptic event of a sparse list.
+            synapse_sparse_energy: pJ,
+            /// A dendritic accumulator read in a step.
+            #[serde(default = "Constant::no_energy")]
+            dendrite_energy: pJ,
+            /// A compartment visited in a step.
+            compartment_energy: pJ,
+            /// On top, when it is not at rest.
+            compartment_active_energy: pJ,
+            /// On top, when it spikes.
+            #[serde(default = "Constant::no_energy")]
+            spike_energy: pJ,
+            /// A message sent.
+            #[serde(default = "Constant::no_energy")]
+            axon_out_energy: pJ,
+            /// A message received.
+            #[serde(default = "Constant::no_energy")]
+            axon_in_energy: pJ,
+            /// A message that stays within its tile.
+            #[serde(default = "Constant::no_energy")]
+            local_hop_energy: pJ,
+            /// A link crossed east or west.
+            hop_ew_energy: pJ,
+            /// A link crossed north or south.
+            hop_ns_energy: pJ,
+            /// On top, for a link between chips.
+            #[serde(default = "Constant::no_energy")]
+            hop_chip_energy: pJ,
+            /// A powered core in a step.
+            #[serde(default = "Constant::no_energy")]
+            core_step_energy: pJ,
+            /// A synaptic event of a dense list.
+            synapse_dense_time: ns,
+            /// A synaptic event of a sparse list.
+            synapse_sparse_time: ns,
+            /// A compartment visited in a step.
+            compartment_time: ns,
+            /// On top, when it is not at rest.
+            compartment_active_time: ns,
+            /// On top, when it spikes.
+            #[serde(default = "Constant::no_time")]
+            spike_time: ns,
+            /// A message sent.
+            #[serde(default = "Constant::no_time")]
+            axon_out_time: ns,
+            /// A message received.
+            #[serde(default = "Constant::no_time")]
+            axon_in_time: ns,
+            /// A message that stays within its tile.
+            #[serde(default = "Constant::no_time")]
+            local_hop_time: ns,
+            /// A link crossed east or west.
+            hop_ew_time: ns,
+            /// A link crossed north or south.
+            hop_ns_time: ns,
+            /// On top, for a link between chips.
+            #[serde(default = "Constant::no_time")]
+            hop_chip_time: ns,
+            /// A message on a link, which passes them one after the other.
+            link_time: ns,
+            /// A message on a link between chips.
+            link_chip_time: ns,
+            /// Messages that wait at a link, before its sender is held up.
+            link_buffer: messages,
+            /// A spike injected from outside.
+            #[serde(default = "Constant::no_time")]
+            injection_time: ns,
+            /// The turn of one copy's injection in a step, whether it has spikes or not.
+            #[serde(default = "Constant::no_time")]
+            injection_step_time: ns,
+            /// An output spike read out.
+            #[serde(default = "Constant::no_time")]
+            readout_time: ns,
+            /// Static power of a powered core.
+            core_static_power: mW,
+            /// Static power of an x86 core in use.
+            x86_static_power: mW,
+            /// Power of an x86 core in use on top, whether it has work or not.
+            x86_busy_power: mW,
+        }
+    };
+}
+pub(crate) use for_each_constant;
+
 macro_rules! constants {
-    ($(#[$doc:meta])* $name:ident, $file:literal { $($(#[$fdoc:meta])* $field:ident: $unit:ident,)* }) => {
-        $(#[$doc])*
+    ($($(#[$attribute:meta])* $field:ident: $unit:ident,)*) => {
+        /// A preset of energies, times and powers. Energies add up: a compartment that is visited, updated and spikes costs
+        /// all three.
         #[derive(Debug, Clone, Deserialize)]
-        #[serde(deny_unknown_fields, rename = $file)]
-        pub struct $name {
+        #[serde(deny_unknown_fields)]
+        pub struct Constants {
             /// The preset's name.
             pub name: String,
             /// Where sources disagree, and what this preset follows.
@@ -127,9 +233,9 @@ macro_rules! constants {
             /// What a calibration left over, when the preset is the result of one.
             #[serde(default)]
             pub residuals: Vec<Residual>,
-            $($(#[$fdoc])* pub $field: Constant,)*
+            $($(#[$attribute])* pub $field: Constant,)*
         }
-        impl $name {
+        impl Constants {
             /// The names of all single-valued constants, in a fixed order.
             pub const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
@@ -193,6 +299,8 @@ macro_rules! constants {
     };
 }
 
+for_each_constant!(constants);
+
 fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Unit) -> Result<(), Diagnostic> {
     let value = constant.value.value;
     if constant.source.trim().is_empty() {
@@ -210,79 +318,6 @@ fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Un
     }
     Ok(())
 }
-
-constants!(
-    /// A preset of energies, times and powers. Energies add up: a compartment that is visited, updated and spikes costs
-    /// all three.
-    Constants, "Constants" {
-        /// A synaptic event of a dense list.
-        synapse_dense_energy: pJ,
-        /// A synaptic event of a sparse list.
-        synapse_sparse_energy: pJ,
-        /// A dendritic accumulator read in a step.
-        dendrite_energy: pJ,
-        /// A compartment visited in a step.
-        compartment_energy: pJ,
-        /// On top, when it is not at rest.
-        compartment_active_energy: pJ,
-        /// On top, when it spikes.
-        spike_energy: pJ,
-        /// A message sent.
-        axon_out_energy: pJ,
-        /// A message received.
-        axon_in_energy: pJ,
-        /// A message that stays within its tile.
-        local_hop_energy: pJ,
-        /// A link crossed east or west.
-        hop_ew_energy: pJ,
-        /// A link crossed north or south.
-        hop_ns_energy: pJ,
-        /// On top, for a link between chips.
-        hop_chip_energy: pJ,
-        /// A powered core in a step.
-        core_step_energy: pJ,
-        /// A synaptic event of a dense list.
-        synapse_dense_time: ns,
-        /// A synaptic event of a sparse list.
-        synapse_sparse_time: ns,
-        /// A compartment visited in a step.
-        compartment_time: ns,
-        /// On top, when it is not at rest.
-        compartment_active_time: ns,
-        /// On top, when it spikes.
-        spike_time: ns,
-        /// A message sent.
-        axon_out_time: ns,
-        /// A message received.
-        axon_in_time: ns,
-        /// A message that stays within its tile.
-        local_hop_time: ns,
-        /// A link crossed east or west.
-        hop_ew_time: ns,
-        /// A link crossed north or south.
-        hop_ns_time: ns,
-        /// On top, for a link between chips.
-        hop_chip_time: ns,
-        /// A message on a link, which passes them one after the other.
-        link_time: ns,
-        /// A message on a link between chips.
-        link_chip_time: ns,
-        /// Messages that wait at a link, before its sender is held up.
-        link_buffer: messages,
-        /// A spike injected from outside.
-        injection_time: ns,
-        /// The turn of one copy's injection in a step, whether it has spikes or not.
-        injection_step_time: ns,
-        /// An output spike read out.
-        readout_time: ns,
-        /// Static power of a powered core.
-        core_static_power: mW,
-        /// Static power of an x86 core in use.
-        x86_static_power: mW,
-        /// Power of an x86 core in use on top, whether it has work or not.
-        x86_busy_power: mW,
-    }
-);
 
 /// What a core and its chip can hold.
 #[derive(Debug, Clone, Deserialize)]
@@ -552,6 +587,20 @@ mod tests {
         });
         let constants = constants.collect();
         Target::new(&file, &source, chip, constants).unwrap()
+    }
+
+    #[test]
+    fn what_a_preset_need_not_give_is_zero_and_assumed() {
+        let (source, whole) = read::<Constants>("constants/davies2018.ron");
+        let without = |name: &str| {
+            let lines = source.text().lines().filter(|line| !line.trim_start().starts_with(name));
+            parse::<Constants>(&SourceText::new("c.ron", lines.collect::<Vec<_>>().join("\n")), "target.syntax")
+        };
+        let preset = without("readout_time").unwrap();
+        preset.check(&source).unwrap();
+        assert_eq!((preset.readout_time.value.value, preset.readout_time.status), (0.0, Status::Assumed));
+        assert_eq!(preset.list().len(), whole.list().len());
+        assert!(without("core_static_power").is_err());
     }
 
     #[test]

@@ -121,13 +121,21 @@ pub struct EarlyExit {
     pub rule: Rule,
     /// What bounds the outputs.
     pub pace: Pace,
+    /// Whether a decided sample ends; if not, its decision is only noted.
+    pub ends: bool,
 }
 
 impl EarlyExit {
     /// This rule for the output population of a network.
     #[must_use]
     pub fn new(rule: Rule, network: &Quantised) -> EarlyExit {
-        EarlyExit { rule, pace: Pace::of_output(network) }
+        EarlyExit { rule, pace: Pace::of_output(network), ends: true }
+    }
+
+    /// The same, by which no sample ends.
+    #[must_use]
+    pub fn watched(rule: Rule, network: &Quantised) -> EarlyExit {
+        EarlyExit { ends: false, ..EarlyExit::new(rule, network) }
     }
 }
 
@@ -259,7 +267,7 @@ mod tests {
 
     fn exit(rule: Rule, gaps: &[u32]) -> EarlyExit {
         let gaps = gaps.iter().map(|&gap| NonZeroU32::new(gap)).collect();
-        EarlyExit { rule, pace: Pace { gaps, start: 0, reset: None } }
+        EarlyExit { rule, pace: Pace { gaps, start: 0, reset: None }, ends: true }
     }
 
     /// Tells spikes `[step][..]` and returns the first step after which the sample is decided.
@@ -407,7 +415,7 @@ mod tests {
             let outputs = 1 + rng::below(3, seed, 0, 0) as usize;
             let steps = 1 + rng::below(14, seed, 0, 1) as u32;
             let busy = [5, 30, 60, 100][rng::below(4, seed, 0, 2) as usize];
-            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs) };
+            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
             let mut decision = Decision::new(&exit, steps);
             let mut trains = vec![Vec::new(); outputs];
             let mut first = None;
@@ -445,7 +453,7 @@ mod tests {
         for seed in 0..5000 {
             let outputs = 2 + rng::below(19, seed, 0, 0) as usize;
             let steps = 20 + rng::below(300, seed, 0, 1) as u32;
-            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs) };
+            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
             let mut decision = Decision::new(&exit, steps);
             let mut trains = vec![Vec::new(); outputs];
             let mut first = None;
@@ -478,7 +486,7 @@ mod tests {
         for seed in 0..2000 {
             let outputs = 1 + rng::below(4, seed, 0, 0) as usize;
             let steps = 2 + rng::below(60, seed, 0, 1) as u32;
-            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs) };
+            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
             let mut decision = Decision::new(&exit, steps);
             let begin = rng::below(u64::from(steps), seed, 0, 2) as u32;
             for step in exit.pace.start.min(begin)..begin {

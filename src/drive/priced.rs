@@ -10,7 +10,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::units::Picoseconds;
 use crate::compile::Compiled;
 use crate::cost::estimate::{Case, Convention, Estimate, estimate};
-use crate::cost::{CostTable, Deployment, Metered, StepMeter, Transport, Ways};
+use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
 use crate::desc::baseline::Mode;
 use crate::desc::target::Target;
 use crate::ir::activity::{Activity, StepActivity};
@@ -24,7 +24,7 @@ use crate::ir::spikes::Sample;
 pub fn run_metered(
     program: &Program,
     samples: &[&Sample],
-    metered: &Arc<Metered>,
+    metered: &Arc<MeterSettings>,
     running: Running<'_>,
 ) -> Result<(Run<StepMeter>, StepMeter), Diagnostic> {
     let prototype = StepMeter::new(metered.clone());
@@ -60,12 +60,12 @@ pub struct Priced {
 /// A constant that no integer holds; as [`fast`].
 pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> Result<Priced, Diagnostic> {
     let copies = compiled.options.copies;
-    let deployment = Deployment::of("packed", &compiled.placement, target.chip(), copies);
-    let metered = Arc::new(Metered {
+    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
+    let metered = Arc::new(MeterSettings {
         tables: vec![CostTable::new(&target.constants()[0])?],
         tiles_used: deployment.tiles_used,
         copies: copies.into(),
-        ways: Arc::new(Ways::of(&compiled.program)),
+        routes: Arc::new(MessageRoutes::of_program(&compiled.program)),
         transport: Transport::Analytic,
     });
     // Copies share no input channels: each sees the whole sample.

@@ -1,6 +1,6 @@
 //! Tables of measurements, checked.
 //!
-//! Comes in: a path or the name of a shipped table. Goes out: a [`MeasurementsFile`] in which every constant, unit and
+//! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] in which every constant, unit and
 //! figure that it names exists and every cell is a positive number.
 
 use super::shipped;

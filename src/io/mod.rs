@@ -12,6 +12,7 @@ pub mod model;
 pub mod model_builder;
 pub mod npy;
 pub mod safetensors;
+pub mod scenario;
 pub mod shipped;
 pub mod spikes;
 pub mod target;

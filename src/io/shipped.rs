@@ -1,6 +1,7 @@
-//! The files that the program carries: models, targets, chips and constants, so that it works from any folder.
+//! The files that the program carries: models, targets, chips, constants, measurements and scenarios, so that it works
+//! from any folder.
 //!
-//! One table for each kind; a new file is one more line. A name that no table has is answered with the names that it has.
+//! One table for each kind; a new file is one more line. The error for an unknown name lists the known ones.
 
 use std::path::Path;
 
@@ -50,6 +51,9 @@ pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "s
 /// Shipped tables of measurements.
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 
+/// Shipped scenarios.
+pub const SCENARIOS: &[Shipped] = shipped!("mapping/scenarios": "vtsnn-slip-paper");
+
 /// The arrays that shipped models refer to: path within `models/`, content.
 pub const ARRAYS: &[(&str, &[u8])] = weights!(
     "container-tactile",
@@ -61,7 +65,7 @@ pub const ARRAYS: &[(&str, &[u8])] = weights!(
     "vtsnn-slip-srm"
 );
 
-/// Where a text came from: decides where the files that it names are looked for.
+/// Where a text came from, which decides where the files that it names are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
     /// From a file, or stdin.
@@ -121,14 +125,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_and_paths_are_told_apart() {
+    fn names_and_paths_are_distinguished() {
         assert!(is_path("./x") && is_path("x.ron") && is_path("a/b") && is_path("-"));
         assert!(!is_path("vtsnn-slip") && !is_path("src"));
     }
 
     #[test]
     fn names_are_listed_once_and_files_bear_the_names_inside() {
-        for table in [MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS] {
+        for table in [MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, SCENARIOS] {
             for (i, shipped) in table.iter().enumerate() {
                 assert!(table[..i].iter().all(|other| other.name != shipped.name), "{}", shipped.name);
                 assert!(shipped.text.contains(&format!("name: \"{}\"", shipped.name)), "{}", shipped.path);

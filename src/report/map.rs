@@ -1,8 +1,7 @@
 //! The result of `nsim map`: whether and how a network fits its target.
 //!
-//! In comes a compiled program with its traffic, or the reasons why there is none; out goes the result object
-//! `nsim.map/1`, a table of cores, or text. The object of a network that does not fit has the same keys: what nothing is
-//! known of is null.
+//! Input: a compiled program with its traffic, or the reasons why there is none. Output: the result object `nsim.map/1`, a
+//! table of cores, or text. The object of a network that does not fit has the same keys; unknown values are null.
 
 use std::fmt::Write;
 
@@ -15,8 +14,8 @@ use crate::compile::explore::remedy::Remedy;
 use crate::compile::explore::search::{Found, front};
 use crate::compile::explore::traffic::Traffic;
 use crate::compile::{DEFAULT_RATE, Form, Mapping, Options, Reason, place};
-use crate::cost::deployment::Deployment;
 use crate::desc::resource::Resource;
+use crate::desc::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::CoreUsage;
@@ -36,10 +35,12 @@ pub struct Question<'a> {
     pub target: &'a Target,
     /// How to compile.
     pub options: &'a Options,
-    /// What was left out of the model first; empty when nothing was looked for.
+    /// What pruning removed from the model; empty without pruning.
     pub pruned: &'a [PrunedRow],
-    /// What was tried and makes it fit, when it does not.
+    /// Changes that were tried and make it fit, when it does not.
     pub remedies: &'a [Remedy],
+    /// The published job of the model, to compare with.
+    pub scenario: Option<&'a ScenarioFile>,
 }
 
 /// What came out.
@@ -54,7 +55,7 @@ pub enum Outcome<'a> {
 /// The object `nsim.map/1`.
 #[must_use]
 pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
-    let Question { model, target, options, pruned, remedies } = question;
+    let Question { model, target, options, pruned, remedies, .. } = question;
     let mut object = json!({
         "schema": "nsim.map/1",
         "model": model,
@@ -96,7 +97,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
             object["cores"] = rows(compiled).map(|row| row.json()).collect();
             object["traffic"] = json!(traffic);
             object["expected"] = json!(score);
-            object["expected"]["static_mw_of_paper"] = json!(static_of_paper(options, target, &score));
+            object["expected"]["static_mw_of_paper"] = json!(published_static_mw(question, &score));
             let seconds = compiled.seconds.iter().map(|&(stage, seconds)| (stage.to_string(), seconds.into()));
             object["seconds"] = Value::Object(seconds.collect());
         }
@@ -105,27 +106,30 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
     object
 }
 
-/// Static power of the cores that VT-SNN's paper had powered for as many copies of its network, in milliwatts.
-fn static_of_paper(options: &Options, target: &Target, score: &Score) -> Option<f64> {
-    let paper = Deployment::paper();
+/// Static power of as many copies as a published job deployed them, in milliwatts, when this is that job mapped anew.
+fn published_static_mw(question: Question<'_>, score: &Score) -> Option<f64> {
+    let Question { scenario, options, target, .. } = question;
+    let job = scenario.filter(|job| job.copies.value == options.copies && job.target == target.name())?;
     let each = score.static_mw / score.cores_powered.max(1) as f64;
-    (options.copies == paper.copies && target.name() == "nahuku-32").then_some(each * paper.cores_powered as f64)
+    Some(each * job.deployment.cores_powered as f64)
 }
 
-/// What a mean step is expected to cost, for people.
-fn expected_text(options: &Options, target: &Target, score: &Score) -> String {
+/// The estimated cost of a mean step, for people.
+fn expected_text(question: Question<'_>, score: &Score) -> String {
     let Score { cores_powered, energy_uj, step_us, static_mw, .. } = score;
     let mut text = format!(
         "expected of a step: {energy_uj:.4} uJ, {step_us:.3} us; static power {static_mw:.2} mW of {cores_powered} \
          powered cores\n"
     );
-    if let Some(paper) = static_of_paper(options, target, score) {
-        let Deployment { cores_used, cores_powered, copies, .. } = Deployment::paper();
+    if let Some((job, published)) = question.scenario.zip(published_static_mw(question, score)) {
+        let DeployedCores { cores_used, cores_powered, .. } = job.deployment.value;
         let _ = writeln!(
             text,
-            "VT-SNN's paper used {cores_used} cores for {copies} copies ({cores_powered} powered), {paper:.2} mW: {:.2} mW \
-             of static power saved",
-            paper - static_mw
+            "{} used {cores_used} cores for {} copies ({cores_powered} powered), {published:.2} mW: {:.2} mW of static \
+             power saved",
+            job.work,
+            job.copies.value,
+            published - static_mw
         );
     }
     text
@@ -325,7 +329,7 @@ fn quoted(field: &str) -> String {
 /// The result for people.
 #[must_use]
 pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
-    let Question { model, target, options, pruned, remedies } = question;
+    let Question { model, target, options, pruned, remedies, .. } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
     let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
     let mut text = format!("{model}, {copies}, onto {} ({cores} on {chips}): ", target.name());
@@ -385,7 +389,7 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 traffic.mean_link_load,
                 traffic.max_link_load
             );
-            text += &expected_text(options, target, &score);
+            text += &expected_text(question, &score);
             let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
             let _ = writeln!(text, "ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", "));
         }
@@ -494,7 +498,8 @@ mod tests {
     fn both_answers_have_the_same_keys() {
         let options = Options { copies: 3, ..Options::default() };
         let board = target(2, 1, limits());
-        let question = Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[] };
+        let question =
+            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], scenario: None };
         let compiled = mapped(slip(3150), &board, &options).unwrap();
         let outcome = fits_with(&compiled, &board);
         let fits = json(question, outcome);
@@ -547,7 +552,8 @@ mod tests {
         let options = Options::default();
         let compiled = mapped(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);
-        let question = Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[] };
+        let question =
+            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], scenario: None };
         let spoken = text(question, fits_with(&compiled, &board));
         assert!(spoken.contains("and 42 more") && spoken.lines().count() < 40, "{spoken}");
     }

@@ -5,9 +5,7 @@
 
 pub mod agree;
 pub mod bench;
-pub mod calibration;
 pub mod charts;
-pub mod compared;
 pub mod energy;
 pub mod inspect;
 pub mod map;

@@ -1,16 +1,16 @@
 //! A mapped program and a sample as files for SANA-FE 2.2, so that its energy and time can be checked against nsim's.
 //!
-//! Comes in: a compiled network, constants, one sample. Goes out: an architecture and a network with its mapping, in YAML.
+//! Input: a compiled network, constants, one sample. Output: an architecture and a network with its mapping, in YAML.
 //! Energies and times are written as whole femtojoules and picoseconds, so both programs charge the same.
 //!
-//! What is written how: a core is a core of the same tile, tiles counted column by column; compartments are
+//! Mapping of terms: a core is a core of the same tile, tiles counted column by column; compartments are
 //! `leaky_integrate_fire` in 64ths of the chip's voltage, which SANA-FE truncates to a 64th as the chip does, so voltages
-//! agree bit for bit; its current is not truncated, so spikes are the same for certain when `du` is 4096 and may part
-//! otherwise. Input channels are `input` neurons on one more core at the corner of their chip, where nothing but the way
+//! agree bit for bit; its current is not truncated, so spikes are the same for certain when `du` is 4096 and may differ
+//! otherwise. Input channels are `input` neurons on one more core at the corner of their chip, where only the route
 //! through the mesh is charged. SANA-FE delivers a step after sending: inputs of step t without delay are sent in step t - 1,
 //! and where step 0 has some a step goes before all others; inputs of delay 1 are sent in their own step.
 //!
-//! Left out on purpose: injection and read-out (a phase of their own in nsim), costs for each powered core and step, and
+//! Not exported: injection and read-out (a phase of their own in nsim), costs for each powered core and step, and
 //! limits of the voltage. What the format cannot say is refused: other delays, periodic resets, held starts, `threshold: Inclusive`.
 
 use std::collections::BTreeMap;
@@ -223,18 +223,17 @@ impl Export<'_> {
     fn tile_text(&self, out: &mut String, name: &str, inputs: Option<usize>) {
         let (table, mesh) = (self.table, self.program().mesh());
         let _ = write!(out, "    - name: {name}\n      attributes: {{");
-        for (direction, cost) in
-            [("north", table.hop_ns), ("east", table.hop_ew), ("south", table.hop_ns), ("west", table.hop_ew)]
-        {
+        let (ns, ew) = ((table.hop_ns_energy, table.hop_ns_time), (table.hop_ew_energy, table.hop_ew_time));
+        for (direction, (energy, time)) in [("north", ns), ("east", ew), ("south", ns), ("west", ew)] {
             let comma = if direction == "north" { "" } else { ", " };
-            let (energy, time) = (joules(cost.energy), seconds(cost.time));
+            let (energy, time) = (joules(energy), seconds(time));
             let _ = write!(out, "{comma}energy_{direction}_hop: {energy}, latency_{direction}_hop: {time}");
         }
         out.push_str("}\n      core:\n");
         let cores = mesh.cores_per_tile;
         let range = if cores > 1 { format!("core[0..{}]", cores - 1) } else { "core".to_string() };
         let most = self.program().cores().iter().map(|image| image.compartments.len()).max().unwrap_or(1);
-        self.core_text(out, &range, most, table.axon_out.energy, table.axon_out.time, None);
+        self.core_text(out, &range, most, table.axon_out_energy, table.axon_out_time, None);
         if let Some(inputs) = inputs {
             self.core_text(out, "port", inputs, Femtojoules(0), Picoseconds(0), Some(inputs));
         }
@@ -270,9 +269,9 @@ impl Export<'_> {
             Some(1) => soma("input0", "input", [none; 3]),
             Some(inputs) => soma(&format!("input[0..{}]", inputs - 1), "input", [none; 3]),
             None => {
-                let spike = (table.spike.energy, table.spike.time);
-                let visit = (table.compartment.energy + table.dendrite, table.compartment.time);
-                let update = (table.compartment_active.energy, table.compartment_active.time);
+                let spike = (table.spike_energy, table.spike_time);
+                let visit = (table.compartment_energy + table.dendrite_energy, table.compartment_time);
+                let update = (table.compartment_active_energy, table.compartment_active_time);
                 soma("lif", "leaky_integrate_fire", [visit, update, spike])
             }
         };
@@ -283,10 +282,10 @@ impl Export<'_> {
              {}, latency_message_in: {}}}}}\n          soma:\n{somas}          dendrite:\n            - {{name: dendrite, \
              attributes: {{model: accumulator, energy_update: 0.0, latency_update: 0.0}}}}\n          synapse:\n{}{}          \
              axon_out:\n            - {{name: out, attributes: {{energy_message_out: {}, latency_message_out: {}}}}}\n",
-            joules(table.axon_in.energy),
-            seconds(table.axon_in.time),
-            synapse("dense", table.synapse_dense.energy, table.synapse_dense.time),
-            synapse("sparse", table.synapse_sparse.energy, table.synapse_sparse.time),
+            joules(table.axon_in_energy),
+            seconds(table.axon_in_time),
+            synapse("dense", table.synapse_dense_energy, table.synapse_dense_time),
+            synapse("sparse", table.synapse_sparse_energy, table.synapse_sparse_time),
             joules(energy_out),
             seconds(time_out),
         );

@@ -206,9 +206,6 @@ impl From<CompileError> for Error {
     }
 }
 
-/// Copies where neither an argument nor a mapping says how many: the paper's.
-pub const COPIES: u32 = 32;
-
 /// Loads a model and makes it ready for an engine.
 ///
 /// # Errors
@@ -217,7 +214,7 @@ pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, 
     prepare_probed(args, wanted, Some(copies), &[])
 }
 
-/// The same, with as many copies as a saved mapping has unless it is said, and with the populations of these names whole however
+/// The same, with as many copies as a saved mapping has, or 1, unless it is said, and with the populations of these names whole however
 /// much is pruned.
 ///
 /// # Errors
@@ -247,7 +244,7 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
     }
     let target = io::target::load_target(&args.target)?;
     let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
-    let copies = copies.or(mapping.as_ref().map(|file| file.copies)).unwrap_or(COPIES);
+    let copies = copies.or(mapping.as_ref().map(|file| file.copies)).unwrap_or(1);
     let options = Options { copies, ..Options::default() };
     if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
         // Copies share nothing, so one of them is the whole of what a run shows.

@@ -4,6 +4,8 @@ use std::ops::Range;
 use std::str::FromStr;
 use std::time::Duration;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+
 /// On or off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Switch {
@@ -11,6 +13,15 @@ pub enum Switch {
     On,
     /// No.
     Off,
+}
+
+/// Parses one of a closed set of values by its name.
+pub fn one_of<T: Copy + Send + Sync + 'static>(
+    all: &'static [T],
+    name_of: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    let value = move |name: String| all.iter().copied().find(|&value| name_of(value) == name).ok_or("no such value");
+    PossibleValuesParser::new(all.iter().map(|&value| name_of(value))).try_map(value)
 }
 
 /// `A..B` of samples.

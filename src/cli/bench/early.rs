@@ -7,11 +7,11 @@ use crate::bench::early::{StudyModel, Trial, TrialGroup, TrialRun, study_models}
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::context::{Answer, Context};
-use crate::cli::energy::options::{DeploymentArg, deployment, tables, with_preset};
+use crate::cli::energy::options::{tables, with_preset};
 use crate::cli::energy::workload::Workload;
 use crate::cli::output;
-use crate::cost::Transport;
 use crate::cost::estimate::{Case, Convention, spent_by_step_uj};
+use crate::cost::{Deployment, Transport};
 use crate::desc::baseline::Mode;
 use crate::error::Error;
 use crate::io;
@@ -40,9 +40,10 @@ pub struct EarlyArgs {
     /// A target file or the name of a shipped target
     #[arg(long, default_value = "nahuku-32")]
     target: String,
-    /// Copies of the model on the target; figures are of one
-    #[arg(long, value_name = "N", default_value_t = jobs::COPIES, value_parser = clap::value_parser!(u32).range(1..=1024))]
-    copies: u32,
+    /// Copies of the model on the target; figures are of one [default: those of the scenario that ships for the first
+    /// model, else 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    copies: Option<u32>,
     /// Hold every step to the model's timestep, as a live sensor does
     #[arg(long)]
     realtime: bool,
@@ -60,19 +61,19 @@ fn models(args: &EarlyArgs) -> Result<Vec<StudyModel>, Error> {
 }
 
 /// Accuracy and energy after each step.
-fn trial(args: &EarlyArgs, model: &StudyModel, context: Context) -> Result<Option<Trial>, Error> {
+fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) -> Result<Option<Trial>, Error> {
     let job = JobArgs { target: args.target.clone(), ..JobArgs::of_model(&model.model) };
-    let job = match jobs::prepare(&job, Wanted::Mapped, args.copies)? {
+    let job = match jobs::prepare(&job, Wanted::Mapped, copies)? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
             refusal.say(serde_json::json!({ "schema": "nsim.bench/1", "name": "early", "rows": [] }), context)?;
             return Ok(None);
         }
     };
-    let workload = Workload::new(&job, args.copies, &InputArgs::from_sources(&args.input))?;
+    let workload = Workload::new(&job, copies, &InputArgs::from_sources(&args.input))?;
     let (target, preset) = with_preset(workload.target.clone(), None)?;
     let (tables, preset) = tables(&target, preset.as_deref())?;
-    let deployment = deployment(&DeploymentArg::Packed, args.copies, &workload.compiled.placement, &target)?;
+    let deployment = Deployment::from_placement("packed", &workload.compiled.placement, target.chip(), copies);
     let metered = workload.metered(tables, &deployment, Transport::Analytic);
     let (run, meter) = workload.simulate(&metered, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
@@ -83,7 +84,7 @@ fn trial(args: &EarlyArgs, model: &StudyModel, context: Context) -> Result<Optio
         activity: &run.activity,
         meter: &meter,
         preset,
-        copies_counted: args.copies,
+        copies_counted: copies,
         deployment: &deployment,
         mode: if args.realtime { Mode::Realtime } else { Mode::Offline },
         timestep: Picoseconds((timestep_ms * 1e9).round() as u64),
@@ -111,11 +112,13 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
         io::write::check_free(path, context.force)?;
     }
     let models = models(args)?;
+    let scenario = models.first().map(|model| io::scenario::shipped_for(&model.model)).transpose()?.flatten();
+    let copies = args.copies.or(scenario.map(|scenario| scenario.copies.value)).unwrap_or(1);
     let quiet = Context { progress: false, ..context };
     let groups = output::with_progress(context, models.len(), "models", |done| {
         let mut groups: Vec<TrialGroup> = Vec::new();
         for model in &models {
-            let Some(trial) = trial(args, model, quiet)? else { return Ok(None) };
+            let Some(trial) = trial(args, model, copies, quiet)? else { return Ok(None) };
             match groups.last_mut().filter(|group| group.name == model.group) {
                 Some(group) => group.trials.push(trial),
                 None => groups.push(TrialGroup { name: model.group.clone(), trials: vec![trial] }),
@@ -125,7 +128,7 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
         Ok::<_, Error>(Some(groups))
     })?;
     let Some(groups) = groups else { return Ok(Answer::No) };
-    let report = EarlyReport { groups: &groups, copies: args.copies, realtime: args.realtime };
+    let report = EarlyReport { groups: &groups, copies, realtime: args.realtime };
     let texts = [report.csv(), report.over_time(), report.over_energy()];
     for (path, text) in paths.iter().zip(texts) {
         io::write::text(path, context.force, &text)?;

@@ -9,7 +9,7 @@ use crate::bench::cpu::{self, Timed};
 use crate::bench::power::{POWERCAP, Power, PowerMeter};
 use crate::cli::energy::options::{Beside, Watts};
 use crate::cost::baseline::{Figures, NetworkShape, Work};
-use crate::cost::estimate::{Convention, Row, RowSource};
+use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
 use crate::desc::baseline::Mode;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
@@ -43,7 +43,7 @@ pub struct OneCopy<'a> {
 #[derive(Debug, Default)]
 pub struct Rows {
     /// In the order of the table.
-    pub rows: Vec<(Row, String)>,
+    pub rows: Vec<(EnergyRow, String)>,
     /// Why a row is not what one might expect.
     pub notes: Vec<String>,
 }
@@ -52,7 +52,7 @@ pub struct Rows {
 #[must_use]
 pub fn rows(asked: &Beside, one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>) -> Rows {
     let mut found = Rows::default();
-    let (shape, work) = (NetworkShape::of(one.network), Work::of(one.network));
+    let (shape, work) = (NetworkShape::of_network(one.network), Work::of_network(one.network));
     for baseline in &asked.files {
         match baseline.row(&shape, one.steps, one.timestep, mode, convention) {
             Ok(row) => found.rows.push((row, baseline.source())),
@@ -85,8 +85,8 @@ pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: 
                 static_mw: measured.power.static_mw,
                 dynamic_mw: measured.power.dynamic_mw,
                 latency_us: measured.us_per_timestep,
-                source: RowSource::Measured,
-                power_source: RowSource::Measured,
+                source: FigureSource::Measured,
+                power_source: FigureSource::Measured,
             };
             let figures = match mode {
                 Mode::Offline => figures,
@@ -112,7 +112,7 @@ fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<
                 static_mw: power.static_mw,
                 dynamic_mw: power.dynamic_mw,
                 latency_us: timed.us_per_timestep,
-                source: RowSource::Measured,
+                source: FigureSource::Measured,
                 power_source: power.source,
             };
             let figures = match mode {

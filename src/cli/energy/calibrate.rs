@@ -5,18 +5,19 @@ use crate::base::units::Picoseconds;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
-use crate::cli::energy::EnergyArgs;
-use crate::cli::energy::options::{DeploymentArg, deployment};
+use crate::cli::energy::args::EnergyArgs;
+use crate::cli::energy::options::DeploymentSource;
 use crate::cli::energy::workload::Workload;
 use crate::cli::output;
+use crate::compile::Compiled;
 use crate::cost::calibrate::{Cell, Unknown, fit};
-use crate::cost::estimate::{Case, Convention, Row, estimate};
+use crate::cost::estimate::{Case, Convention, EnergyRow, estimate};
 use crate::cost::{CostTable, Deployment};
 use crate::desc::measurement::{FittedConstant, MeasurementsFile};
 use crate::desc::target::{Constants, Residual, Status, Unit};
 use crate::error::Error;
 use crate::io;
-use crate::report::calibration::{CalibrationReport, Fitted};
+use crate::report::energy::calibration::{CalibrationReport, Fitted};
 
 /// Figures that are fitted; energy and its product with delay follow from them.
 const MEASURED: [&str; 4] = ["static_mw", "dynamic_mw", "total_mw", "latency_us"];
@@ -27,14 +28,15 @@ struct Bench<'a> {
     table: &'a MeasurementsFile,
     workload: &'a Workload<'a>,
     deployment: Deployment,
+    convention: Convention,
     context: Context,
 }
 
 impl Bench<'_> {
-    /// The rows that each of these presets predicts, in the convention of published tables.
-    fn rows(&self, presets: &[Constants]) -> Result<Vec<Vec<Row>>, Error> {
+    /// The rows that each of these presets predicts, in the convention of the table.
+    fn rows(&self, presets: &[Constants]) -> Result<Vec<Vec<EnergyRow>>, Error> {
         let tables = presets.iter().map(CostTable::new).collect::<Result<Vec<_>, _>>()?;
-        let metered = self.workload.metered(tables, &self.deployment, self.args.transport.into());
+        let metered = self.workload.metered(tables, &self.deployment, self.args.transport);
         let skip = self.args.skip == Switch::On;
         let (run, meter) = self.workload.simulate(&metered, None, skip, self.context)?;
         let timestep_ms = self.workload.compiled.one.parts().timestep_ms;
@@ -46,7 +48,7 @@ impl Bench<'_> {
             deployment: &self.deployment,
             mode: self.table.mode,
             timestep: Picoseconds((timestep_ms * 1e9).round() as u64),
-            convention: Convention::Published,
+            convention: self.convention,
             steps_per_sample: Some(self.table.steps_per_sample),
         };
         Ok((0..presets.len()).map(|preset| estimate(&case(preset)).rows).collect())
@@ -54,7 +56,7 @@ impl Bench<'_> {
 }
 
 /// A cell's figure in predicted rows.
-fn figure(rows: &[Row], unit: &str, figure: &str) -> Result<f64, Error> {
+fn figure(rows: &[EnergyRow], unit: &str, figure: &str) -> Result<f64, Error> {
     rows.iter().find(|row| row.unit == unit).and_then(|row| row.figure(figure)).ok_or_else(|| {
         Diagnostic::new("calibrate.unknown", format!("the run predicts no {figure} of {unit}: it has no timesteps"))
             .into()
@@ -127,7 +129,7 @@ fn fitted(bench: &Bench<'_>, start: &Constants) -> Result<(Constants, Vec<String
     Ok((preset, found.at_zero.into_iter().map(zero).collect()))
 }
 
-fn residuals(table: &MeasurementsFile, rows: &[Row]) -> Result<Vec<Residual>, Error> {
+fn residuals(table: &MeasurementsFile, rows: &[EnergyRow]) -> Result<Vec<Residual>, Error> {
     let residual = |cell: &crate::desc::measurement::MeasuredCell| {
         let model = figure(rows, &cell.unit.value, &cell.figure.value)?;
         let value = cell.value().map_or(f64::NAN, |(value, _)| value);
@@ -169,9 +171,12 @@ pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, E
             }
         }
     }
-    let place = DeploymentArg::from(table.deployment.as_str());
-    let deployment = deployment(&place, table.copies, &workload.compiled.placement, workload.target)?;
-    let bench = Bench { args, table: &table, workload: &workload, deployment, context };
+    let scenario = io::scenario::shipped_for(&table.model)?;
+    let source = DeploymentSource::load(&table.deployment.as_str().into(), &table.model, scenario.as_ref())?;
+    let Compiled { one, placement, .. } = workload.compiled;
+    let deployment = source.deployment(&one.parts().name, table.copies, placement, workload.target)?;
+    let convention = scenario.map_or(Convention::Published, |scenario| scenario.convention);
+    let bench = Bench { args, table: &table, workload: &workload, deployment, convention, context };
     let (mut preset, notes) = match table.fit.is_empty() {
         true => (start.clone(), Vec::new()),
         false => fitted(&bench, &start)?,

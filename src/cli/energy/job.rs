@@ -1,15 +1,18 @@
 //! From a finished run to its report.
 
+use std::ops::Range;
+
 use crate::base::units::Picoseconds;
-use crate::cost::estimate::{Case, Convention, Row, estimate, spent};
+use crate::cost::estimate::{Case, Convention, EnergyRow, estimate, spent};
 use crate::cost::{Deployment, StepMeter};
 use crate::desc::baseline::Mode;
+use crate::desc::scenario::ScenarioFile;
 use crate::desc::target::Target;
 use crate::drive::Outcome;
 use crate::drive::decision::Rule;
 use crate::ir::activity::Activity;
-use crate::report::compared::{Packing, PerDecision, per_sample, ratios};
-use crate::report::energy::{EnergyReport, Saved, constant_entries};
+use crate::report::energy::compared::{Packing, PerDecision, per_sample, ratios};
+use crate::report::energy::table::{EnergyReport, Saved, constant_entries};
 
 /// A finished run and what is asked about it.
 #[derive(Debug, Clone, Copy)]
@@ -41,11 +44,13 @@ pub struct EnergyJob<'a> {
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
     /// Rows of other hardware with their sources.
-    pub baselines: &'a [(Row, String)],
-    /// The price of a decision.
+    pub baselines: &'a [(EnergyRow, String)],
+    /// The cost of a decision.
     pub per_decision: Option<&'a PerDecision>,
     /// Other numbers of cores to compare with.
     pub other: Option<&'a Deployment>,
+    /// The published job behind the deployment, when it is one's.
+    pub scenario: Option<&'a ScenarioFile>,
     /// What ending samples when they are decided would save.
     pub early_exit: Option<Saved>,
 }
@@ -66,9 +71,21 @@ impl<'a> EnergyJob<'a> {
     }
 }
 
-/// What a run spends less than the whole one: equation (16).
-pub(super) fn saved(rule: Rule, whole: &EnergyJob<'_>, outcomes: &[Outcome], early: &EnergyJob<'_>) -> Saved {
-    let (whole, early) = (spent(&whole.case()), spent(&early.case()));
+/// The steps of each sample until it is decided, in the order of the meter; whole samples where it is not.
+fn until_decided(outcomes: &[Outcome]) -> Vec<Range<usize>> {
+    let mut first = 0;
+    let steps = |outcome: &Outcome| {
+        let begin = first;
+        first += outcome.steps as usize;
+        begin..first - outcome.steps_saved as usize
+    };
+    outcomes.iter().map(steps).collect()
+}
+
+/// What ending samples when they are decided would save of the whole run: equation (16).
+pub(super) fn saved(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> Saved {
+    let whole = spent(&job.case(), [0..job.activity.steps() as usize]);
+    let early = spent(&job.case(), until_decided(outcomes));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
     Saved {
         rule,
@@ -80,9 +97,9 @@ pub(super) fn saved(rule: Rule, whole: &EnergyJob<'_>, outcomes: &[Outcome], ear
     }
 }
 
-/// The mean price of a decision, from a run in which samples end when they are decided.
-pub(super) fn per_decision(rule: Rule, outcomes: &[Outcome], early: &EnergyJob<'_>) -> PerDecision {
-    let (spent, samples) = (spent(&early.case()), outcomes.len().max(1) as f64);
+/// The mean cost of a sample until it is decided.
+pub(super) fn per_decision(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> PerDecision {
+    let (spent, samples) = (spent(&job.case(), until_decided(outcomes)), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
     PerDecision {
         rule: rule.to_string(),
@@ -115,7 +132,7 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
     let estimate = estimate(&job.case());
     let mut notes = estimate.notes.clone();
     let tables = job.meter.tables();
-    if tables[job.preset].injection.0 == 0 && job.mode == Mode::Offline {
+    if tables[job.preset].injection_time.0 == 0 && job.mode == Mode::Offline {
         notes.push(
             "these constants give no time for injecting a spike, which bounds offline runs on the board: the latency is that \
              of the neuron cores alone"
@@ -129,8 +146,8 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
                 .to_string(),
         );
     }
-    if job.deployment.name == "paper" {
-        notes.push("numbers of cores are the VT-SNN paper's; activity is this mapping's".to_string());
+    if let Some(scenario) = job.scenario {
+        notes.push(format!("numbers of cores are {}'s; activity is this mapping's", scenario.work));
     }
     let baselines = job.baselines.to_vec();
     let total = estimate.rows.iter().find(|row| row.unit == "total");

@@ -2,6 +2,7 @@
 //!
 //! [`options`] says what the options stand for, [`workload`] runs, [`job`] makes the report, [`calibrate`] fits.
 
+pub mod args;
 pub mod beside;
 pub mod calibrate;
 pub mod job;
@@ -10,101 +11,22 @@ pub mod workload;
 
 use std::path::PathBuf;
 
-use clap::Args;
-
+use self::args::EnergyArgs;
 use self::beside::OneCopy;
 use self::job::{EnergyJob, per_decision, saved};
-use self::options::{
-    ConventionArg, DeploymentArg, ModeArg, TransportArg, Watts, baselines, deployment, tables, with_preset,
-};
+use self::options::{DeploymentArg, DeploymentSource, baselines, tables, with_preset};
 use self::workload::Workload;
 use crate::base::units::Picoseconds;
-use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cost::Deployment;
-use crate::cost::estimate::Convention;
-use crate::desc::baseline::Mode;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::error::Error;
 use crate::io;
-use crate::report as reports;
+use crate::report::energy::table::nothing;
 use crate::report::sanafe::Export;
-
-const EXAMPLES: &str = "\
-EXAMPLES:
-  nsim energy                                     the default model, 32 copies packed on nahuku-32
-  nsim energy --deployment paper --mode realtime  with the published numbers of cores, held to 1 ms steps
-  nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
-  nsim energy --early-exit certain                what ending decided samples would save
-  nsim energy --constants davies2018 --baseline   the other preset, and no baseline
-  nsim energy --transport queued                  every message through finite buffers
-  nsim energy --svg energy.svg                    a chart of where the energy goes
-  nsim energy --copies 1 --export-sanafe DIR      the same program for SANA-FE
-  nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
-  nsim energy --calibrate vtsnn-realtime          a table that names nothing to fit is only compared
-  nsim energy slip-tactile --input tactile=recording.npy --format json";
-
-/// Options of `nsim energy`.
-#[derive(Debug, Clone, Args)]
-#[command(after_help = EXAMPLES)]
-pub struct EnergyArgs {
-    /// The network and the hardware.
-    #[command(flatten)]
-    pub job: JobArgs,
-    /// What the network is shown.
-    #[command(flatten)]
-    pub input: InputArgs,
-    /// Copies of the model on the target; figures are of one [default: those of --mapping, 32 without it]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub copies: Option<u32>,
-    /// Numbers of cores used and powered: of this mapping, of the VT-SNN paper, or of a saved mapping
-    #[arg(long, value_name = "packed|paper|FILE", default_value = "packed")]
-    pub deployment: DeploymentArg,
-    /// As fast as possible, or held to the model's timestep
-    #[arg(long, default_value = "offline")]
-    pub mode: ModeArg,
-    /// Energy as power x latency, or as the VT-SNN paper computes it
-    #[arg(long, default_value = "physical")]
-    pub convention: ConventionArg,
-    /// Other hardware to show beside: cpu (measured here), or a name of mapping/baselines; all when left out, none when
-    /// given without a name
-    #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
-    pub baseline: Option<Vec<String>>,
-    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
-    #[arg(long, value_name = "IDLE,BUSY")]
-    pub cpu_watts: Option<Watts>,
-    /// A command that passes the same samples through a GPU, to be timed with the board's power
-    #[cfg(feature = "nvml")]
-    #[arg(long, value_name = "COMMAND")]
-    pub gpu_command: Option<String>,
-    /// A chart of where the energy goes
-    #[arg(long, value_name = "FILE.svg")]
-    pub svg: Option<PathBuf>,
-    /// The mapped program, its chip and the first sample as files for SANA-FE
-    #[arg(long, value_name = "DIR")]
-    pub export_sanafe: Option<PathBuf>,
-    /// Preset of constants: of those that the target names (its first when left out), or a file
-    #[arg(long, value_name = "PRESET|FILE")]
-    pub constants: Option<String>,
-    /// How long messages take: the longest way and the busiest link, or every message through finite buffers
-    #[arg(long, default_value = "analytic")]
-    pub transport: TransportArg,
-    /// Fit the constants that a table of measurements names to it, instead of a report; -o takes the preset
-    #[arg(long, value_name = "TABLE")]
-    pub calibrate: Option<String>,
-    /// The file that --calibrate writes
-    #[arg(short, long, value_name = "FILE", requires = "calibrate")]
-    pub output: Option<PathBuf>,
-    /// Whether the simulator skips work that cannot change anything; no figure depends on it
-    #[arg(long, default_value = "on")]
-    pub skip: Switch,
-    /// Say what ending a sample would save when an output leads by so many spikes, or when no other can overtake it
-    #[arg(long, value_name = "MARGIN|certain")]
-    pub early_exit: Option<Rule>,
-}
 
 /// The command.
 ///
@@ -118,12 +40,20 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     for file in args.svg.iter().chain(&args.export_sanafe.iter().flat_map(|d| sanafe_files(d)).collect::<Vec<_>>()) {
         io::write::check_free(file, context.force)?;
     }
-    let (mode, convention) = (Mode::from(args.mode), Convention::from(args.convention));
-    let job = match jobs::prepare_probed(&args.job, Wanted::Mapped, args.copies, &[])? {
+    let (mode, convention) = (args.mode, args.convention);
+    let shipped = io::scenario::shipped_for(&args.job.model)?;
+    let source = DeploymentSource::load(&args.deployment, &args.job.model, shipped.as_ref())?;
+    let deployed = match &source {
+        DeploymentSource::Scenario(_, scenario) => Some(&**scenario),
+        _ => None,
+    };
+    let scenario = deployed.or(shipped.as_ref()).filter(|_| args.job.mapping.is_none());
+    let copies = args.copies.or(scenario.map(|scenario| scenario.copies.value));
+    let job = match jobs::prepare_probed(&args.job, Wanted::Mapped, copies, &[])? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
-            let copies = args.copies.unwrap_or(jobs::COPIES);
-            return refusal.say(reports::energy::nothing(copies, mode, convention), context);
+            let copies = copies.unwrap_or(1);
+            return refusal.say(nothing(copies, mode, convention), context);
         }
     };
     let copies = job.copies();
@@ -132,14 +62,20 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let (target, preset) = with_preset(target.clone(), args.constants.as_deref())?;
     let (tables, preset) = tables(&target, preset.as_deref())?;
     let placement = &compiled.placement;
-    let deployment = deployment(&args.deployment, copies, placement, &target)?;
-    let other = match &args.deployment {
-        DeploymentArg::Packed => Some(Deployment::paper()).filter(|paper| paper.copies == copies),
-        _ => Some(Deployment::of("packed", placement, target.chip(), copies)),
+    let model = &compiled.one.parts().name;
+    let deployment = source.deployment(model, copies, placement, &target)?;
+    let other = match (&args.deployment, &shipped) {
+        (DeploymentArg::Packed, Some(job)) if job.copies.value == copies => {
+            Some(Deployment::from_scenario("paper", job))
+        }
+        (DeploymentArg::Packed, _) => None,
+        _ => Some(Deployment::from_placement("packed", placement, target.chip(), copies)),
     };
-    let metered = workload.metered(tables, &deployment, args.transport.into());
-    let skip = args.skip == Switch::On;
-    let (run, meter) = workload.simulate(&metered, None, skip, context)?;
+    let metered = workload.metered(tables, &deployment, args.transport);
+    // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
+    let rule = args.early_exit.unwrap_or(Rule::Certain);
+    let watched = EarlyExit::watched(rule, &compiled.one);
+    let (run, meter) = workload.simulate(&metered, Some(watched), args.skip == Switch::On, context)?;
     let timestep = Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64);
     let steps_per_sample = workload.steps_per_sample();
     let alone = match asked.cpu && copies > 1 {
@@ -160,7 +96,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         beside::gpu(command, run.activity.steps(), one, mode, convention, &mut beside);
     }
     let whole = EnergyJob {
-        model: &compiled.one.parts().name,
+        model,
         target: &target,
         preset,
         activity: &run.activity,
@@ -176,15 +112,11 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         baselines: &beside.rows,
         per_decision: None,
         other: other.as_ref(),
+        scenario: deployed,
         early_exit: None,
     };
-    // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
-    let rule = args.early_exit.unwrap_or(Rule::Certain);
-    let exit = EarlyExit::new(rule, &compiled.one);
-    let (ended, ended_meter) = workload.simulate(&metered, Some(exit), skip, context)?;
-    let early = EnergyJob { activity: &ended.activity, meter: &ended_meter, ..whole };
-    let early_exit = args.early_exit.map(|rule| saved(rule, &whole, &ended.outcomes, &early));
-    let decision = per_decision(rule, &ended.outcomes, &early);
+    let early_exit = args.early_exit.map(|rule| saved(rule, &whole, &run.outcomes));
+    let decision = per_decision(rule, &whole, &run.outcomes);
     let mut energy = job::report(&EnergyJob { early_exit, per_decision: Some(&decision), ..whole });
     energy.notes.extend(beside.notes);
     if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
@@ -217,13 +149,16 @@ mod tests {
     use crate::base::diagnostic::SourceText;
     use crate::cli::args::values::SampleRange;
     use crate::cost::baseline::{Baseline, tests::vtsnn};
+    use crate::cost::deployment::tests::paper;
     use crate::cost::estimate::tests::{MS, run};
+    use crate::desc::baseline::Mode;
+    use crate::desc::scenario::Convention;
     use crate::desc::spanned::parse;
     use crate::desc::target::Target;
     use crate::desc::target::{Chip, Constants, TargetFile};
     use crate::ir::activity::{CoreCounts, StepActivity};
     use crate::ir::placement::{Mesh, Placement};
-    use crate::report::energy::EnergyReport;
+    use crate::report::energy::table::EnergyReport;
 
     #[derive(Debug, Parser)]
     struct Line {
@@ -251,6 +186,17 @@ mod tests {
     fn sequential(target: &Target, cores: u32) -> Placement {
         let mesh = Mesh::of(target);
         Placement::new(mesh, (0..cores).map(|n| mesh.site(n).unwrap()).collect()).unwrap()
+    }
+
+    fn deployed(
+        model: &str,
+        arg: &DeploymentArg,
+        copies: u32,
+        placement: &Placement,
+        target: &Target,
+    ) -> Result<Deployment, Error> {
+        let shipped = io::scenario::shipped_for(model)?;
+        DeploymentSource::load(arg, model, shipped.as_ref())?.deployment(model, copies, placement, target)
     }
 
     fn steps() -> Vec<StepActivity> {
@@ -294,6 +240,7 @@ mod tests {
             baselines: &[(row, gpu.source())],
             per_decision: None,
             other: None,
+            scenario: None,
             early_exit: None,
         }))
     }
@@ -301,13 +248,15 @@ mod tests {
     #[test]
     fn defaults_are_those_of_the_contract() {
         let args = args(&[]).unwrap();
+        let scenario = io::scenario::shipped_for(&args.job.model).unwrap().unwrap();
+        assert_eq!((scenario.copies.value, scenario.target), (32, args.job.target.clone()));
         assert_eq!(
             (args.job.model.as_str(), args.job.target.as_str(), args.copies, args.input.repeat),
             ("vtsnn-slip", "nahuku-32", None, 1)
         );
         assert_eq!(
             (args.deployment, args.mode, args.convention),
-            (DeploymentArg::Packed, ModeArg::Offline, ConventionArg::Physical)
+            (DeploymentArg::Packed, Mode::Offline, Convention::Physical)
         );
     }
 
@@ -331,17 +280,38 @@ mod tests {
     fn packing_saves_static_power_and_the_paper_s_numbers_are_pinned() {
         let target = nahuku();
         let placement = sequential(&target, 32);
-        let packed = deployment(&DeploymentArg::Packed, 32, &placement, &target).unwrap();
+        let packed = deployed("vtsnn-slip", &DeploymentArg::Packed, 32, &placement, &target).unwrap();
         assert_eq!((packed.cores_used, packed.cores_powered, packed.tiles_used, packed.x86_cores), (32, 32, 8, 1));
-        let paper = deployment(&DeploymentArg::Paper, 32, &placement, &target).unwrap();
+        let paper = deployed("vtsnn-slip", &DeploymentArg::Paper, 32, &placement, &target).unwrap();
         assert_eq!((paper.cores_used, paper.cores_powered, paper.x86_cores), (594, 624, 5));
-        let error = deployment(&DeploymentArg::Paper, 8, &placement, &target).unwrap_err();
+        let error = deployed("vtsnn-slip", &DeploymentArg::Paper, 8, &placement, &target).unwrap_err();
         assert_eq!(error.exit_status(), 2);
         let static_mw = |deployment: &Deployment| {
             with_report(deployment, Mode::Offline, Convention::Physical, |r| r.estimate.rows[1].static_mw.unwrap())
         };
         assert!((static_mw(&paper) / 11.7 - 1.0).abs() < 0.02);
         assert!(static_mw(&packed) < 11.7 / 5.0);
+    }
+
+    #[test]
+    fn only_a_model_with_a_scenario_has_the_paper_s_deployment_and_a_file_gives_its_own() {
+        let target = nahuku();
+        let placement = sequential(&target, 2);
+        let error = deployed("slip-tactile", &DeploymentArg::Paper, 1, &placement, &target).unwrap_err();
+        assert_eq!(error.exit_status(), 2);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("own.ron");
+        let cores = "(cores_used: 7, cores_powered: 9, tiles_used: 4, chips_used: 2, x86_cores: 3)";
+        let text = format!(
+            "// mine\nScenario(name: \"s\", model: \"own\", target: \"nahuku-32\", copies: 2, deployment: {cores}, \
+             convention: physical, work: \"w\", source: \"s\", notes: \"n\")"
+        );
+        std::fs::write(&path, text).unwrap();
+        let file = DeploymentArg::File(path);
+        let own = deployed("own", &file, 2, &placement, &target).unwrap();
+        assert_eq!((own.copies, own.cores_used, own.cores_powered, own.x86_cores), (2, 7, 9, 3));
+        assert_eq!(deployed("own", &file, 3, &placement, &target).unwrap_err().exit_status(), 2);
+        assert_eq!(deployed("other", &file, 2, &placement, &target).unwrap_err().exit_status(), 2);
     }
 
     #[test]
@@ -354,7 +324,7 @@ mod tests {
                 "Mapping(model: \"m\", target: \"nahuku-32\", copies: {copies}, strategy: \"s\", seed: 0, cores: [{cores}])"
             );
             std::fs::write(&path, text).unwrap();
-            deployment(&DeploymentArg::File(path.clone()), 2, &sequential(&target, 1), &target)
+            deployed("m", &DeploymentArg::File(path.clone()), 2, &sequential(&target, 1), &target)
         };
         let core = |chip: u32, x: u32| format!("(chip: {chip}, x: {x}, y: 0, core: 1, holds: []),");
         let found = write(&(core(0, 0) + &core(0, 7) + &core(3, 0)), 2).unwrap();
@@ -364,7 +334,7 @@ mod tests {
         assert_eq!(write(&(core(0, 1) + &core(0, 1)), 2).unwrap_err().exit_status(), 3);
         assert_eq!(write("oops", 2).unwrap_err().exit_status(), 3);
         let missing = DeploymentArg::File(folder.path().join("none.ron"));
-        assert_eq!(deployment(&missing, 2, &sequential(&target, 1), &target).unwrap_err().exit_status(), 3);
+        assert_eq!(deployed("m", &missing, 2, &sequential(&target, 1), &target).unwrap_err().exit_status(), 3);
     }
 
     #[test]
@@ -381,7 +351,7 @@ mod tests {
             (Mode::Realtime, Convention::Physical),
             (Mode::Offline, Convention::Published),
         ] {
-            for deployment in [Deployment::paper(), Deployment { copies: 31, ..Deployment::paper() }] {
+            for deployment in [paper(), Deployment { copies: 31, ..paper() }] {
                 let text = with_report(&deployment, mode, convention, |r| r.text());
                 let row = |unit: &str| -> Vec<f64> {
                     let line = text.lines().find(|l| l.contains("loihi") && l.contains(unit)).unwrap();
@@ -403,7 +373,7 @@ mod tests {
 
     #[test]
     fn json_has_the_keys_of_the_contract_and_nothing_unknown_is_zero() {
-        let report = with_report(&Deployment::paper(), Mode::Realtime, Convention::Published, |r| r);
+        let report = with_report(&paper(), Mode::Realtime, Convention::Published, |r| r);
         let json = report.json();
         for key in [
             "model",
@@ -455,7 +425,7 @@ mod tests {
 
     #[test]
     fn csv_has_a_header_and_a_record_for_each_row() {
-        let csv = with_report(&Deployment::paper(), Mode::Offline, Convention::Physical, |r| r.csv().unwrap());
+        let csv = with_report(&paper(), Mode::Offline, Convention::Physical, |r| r.csv().unwrap());
         let mut reader = csv::Reader::from_reader(csv.as_bytes());
         assert_eq!(reader.headers().unwrap().len(), 17);
         let records: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();

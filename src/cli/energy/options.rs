@@ -1,15 +1,14 @@
-//! What is typed behind `nsim energy`: deployments, modes, presets, and what they stand for.
+//! What options of `nsim energy` stand for: deployments, presets, baselines.
 
 use std::path::PathBuf;
-
-use clap::ValueEnum;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::compile::mapping_file;
 use crate::cost::baseline::{Baseline, SHIPPED};
-use crate::cost::estimate::Convention;
-use crate::cost::{CostTable, Deployment, Transport};
-use crate::desc::baseline::Mode;
+use crate::cost::{CostTable, Deployment};
+use crate::desc::mapping::MappingFile;
+use crate::desc::scenario::ScenarioFile;
+use crate::desc::spanned::{parse, root_name};
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
@@ -20,9 +19,9 @@ use crate::ir::placement::{Mesh, Placement};
 pub enum DeploymentArg {
     /// The mapping's own cores.
     Packed,
-    /// The VT-SNN paper's numbers.
+    /// Those of the scenario that ships for the model.
     Paper,
-    /// Those of a saved mapping.
+    /// Those of a saved mapping or of a scenario.
     File(PathBuf),
 }
 
@@ -32,42 +31,6 @@ impl From<&str> for DeploymentArg {
             "packed" => DeploymentArg::Packed,
             "paper" => DeploymentArg::Paper,
             path => DeploymentArg::File(path.into()),
-        }
-    }
-}
-
-/// `--mode`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ModeArg {
-    /// As fast as possible.
-    Offline,
-    /// A step lasts at least as long as the model's timestep.
-    Realtime,
-}
-
-impl From<ModeArg> for Mode {
-    fn from(arg: ModeArg) -> Self {
-        match arg {
-            ModeArg::Offline => Mode::Offline,
-            ModeArg::Realtime => Mode::Realtime,
-        }
-    }
-}
-
-/// `--convention`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ConventionArg {
-    /// Power times latency.
-    Physical,
-    /// Power divided by the timesteps of a sample.
-    Published,
-}
-
-impl From<ConventionArg> for Convention {
-    fn from(arg: ConventionArg) -> Self {
-        match arg {
-            ConventionArg::Physical => Convention::Physical,
-            ConventionArg::Published => Convention::Published,
         }
     }
 }
@@ -108,45 +71,90 @@ pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Optio
     }
 }
 
-/// The numbers of cores for the report. The placement holds all copies.
-///
-/// # Errors
-/// [`Error::Usage`] when the paper's deployment is asked for other than 32 copies, or a saved mapping is of another number
-/// of copies or another target; [`Error::Input`] when the file cannot be read or places cores where the target has none.
-pub fn deployment(
-    arg: &DeploymentArg,
-    copies: u32,
-    placement: &Placement,
-    target: &Target,
-) -> Result<Deployment, Error> {
-    match arg {
-        DeploymentArg::Packed => Ok(Deployment::of("packed", placement, target.chip(), copies)),
-        DeploymentArg::Paper => {
-            let paper = Deployment::paper();
-            if paper.copies != copies {
+/// `--deployment` with what it names.
+#[derive(Debug)]
+pub enum DeploymentSource {
+    /// The mapping's own cores.
+    Packed,
+    /// A published job.
+    Scenario(String, Box<ScenarioFile>),
+    /// A saved mapping.
+    Mapping(PathBuf, Box<MappingFile>),
+}
+
+impl DeploymentSource {
+    /// Loads what is named.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the paper's deployment is asked for and no scenario ships for the model, [`Error::Input`]
+    /// when a file cannot be used.
+    pub fn load(arg: &DeploymentArg, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self, Error> {
+        let path = match (arg, shipped) {
+            (DeploymentArg::Packed, _) => return Ok(DeploymentSource::Packed),
+            (DeploymentArg::Paper, Some(scenario)) => {
+                return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario.clone())));
+            }
+            (DeploymentArg::Paper, None) => {
                 return Err(Error::Usage(format!(
-                    "--deployment paper is of {0} copies, not {copies}: ask for {0} or use --deployment packed",
-                    paper.copies
+                    "--deployment paper: no scenario ships for {model}; use --deployment packed, or the file of a scenario or \
+                     of a saved mapping"
                 )));
             }
-            Ok(paper)
+            (DeploymentArg::File(path), _) => path,
+        };
+        let source = io::text::read_text(path)?;
+        if root_name(source.text()) == "Scenario" {
+            let scenario = io::scenario::scenario(&source)?;
+            return Ok(DeploymentSource::Scenario(path.display().to_string(), Box::new(scenario)));
         }
-        DeploymentArg::File(path) => {
-            let mapping = io::mapping::load_mapping(path).map_err(|error| match error.help {
-                None => error.help("--deployment is packed, paper, or a mapping saved by nsim map -o"),
-                Some(_) => error,
-            })?;
-            if mapping.copies != copies || mapping.target != target.name() {
-                return Err(Error::Usage(format!(
-                    "{} holds {} copies on {}, not {copies} on {}",
-                    path.display(),
-                    mapping.copies,
-                    mapping.target,
-                    target.name()
-                )));
+        let mapping = parse(&source, "mapping.syntax").map_err(|error| match error.help {
+            None => error.help("--deployment is packed, paper, a scenario, or a mapping saved by nsim map -o"),
+            Some(_) => error,
+        })?;
+        Ok(DeploymentSource::Mapping(path.clone(), Box::new(mapping)))
+    }
+
+    /// The numbers of cores for the report. The placement holds all copies.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when a scenario is of another model, or it or a saved mapping of another number of copies or
+    /// another target; [`Error::Input`] when a saved mapping places cores where the target has none.
+    pub fn deployment(
+        &self,
+        model: &str,
+        copies: u32,
+        placement: &Placement,
+        target: &Target,
+    ) -> Result<Deployment, Error> {
+        match self {
+            DeploymentSource::Packed => Ok(Deployment::from_placement("packed", placement, target.chip(), copies)),
+            DeploymentSource::Scenario(name, scenario) => {
+                if scenario.copies.value != copies {
+                    return Err(Error::Usage(format!(
+                        "--deployment {name} is of {0} copies, not {copies}: ask for {0} or use --deployment packed",
+                        scenario.copies.value
+                    )));
+                }
+                if scenario.model != model {
+                    return Err(Error::Usage(format!("--deployment {name} is of {}, not {model}", scenario.model)));
+                }
+                Ok(Deployment::from_scenario(name, scenario))
             }
-            let placement = mapping_file::placement(&mapping, Mesh::of(target)).map_err(|error| error.in_file(path))?;
-            Ok(Deployment::of(path.display().to_string(), &placement, target.chip(), copies))
+            DeploymentSource::Mapping(path, mapping) => {
+                if mapping.copies != copies || mapping.target != target.name() {
+                    return Err(Error::Usage(format!(
+                        "{} holds {} copies on {}, not {copies} on {}",
+                        path.display(),
+                        mapping.copies,
+                        mapping.target,
+                        target.name()
+                    )));
+                }
+                let placement =
+                    mapping_file::placement(mapping, Mesh::of(target)).map_err(|error| error.in_file(path))?;
+                let name = path.display().to_string();
+                Ok(Deployment::from_placement(name, &placement, target.chip(), copies))
+            }
         }
     }
 }
@@ -192,23 +200,5 @@ impl std::str::FromStr for Watts {
         let watts = |text: &str| text.trim().parse::<f64>().ok().filter(|w| (0.0..=1e6).contains(w));
         let (idle, busy) = (watts(idle).ok_or_else(wrong)?, watts(busy).ok_or_else(wrong)?);
         if idle <= busy { Ok(Watts(1e3 * idle, 1e3 * busy)) } else { Err(wrong()) }
-    }
-}
-
-/// `--transport`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum TransportArg {
-    /// The longest way, and the wait at the busiest link.
-    Analytic,
-    /// Every message through finite buffers, links and receivers one after the other.
-    Queued,
-}
-
-impl From<TransportArg> for Transport {
-    fn from(arg: TransportArg) -> Self {
-        match arg {
-            TransportArg::Analytic => Transport::Analytic,
-            TransportArg::Queued => Transport::Queued,
-        }
     }
 }

@@ -7,7 +7,7 @@ use crate::cli::args::jobs::Job;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::compile::Compiled;
-use crate::cost::{CostTable, Deployment, Metered, StepMeter, Transport, Ways};
+use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
 use crate::desc::target::Target;
 use crate::drive::Keep;
 use crate::drive::decision::EarlyExit;
@@ -34,7 +34,7 @@ pub struct Workload<'j> {
     pub origin: Vec<String>,
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
-    ways: Arc<Ways>,
+    routes: Arc<MessageRoutes>,
 }
 
 impl<'j> Workload<'j> {
@@ -51,15 +51,15 @@ impl<'j> Workload<'j> {
         check_pruned(&compiled.one, &samples, input)?;
         let copied = samples.iter().map(|sample| sample.copies(copies, compiled.one.channels())).collect();
         let samples = samples.into_iter().cloned().collect();
-        let ways = Arc::new(Ways::of(&compiled.program));
-        Ok(Workload { compiled, target, copies, samples, copied, origin: stimulus.origin, seed: stimulus.seed, ways })
+        let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
+        Ok(Workload { compiled, target, copies, samples, copied, origin: stimulus.origin, seed: stimulus.seed, routes })
     }
 
     /// What its steps are metered under.
     #[must_use]
-    pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> Arc<Metered> {
-        let (tiles_used, copies, ways) = (deployment.tiles_used, self.copies.into(), self.ways.clone());
-        Arc::new(Metered { tables, tiles_used, copies, ways, transport })
+    pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> Arc<MeterSettings> {
+        let (tiles_used, copies, routes) = (deployment.tiles_used, self.copies.into(), self.routes.clone());
+        Arc::new(MeterSettings { tables, tiles_used, copies, routes, transport })
     }
 
     /// Timesteps of a sample; `None` when samples differ.
@@ -74,7 +74,7 @@ impl<'j> Workload<'j> {
     /// [`Error::Input`] when the program's sums could not be exact.
     pub fn simulate(
         &self,
-        metered: &Arc<Metered>,
+        metered: &Arc<MeterSettings>,
         early_exit: Option<EarlyExit>,
         skip: bool,
         context: Context,

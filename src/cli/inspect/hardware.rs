@@ -1,10 +1,11 @@
-//! What the files of hardware say: targets, chips, presets of constants, baselines.
+//! What the files of hardware say: targets, chips, presets of constants, baselines, scenarios.
 //!
 //! Comes in: parsed files. Goes out: facts and tables, each constant with unit, source and status.
 
 use serde_json::{Value, json};
 
 use crate::cost::baseline::Baseline;
+use crate::desc::scenario::ScenarioFile;
 use crate::desc::target::{Chip, Constants, Target};
 use crate::report::inspect::{Findings, Rows};
 
@@ -76,6 +77,30 @@ pub(super) fn of_chip(chip: &Chip) -> Findings {
 pub(super) fn of_constants(constants: &Constants) -> Findings {
     let facts = vec![("name", json!(constants.name)), ("notes", json!(constants.notes))];
     Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
+}
+
+pub(super) fn of_scenario(scenario: &ScenarioFile) -> Findings {
+    let cores = scenario.deployment.value;
+    let measured: Vec<&str> = scenario.measured.iter().map(|table| table.value.as_str()).collect();
+    Findings {
+        kind: "scenario",
+        facts: vec![
+            ("name", json!(scenario.name)),
+            ("model", json!(scenario.model)),
+            ("target", json!(scenario.target)),
+            ("copies", json!(scenario.copies.value)),
+            ("cores_used", json!(cores.cores_used)),
+            ("cores_powered", json!(cores.cores_powered)),
+            ("tiles_used", json!(cores.tiles_used)),
+            ("chips_used", json!(cores.chips_used)),
+            ("x86_cores", json!(cores.x86_cores)),
+            ("convention", json!(scenario.convention)),
+            ("measured", json!(measured)),
+            ("source", json!(scenario.source)),
+            ("notes", json!(scenario.notes)),
+        ],
+        tables: Vec::new(),
+    }
 }
 
 pub(super) fn of_baseline(baseline: &Baseline) -> Findings {

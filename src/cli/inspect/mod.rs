@@ -12,19 +12,19 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use self::hardware::{of_baseline, of_chip, of_constants, of_target};
+use self::hardware::{of_baseline, of_chip, of_constants, of_scenario, of_target};
 use self::network::of_network;
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::desc::mapping::{MappingFile, PrunedFile};
-use crate::desc::spanned::parse;
+use crate::desc::spanned::{parse, root_name};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
 use crate::io::shipped::{self, Origin};
 use crate::io::spikes::{self, SpikeFormat, manifest};
-use crate::io::{model, npy, safetensors, target, text};
+use crate::io::{model, npy, safetensors, scenario, target, text};
 use crate::report::inspect::{Findings, Rows, number};
 
 /// What was typed.
@@ -74,7 +74,7 @@ fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
 }
 
 fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
-    let tables = [shipped::MODELS, shipped::TARGETS, shipped::CHIPS, shipped::CONSTANTS];
+    let tables = [shipped::MODELS, shipped::TARGETS, shipped::CHIPS, shipped::CONSTANTS, shipped::SCENARIOS];
     for table in tables {
         if let Some(found) = shipped::Shipped::find(table, name) {
             return inspect_ron(found.source(), Origin::Shipped);
@@ -91,28 +91,6 @@ fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
         .help(format!("shipped are: {}", names.join(", "))))
 }
 
-/// The name in front of the first bracket of a RON text, past comments and attributes.
-fn root_name(text: &str) -> &str {
-    let mut rest = text;
-    loop {
-        rest = rest.trim_start();
-        let end = if rest.starts_with("//") {
-            rest.find('\n')
-        } else if rest.starts_with("/*") {
-            rest.find("*/").map(|end| end + 2)
-        } else if rest.starts_with("#!") {
-            rest.find(']').map(|end| end + 1)
-        } else {
-            let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
-            return &rest[..end];
-        };
-        match end {
-            Some(end) => rest = &rest[end..],
-            None => return "",
-        }
-    }
-}
-
 fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnostic> {
     match root_name(source.text()) {
         "Network" => Ok(of_network(&model::network(source, origin)?)),
@@ -120,6 +98,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
         "Chip" => Ok(of_chip(&target::parse_chip(&source)?)),
         "Constants" => Ok(of_constants(&target::parse_constants(&source)?)),
         "Baseline" => Ok(of_baseline(&Baseline::parse(&source)?)),
+        "Scenario" => Ok(of_scenario(&scenario::scenario(&source)?)),
         "Mapping" => Ok(of_mapping(&parse(&source, "mapping.syntax")?)),
         "DataSet" => Ok(of_dataset(&manifest::from_source(source)?)),
         other => Err(Diagnostic::new(
@@ -130,7 +109,9 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
                 format!("'{other}' is not a kind of file of nsim")
             },
         )
-        .help("a .ron file begins with Network(, Target(, Chip(, Constants(, Baseline(, Mapping( or DataSet(")
+        .help(
+            "a .ron file begins with Network(, Target(, Chip(, Constants(, Baseline(, Scenario(, Mapping( or DataSet(",
+        )
         .in_file(source.path())),
     }
 }

@@ -66,18 +66,18 @@ pub fn score_of(
 ) -> Result<Score, Diagnostic> {
     let none = || Diagnostic::new("target.constants", format!("target {} has no constants", target.name()));
     let table = CostTable::new(target.constants().first().ok_or_else(none)?)?;
-    let deployment = Deployment::of("packed", placement, target.chip(), copies);
+    let deployment = Deployment::from_placement("packed", placement, target.chip(), copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
-    let injection = table.injection.microseconds() * activity.spikes_in as f64;
+    let injection = table.injection_time.microseconds() * activity.spikes_in as f64;
     let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used)];
     let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
     // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
-    let wait = (traffic.max_link_load * table.link.microseconds())
-        .max(traffic.max_chip_link_load * table.link_chip.microseconds());
+    let wait = (traffic.max_link_load * table.link_time.microseconds())
+        .max(traffic.max_chip_link_load * table.link_chip_time.microseconds());
     let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
     let events = step_energy(activity, &table, 0).total().microjoules() / UNIT;
-    let powered = (table.core_step * deployment.cores_powered).microjoules();
-    let static_mw = table.core_static.milliwatts() * deployment.cores_powered as f64;
+    let powered = (table.core_step_energy * deployment.cores_powered).microjoules();
+    let static_mw = table.core_static_power.milliwatts() * deployment.cores_powered as f64;
     Ok(Score {
         cores: deployment.cores_used,
         cores_powered: deployment.cores_powered,

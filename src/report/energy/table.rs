@@ -5,18 +5,18 @@
 
 use std::fmt::Write;
 
-use comfy_table::{CellAlignment, Table};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::compared::{Packing, PerDecision, PerSample, Ratio};
-use super::text::{count, wrapped};
+use super::compared::{Comparison, Packing, PerDecision, PerSample, Ratio};
+use super::format::{fixed, plain, short, unknown};
 use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
-use crate::cost::estimate::{Convention, Estimate, Row};
+use crate::cost::estimate::{Convention, EnergyRow, Estimate};
 use crate::desc::baseline::Mode;
 use crate::desc::target::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
+use crate::report::text::{count, wrapped};
 
 /// What ending samples when they are decided would save of the run: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -107,14 +107,14 @@ pub struct EnergyReport {
     /// Rows of the simulated chip, breakdown, spread.
     pub estimate: Estimate,
     /// Rows of other hardware, with their sources.
-    pub baselines: Vec<(Row, String)>,
+    pub baselines: Vec<(EnergyRow, String)>,
     /// The model of the mesh.
     pub transport: Transport,
     /// Other hardware over the chip.
     pub ratios: Vec<Ratio>,
-    /// The price of a sample.
+    /// The cost of a sample.
     pub per_sample: Vec<PerSample>,
-    /// The price of a decision.
+    /// The cost of a decision.
     pub per_decision: Option<PerDecision>,
     /// The same with other numbers of cores.
     pub packing: Option<Packing>,
@@ -127,7 +127,7 @@ pub struct EnergyReport {
 }
 
 impl EnergyReport {
-    fn rows(&self) -> impl Iterator<Item = &Row> {
+    fn rows(&self) -> impl Iterator<Item = &EnergyRow> {
         self.estimate.rows.iter().chain(self.baselines.iter().map(|(row, _)| row))
     }
 
@@ -226,7 +226,7 @@ impl EnergyReport {
             record.push(row.power_source.name().to_string());
             writer.write_record(record)?;
         }
-        super::text::csv_text(writer)
+        crate::report::text::csv_text(writer)
     }
 
     /// The report for people.
@@ -273,7 +273,14 @@ impl EnergyReport {
         let _ = writeln!(out, "{}\n", table.trim_fmt());
         out.push_str(&self.ranges());
         out.push_str(&self.breakdown());
-        out.push_str(&self.compared());
+        let comparison = Comparison {
+            deployment: name,
+            ratios: &self.ratios,
+            per_sample: &self.per_sample,
+            per_decision: self.per_decision.as_ref(),
+            packing: self.packing.as_ref(),
+        };
+        out.push_str(&comparison.text());
         if let Some(saved) = self.early_exit {
             let _ = writeln!(
                 out,
@@ -316,8 +323,8 @@ impl EnergyReport {
             (|row| row.energy_uj, 6, true),
             (|row| row.edp_pjs, 6, true),
         ];
-        let parts: Vec<&Row> = self.estimate.rows.iter().filter(|row| row.unit != "total").collect();
-        let rounded = |row: &Row, column: usize| -> Option<i128> {
+        let parts: Vec<&EnergyRow> = self.estimate.rows.iter().filter(|row| row.unit != "total").collect();
+        let rounded = |row: &EnergyRow, column: usize| -> Option<i128> {
             let (figure, digits, _) = columns[column];
             let units = |x: f64| (x * 10f64.powi(digits as i32)).round() as i128;
             match column {
@@ -421,38 +428,4 @@ impl EnergyReport {
 }
 
 /// A column of a row.
-type Figure = fn(&Row) -> Option<f64>;
-
-pub(super) fn plain(header: &[&str]) -> Table {
-    let mut table = super::text::table(header);
-    for (i, column) in table.column_iter_mut().enumerate() {
-        let text = i == 0 || matches!(header[i], "Unit" | "Source");
-        column.set_cell_alignment(if text { CellAlignment::Left } else { CellAlignment::Right });
-    }
-    table
-}
-
-fn unknown() -> String {
-    "unknown".to_string()
-}
-
-/// An integer count of `10^-digits` as a decimal.
-fn fixed(units: i128, digits: usize) -> String {
-    let scale = 10i128.pow(digits as u32);
-    let sign = if units < 0 { "-" } else { "" };
-    format!("{sign}{}.{:0digits$}", units.abs() / scale, units.abs() % scale)
-}
-
-/// A figure with at least five significant digits and no more than six decimals, without trailing zeros.
-pub(super) fn short(x: f64) -> String {
-    if x == 0.0 || !x.is_finite() {
-        return format!("{x}");
-    }
-    let magnitude = x.abs().log10().floor() as i32;
-    if magnitude < -6 {
-        return format!("{x:.4e}");
-    }
-    let decimals = (5 - magnitude).clamp(0, 10) as usize;
-    let text = format!("{x:.decimals$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }
-}
+type Figure = fn(&EnergyRow) -> Option<f64>;

@@ -5,10 +5,10 @@ use std::fmt::Write;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::energy::{plain, short};
-use super::text::wrapped;
+use super::format::{plain, short};
 use crate::desc::measurement::MeasurementsFile;
 use crate::desc::target::{Residual, Unit};
+use crate::report::text::{csv_text, wrapped};
 
 /// A constant that was fitted.
 #[derive(Debug, Clone, Serialize)]
@@ -86,7 +86,7 @@ impl CalibrationReport<'_> {
         for residual in self.residuals {
             writer.serialize(residual)?;
         }
-        super::text::csv_text(writer)
+        csv_text(writer)
     }
 
     /// The report for people.

@@ -1,5 +1,4 @@
-//! What the energy table comes to: ratios to other hardware, the price of a sample and of a decision, what packing saves,
-//! and a chart of where the energy goes.
+//! What the energy table comes to: ratios to other hardware, the cost of a sample and of a decision, what packing saves.
 //!
 //! Everything here is physical, power times time, whatever convention the table is in.
 
@@ -7,10 +6,9 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use super::energy::{EnergyReport, plain, short};
-use super::text::wrapped;
-use crate::cost::estimate::Row;
-use crate::report::charts::plot::{self, Axis};
+use super::format::{plain, short};
+use crate::cost::estimate::EnergyRow;
+use crate::report::text::wrapped;
 
 /// Other hardware over the simulated chip: above 1, the chip needs less.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -67,14 +65,14 @@ pub struct Packing {
 }
 
 /// Power times time of a row in uJ.
-fn energy(row: &Row) -> Option<f64> {
+pub(super) fn energy(row: &EnergyRow) -> Option<f64> {
     Some(row.total_mw? * row.latency_us? / 1e3)
 }
 
 /// The ratios of other rows to the chip's total.
 #[must_use]
-pub fn ratios(chip: &Row, others: &[(Row, String)]) -> Vec<Ratio> {
-    let of = |other: &Row| {
+pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
+    let of = |other: &EnergyRow| {
         let over = |this: Option<f64>, that: Option<f64>| Some(that? / this.filter(|this| *this > 0.0)?);
         let latency_us = over(chip.latency_us, other.latency_us)?;
         let energy_uj = over(energy(chip), energy(other))?;
@@ -89,9 +87,9 @@ pub fn ratios(chip: &Row, others: &[(Row, String)]) -> Vec<Ratio> {
     others.iter().filter_map(|(other, _)| of(other)).collect()
 }
 
-/// The price of a sample of so many timesteps on each row's hardware.
-pub fn per_sample<'r>(rows: impl Iterator<Item = &'r Row>, steps: f64) -> Vec<PerSample> {
-    let of = |row: &Row| {
+/// The cost of a sample of so many timesteps on each row's hardware.
+pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> Vec<PerSample> {
+    let of = |row: &EnergyRow| {
         Some(PerSample {
             hardware: row.hardware.clone(),
             time_us: row.latency_us? * steps,
@@ -101,13 +99,28 @@ pub fn per_sample<'r>(rows: impl Iterator<Item = &'r Row>, steps: f64) -> Vec<Pe
     rows.filter(|row| row.unit == "total").filter_map(of).collect()
 }
 
-impl EnergyReport {
-    /// Ratios, samples and decisions, packing: in words and tables.
-    pub(super) fn compared(&self) -> String {
+/// What the table comes to beside other hardware and other numbers of cores.
+#[derive(Debug, Clone, Copy)]
+pub struct Comparison<'a> {
+    /// Name of the deployment.
+    pub deployment: &'a str,
+    /// Other hardware over the chip.
+    pub ratios: &'a [Ratio],
+    /// Time and energy of a sample.
+    pub per_sample: &'a [PerSample],
+    /// Time and energy of a decision.
+    pub per_decision: Option<&'a PerDecision>,
+    /// The same with other numbers of cores.
+    pub packing: Option<&'a Packing>,
+}
+
+impl Comparison<'_> {
+    /// In words and tables.
+    pub(super) fn text(&self) -> String {
         let mut out = String::new();
         if !self.ratios.is_empty() {
             let mut table = plain(&["Over the chip's", "Power", "Latency", "Energy", "EDP"]);
-            for ratio in &self.ratios {
+            for ratio in self.ratios {
                 let times = |x: f64| format!("{} x", short(x));
                 let Ratio { hardware, total_mw, latency_us, energy_uj, edp_pjs } = ratio;
                 table.add_row([
@@ -122,26 +135,26 @@ impl EnergyReport {
         }
         if !self.per_sample.is_empty() {
             let mut table = plain(&["One sample on", "Time (ms)", "Energy (uJ)"]);
-            for PerSample { hardware, time_us, energy_uj } in &self.per_sample {
+            for PerSample { hardware, time_us, energy_uj } in self.per_sample {
                 table.add_row([hardware.clone(), short(time_us / 1e3), short(*energy_uj)]);
             }
-            if let Some(decision) = &self.per_decision {
+            if let Some(decision) = self.per_decision {
                 let name = format!("loihi, until decided ({})", decision.rule);
                 table.add_row([name, short(decision.time_us / 1e3), short(decision.energy_uj)]);
             }
             let _ = writeln!(out, "{}", table.trim_fmt());
-            if let Some(decision) = &self.per_decision {
+            if let Some(decision) = self.per_decision {
                 out +=
                     &wrapped(&format!("{:.1} % of the samples are decided before their end.", 100.0 * decision.early));
             }
             out.push('\n');
         }
-        if let Some(packing) = &self.packing {
+        if let Some(packing) = self.packing {
             let Packing { compared_with, cores_powered, static_mw, total_mw, energy_uj } = packing;
             out += &wrapped(&format!(
                 "Deployment {} powers {} neuron cores, {compared_with} {}: static power {} mW a copy against {}, total {} mW \
                  against {}, energy of a timestep {} uJ against {} (physical, latency and activity of this run).",
-                self.deployment.name,
+                self.deployment,
                 cores_powered[0],
                 cores_powered[1],
                 short(static_mw[0]),
@@ -155,41 +168,15 @@ impl EnergyReport {
         }
         out
     }
-
-    /// Where the energy of a timestep goes: all of it, and the dynamic part of the neuron cores. `None` without timesteps.
-    #[must_use]
-    pub fn svg(&self) -> Option<String> {
-        let parts = self.estimate.breakdown_pj.as_ref()?;
-        let row = |unit: &str| self.estimate.rows.iter().find(|row| row.unit == unit);
-        let (x86, neuron) = (row("x86")?, row("neuron")?);
-        let powers = [
-            ("x86 static", x86.static_mw?),
-            ("x86 busy", x86.dynamic_mw?),
-            ("neuron static", neuron.static_mw?),
-            ("neuron dynamic", neuron.dynamic_mw?),
-        ];
-        let share = |value: f64, total: f64| if total > 0.0 { 100.0 * value / total } else { 0.0 };
-        let (all, dynamic): (f64, f64) = (powers.iter().map(|(_, mw)| mw).sum(), parts.iter().map(|(_, pj)| pj).sum());
-        let mut series: Vec<(String, Vec<f64>)> =
-            powers.iter().map(|(name, mw)| ((*name).to_string(), vec![share(*mw, all), 0.0])).collect();
-        for (name, pj) in parts.iter().filter(|(_, pj)| *pj > 0.0) {
-            series.push((name.replace('_', " "), vec![0.0, share(*pj, dynamic)]));
-        }
-        let title = format!("{} on {}: where the energy of a timestep goes", self.model, self.target);
-        let total = |name: &str, uj: f64| format!("{name}: {} uJ", short(uj));
-        let whole = energy(row("total")?)?;
-        let categories = [total("all", whole), total("neuron dynamic", dynamic / 1e6)];
-        Some(plot::stacked(&title, &Axis::linear("share (%)"), &categories, &series))
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cost::estimate::{Convention, RowSource};
+    use crate::cost::estimate::{Convention, FigureSource};
 
-    fn row(hardware: &str, total_mw: f64, latency_us: f64) -> Row {
-        Row {
+    fn row(hardware: &str, total_mw: f64, latency_us: f64) -> EnergyRow {
+        EnergyRow {
             hardware: hardware.to_string(),
             unit: "total",
             convention: Convention::Published,
@@ -201,8 +188,8 @@ mod tests {
             edp_pjs: Some(1.0),
             low: None,
             high: None,
-            source: RowSource::Published,
-            power_source: RowSource::Published,
+            source: FigureSource::Published,
+            power_source: FigureSource::Published,
         }
     }
 
@@ -212,14 +199,14 @@ mod tests {
         let found = ratios(&row("loihi", 32.3, 1039.9), &[(row("gpu", 61_930.0, 1045.6), String::new())]);
         assert_eq!(found.len(), 1);
         assert!((found[0].total_mw - 1917.3).abs() < 0.1 && (found[0].energy_uj - 1927.8).abs() < 0.1, "{found:?}");
-        let unknown = Row { latency_us: None, ..row("x", 1.0, 1.0) };
+        let unknown = EnergyRow { latency_us: None, ..row("x", 1.0, 1.0) };
         assert!(ratios(&row("loihi", 1.0, 1.0), &[(unknown, String::new())]).is_empty());
         assert!(ratios(&row("loihi", 0.0, 1.0), &[(row("x", 1.0, 1.0), String::new())]).is_empty());
     }
 
     #[test]
     fn a_sample_costs_its_steps() {
-        let rows = [row("loihi", 33.7, 231.0), Row { unit: "x86", ..row("loihi", 1.0, 231.0) }];
+        let rows = [row("loihi", 33.7, 231.0), EnergyRow { unit: "x86", ..row("loihi", 1.0, 231.0) }];
         let found = per_sample(rows.iter(), 150.0);
         assert_eq!(found.len(), 1);
         assert!(

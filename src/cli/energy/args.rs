@@ -1,0 +1,89 @@
+//! What is typed after `nsim energy`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::options::{DeploymentArg, Watts};
+use crate::cli::args::input::InputArgs;
+use crate::cli::args::jobs::JobArgs;
+use crate::cli::args::values::{Switch, one_of};
+use crate::cost::Transport;
+use crate::desc::baseline::Mode;
+use crate::desc::scenario::Convention;
+use crate::drive::decision::Rule;
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim energy                                     the default model with the copies of its scenario, packed
+  nsim energy --deployment paper --mode realtime  with the published numbers of cores, held to 1 ms steps
+  nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
+  nsim energy --early-exit certain                what ending decided samples would save
+  nsim energy --constants davies2018 --baseline   the other preset, and no baseline
+  nsim energy --transport queued                  every message through finite buffers
+  nsim energy --svg energy.svg                    a chart of where the energy goes
+  nsim energy --copies 1 --export-sanafe DIR      the same program for SANA-FE
+  nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
+  nsim energy --calibrate vtsnn-realtime          a table that names nothing to fit is only compared
+  nsim energy slip-tactile --input tactile=recording.npy --format json";
+
+/// Options of `nsim energy`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct EnergyArgs {
+    /// The network and the hardware.
+    #[command(flatten)]
+    pub job: JobArgs,
+    /// What the network is shown.
+    #[command(flatten)]
+    pub input: InputArgs,
+    /// Copies of the model on the target; figures are of one [default: those of --mapping, else those
+    /// of the scenario that ships for the model, else 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub copies: Option<u32>,
+    /// Numbers of cores used and powered: of this mapping, of the scenario that ships for the model, or of the file of a
+    /// saved mapping or a scenario
+    #[arg(long, value_name = "packed|paper|FILE", default_value = "packed")]
+    pub deployment: DeploymentArg,
+    /// As fast as possible, or held to the model's timestep
+    #[arg(long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
+    pub mode: Mode,
+    /// Energy as power x latency, or as the VT-SNN paper computes it
+    #[arg(long, default_value = "physical", value_parser = one_of(&Convention::ALL, Convention::name))]
+    pub convention: Convention,
+    /// Other hardware to show beside: cpu (measured here), or a name of mapping/baselines; all when left out, none when
+    /// given without a name
+    #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
+    pub baseline: Option<Vec<String>>,
+    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
+    #[arg(long, value_name = "IDLE,BUSY")]
+    pub cpu_watts: Option<Watts>,
+    /// A command that passes the same samples through a GPU, to be timed with the board's power
+    #[cfg(feature = "nvml")]
+    #[arg(long, value_name = "COMMAND")]
+    pub gpu_command: Option<String>,
+    /// A chart of where the energy goes
+    #[arg(long, value_name = "FILE.svg")]
+    pub svg: Option<PathBuf>,
+    /// The mapped program, its chip and the first sample as files for SANA-FE
+    #[arg(long, value_name = "DIR")]
+    pub export_sanafe: Option<PathBuf>,
+    /// Preset of constants: of those that the target names (its first when left out), or a file
+    #[arg(long, value_name = "PRESET|FILE")]
+    pub constants: Option<String>,
+    /// How long messages take: the longest way and the busiest link, or every message through finite buffers
+    #[arg(long, default_value = "analytic", value_parser = one_of(&Transport::ALL, Transport::name))]
+    pub transport: Transport,
+    /// Fit the constants that a table of measurements names to it, instead of a report; -o takes the preset
+    #[arg(long, value_name = "TABLE")]
+    pub calibrate: Option<String>,
+    /// The file that --calibrate writes
+    #[arg(short, long, value_name = "FILE", requires = "calibrate")]
+    pub output: Option<PathBuf>,
+    /// Whether the simulator skips work that cannot change anything; no figure depends on it
+    #[arg(long, default_value = "on")]
+    pub skip: Switch,
+    /// Say what ending a sample would save when an output leads by so many spikes, or when no other can overtake it
+    #[arg(long, value_name = "MARGIN|certain")]
+    pub early_exit: Option<Rule>,
+}

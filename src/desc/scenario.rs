@@ -1,0 +1,73 @@
+//! The mirror of scenario files (`mapping/scenarios`): a published job, with the numbers of cores that it ran on.
+
+use serde::{Deserialize, Serialize};
+
+use super::spanned::Spanned;
+
+/// What "energy per timestep" and "energy-delay product" mean.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Convention {
+    /// Power times time (13).
+    #[default]
+    Physical,
+    /// The VT-SNN paper's arithmetic: the energy of a millisecond divided by the timesteps of a sample (14), (15).
+    Published,
+}
+
+impl Convention {
+    /// Both, the default first.
+    pub const ALL: [Convention; 2] = [Convention::Physical, Convention::Published];
+
+    /// As it is typed and printed.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Convention::Physical => "physical",
+            Convention::Published => "published",
+        }
+    }
+}
+
+/// Numbers of cores of a deployment, all copies together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeployedCores {
+    /// Neuron cores in use.
+    pub cores_used: u64,
+    /// Neuron cores that draw static power.
+    pub cores_powered: u64,
+    /// Tiles that take part in the barrier.
+    pub tiles_used: u64,
+    /// Chips with a core in use.
+    pub chips_used: u64,
+    /// x86 cores in use.
+    pub x86_cores: u64,
+}
+
+/// A scenario file.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Scenario")]
+pub struct ScenarioFile {
+    /// The scenario's name.
+    pub name: String,
+    /// The model that ran.
+    pub model: String,
+    /// The target that it ran on.
+    pub target: String,
+    /// Copies of the model on the target.
+    pub copies: Spanned<u32>,
+    /// Numbers of cores.
+    pub deployment: Spanned<DeployedCores>,
+    /// What energy means in the measured tables.
+    pub convention: Convention,
+    /// Shipped tables of measurements of this job.
+    #[serde(default)]
+    pub measured: Vec<Spanned<String>>,
+    /// The publication, as a sentence names it.
+    pub work: String,
+    /// Where the numbers are printed.
+    pub source: String,
+    /// What is inferred.
+    pub notes: String,
+}
