@@ -15,6 +15,7 @@ use crate::base::fixed::Decay;
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec};
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::neurons::NeuronKind;
 use crate::ir::activity::{Overflow, Totals};
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Neuron, Projection, Quantised, Reset, SpikeSource, Units};
@@ -194,10 +195,11 @@ impl Golden {
             && sum == 0;
         self.totals.active_updates += u64::from(!at_rest);
 
-        let outcome = match semantics {
-            Semantics::Hardware => hardware(neuron, threshold, state, sum, step),
-            Semantics::Lava => lava(neuron, threshold, state, sum, step),
-            Semantics::Slayer => slayer(neuron, threshold, state, sum, step),
+        let outcome = match (neuron.kind, semantics) {
+            (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, sum, step),
+            (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, sum, step),
+            (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
+            (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
         };
         // Rule (14).
         self.overflow.q_wrapped += u64::from(outcome.q_wrapped);
@@ -387,6 +389,21 @@ fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i
         spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
         q_wrapped: q != sum,
         u_wrapped: state.u != current || wrap(biased, 23) != biased,
+        v_clipped,
+    }
+}
+
+/// A step of an integrate-and-fire compartment: equations (2) to (7) with du = 4096 and dv = 0.
+fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
+    state.u = wrap(sum, 21);
+    let biased = state.u + bias(Semantics::Hardware, neuron);
+    let voltage = state.v + wrap(biased, 23);
+    let clipped = voltage.clamp(1 - (1i64 << neuron.vmin.get()), (1i64 << (9 + 2 * neuron.vmax.get())) - 1);
+    let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
+    Outcome {
+        spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
+        q_wrapped: state.u != sum,
+        u_wrapped: wrap(biased, 23) != biased,
         v_clipped,
     }
 }

@@ -13,6 +13,8 @@ use crate::base::fixed::{
 pub enum NeuronKind {
     /// A compartment of Loihi 1: decaying current and voltage.
     Loihi,
+    /// Integrate-and-fire: no memory in the current, no leak of the voltage.
+    If,
 }
 
 /// A parameter of a population; one value for all compartments or one each.
@@ -76,13 +78,14 @@ const VMAX: ParameterField = optional("vmax_exp", VmaxExponent::FIELD, 7);
 
 impl NeuronKind {
     /// Every kind.
-    pub const ALL: [NeuronKind; 1] = [NeuronKind::Loihi];
+    pub const ALL: [NeuronKind; 2] = [NeuronKind::Loihi, NeuronKind::If];
 
     /// Its name in model files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             NeuronKind::Loihi => "Loihi",
+            NeuronKind::If => "If",
         }
     }
 
@@ -104,6 +107,7 @@ impl NeuronKind {
                     ]
                 }
             }
+            NeuronKind::If => const { &[THRESHOLD, BIAS_MANTISSA, BIAS_EXPONENT, REFRACTORY, VMIN, VMAX] },
         }
     }
 

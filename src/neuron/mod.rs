@@ -7,6 +7,7 @@
 //!
 //! To add a kind: its file, [`kind`] and [`update`] here, its table in `desc::neurons`, its arithmetic in `golden`.
 
+mod integrate_fire;
 mod kind;
 mod loihi;
 
@@ -24,6 +25,7 @@ use crate::ir::quantised::{Neuron, Quantised, Units};
 pub fn kind(kind: NeuronKind) -> &'static Kind {
     match kind {
         NeuronKind::Loihi => &loihi::KIND,
+        NeuronKind::If => &integrate_fire::KIND,
     }
 }
 
@@ -33,6 +35,7 @@ pub fn kind(kind: NeuronKind) -> &'static Kind {
 pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.neuron.kind {
         NeuronKind::Loihi => loihi::update(r, arrived, f),
+        NeuronKind::If => integrate_fire::update(r, arrived, f),
     }
 }
 

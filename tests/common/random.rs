@@ -5,6 +5,7 @@ use nsim::base::id::{ChannelId, PopulationId};
 use nsim::base::rng;
 use nsim::desc::mapping::{MappedCore, MappingFile, Run};
 use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::desc::neurons::NeuronKind;
 use nsim::ir::graph::{Shape, Window};
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::{Connectivity, Neuron, Quantised, SynapseFormat};
@@ -38,7 +39,7 @@ impl Draw {
     }
 }
 
-fn random_neuron(draw: &mut Draw) -> Neuron {
+fn random_neuron(draw: &mut Draw, semantics: Semantics) -> Neuron {
     let decay = |draw: &mut Draw| match draw.from(0, 5) {
         0 => draw.one_of(&[0, 1, 2, 4095, 4096]),
         _ => draw.from(0, 4096),
@@ -53,7 +54,11 @@ fn random_neuron(draw: &mut Draw) -> Neuron {
         0 => draw.one_of(&[0, 2, 5, 63]),
         _ => 1,
     };
-    let mut neuron = neuron(du, dv, vth, refractory);
+    // An integrate-and-fire compartment has the chip's arithmetic only.
+    let mut neuron = match semantics == Semantics::Hardware && draw.chance(20) {
+        true => Neuron { kind: NeuronKind::If, ..neuron(4096, 0, vth, refractory) },
+        false => neuron(du, dv, vth, refractory),
+    };
     if draw.chance(25) {
         neuron = biased(neuron, draw.from(-4096, 4095), draw.from(0, 7));
     }
@@ -175,8 +180,9 @@ pub fn network(seed: u64) -> Quantised {
     let inputs = ids.len();
     for _ in 0..draw.from(1, 4) {
         let shape = random_shape(draw);
-        let same = draw.chance(60).then(|| random_neuron(draw));
-        let neurons: Vec<Neuron> = (0..shape.len()).map(|_| same.unwrap_or_else(|| random_neuron(draw))).collect();
+        let same = draw.chance(60).then(|| random_neuron(draw, semantics));
+        let neurons: Vec<Neuron> =
+            (0..shape.len()).map(|_| same.unwrap_or_else(|| random_neuron(draw, semantics))).collect();
         let start = if draw.chance(20) { draw.from(0, 12) as u32 } else { 0 };
         ids.push(net.loihi(shape, &neurons, start));
         shapes.push(shape);

@@ -10,6 +10,7 @@
 use super::hdf5::{Group, Item, Numbers};
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::desc::network::{ArrayRef, Network, NetworkFile};
+use crate::desc::neurons::NeuronKind;
 use crate::desc::tensor::{self, Tensor};
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind};
 
@@ -160,7 +161,10 @@ impl Graph {
                 (None, None) => Parameter::Same(1.0),
             }
         };
-        let (synapse, membrane) = (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms"));
+        let (synapse, membrane) = match population.kind {
+            NeuronKind::Loihi => (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms")),
+            NeuronKind::If => (Parameter::Same(1.0), Parameter::Same(0.0)),
+        };
         let threshold = match (get("vth_mant"), get("vth")) {
             (Some(mantissa), _) => mantissa.clone(),
             (None, Some(real)) => real.clone(),

@@ -327,10 +327,11 @@ mod tests {
     fn fields(seed: u64) -> Fields {
         let of = |index, low: i64, high: i64| low + rng::below((high - low + 1) as u64, seed, index, 9) as i64;
         let decay = |index| [of(index, 0, 4096), 0, 1, 4095, 4096][of(index + 1, 0, 4) as usize];
+        let integrate_and_fire = of(17, 0, 3) == 0;
         let neuron = Neuron {
-            kind: NeuronKind::Loihi,
-            du: Decay::new(decay(0)).unwrap(),
-            dv: Decay::new(decay(2)).unwrap(),
+            kind: if integrate_and_fire { NeuronKind::If } else { NeuronKind::Loihi },
+            du: if integrate_and_fire { Decay::MAX } else { Decay::new(decay(0)).unwrap() },
+            dv: if integrate_and_fire { Decay::MIN } else { Decay::new(decay(2)).unwrap() },
             vth: ThresholdMantissa::new([of(4, 0, 131_071), of(5, 0, 300)][of(6, 0, 1) as usize]).unwrap(),
             bias_mant: BiasMantissa::new([0, of(7, -4096, 4095)][of(8, 0, 1) as usize]).unwrap(),
             bias_exp: BiasExponent::new(of(9, 0, 7)).unwrap(),
