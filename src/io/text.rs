@@ -3,7 +3,7 @@
 //! Input: a path, `-` for stdin. Output: the content, or a diagnostic that says what stands at the path instead: no
 //! file, a folder, a Git-LFS pointer, a binary file.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
@@ -44,6 +44,32 @@ fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
     diagnostic.in_file(path)
 }
 
+/// Opens a file, which is no folder.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.read`.
+pub(super) fn open(path: &Path) -> Result<(File, Metadata), Diagnostic> {
+    let file = File::open(path).map_err(|error| unreadable(path, &error))?;
+    let metadata = file.metadata().map_err(|error| unreadable(path, &error))?;
+    if metadata.is_dir() {
+        return Err(unreadable(path, &ErrorKind::IsADirectory.into()));
+    }
+    Ok((file, metadata))
+}
+
+/// Refuses a file that begins as a Git-LFS pointer.
+///
+/// # Errors
+/// `io.lfs-pointer`.
+pub(super) fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<(), Diagnostic> {
+    if !begin.starts_with(LFS) {
+        return Ok(());
+    }
+    Err(Diagnostic::new("io.lfs-pointer", "this is a Git-LFS pointer, not the file that it stands for")
+        .help("run `git lfs pull` in the folder that the file comes from")
+        .in_file(path))
+}
+
 /// The bytes of a file of at most `limit` bytes.
 ///
 /// # Errors
@@ -56,11 +82,7 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, Diagnostic> {
     if is_standard_stream(path) {
         std::io::stdin().lock().take(limit + 1).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
     } else {
-        let file = File::open(path).map_err(|error| unreadable(path, &error))?;
-        let metadata = file.metadata().map_err(|error| unreadable(path, &error))?;
-        if metadata.is_dir() {
-            return Err(unreadable(path, &ErrorKind::IsADirectory.into()));
-        }
+        let (file, metadata) = open(path)?;
         if metadata.len() > limit {
             return Err(too_large(metadata.len().to_string()));
         }
@@ -69,11 +91,7 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, Diagnostic> {
     if bytes.len() as u64 > limit {
         return Err(too_large(format!("more than {limit}")));
     }
-    if bytes.starts_with(LFS) {
-        return Err(Diagnostic::new("io.lfs-pointer", "this is a Git-LFS pointer, not the file that it stands for")
-            .help("run `git lfs pull` in the folder that the file comes from")
-            .in_file(path));
-    }
+    refuse_pointer(path, &bytes)?;
     Ok(bytes)
 }
 

@@ -73,8 +73,6 @@ const NAMED_OF: &[&str] = &[
     "src/cost/deployment.rs",
     "src/cost/meter.rs",
     "src/cost/transport.rs",
-    "src/io/foreign/hdf5.rs",
-    "src/io/foreign/torch.rs",
     "src/ir/firing_rates.rs",
     "src/ir/placement.rs",
     "src/machine/count/routing_tables.rs",

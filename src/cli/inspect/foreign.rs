@@ -53,16 +53,16 @@ pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
                 checkpoint.entries().map(|(name, shape)| (name.to_string(), shape.to_vec())).collect();
             let mut left = MOST_NUMBERS;
             for (name, shape) in entries.into_iter().take(MOST_ROWS) {
-                let dtype = checkpoint.dtype(&name).unwrap_or("-");
+                let dtype = checkpoint.dtype(&name).unwrap_or_else(|| "-".to_string());
                 let count = shape.iter().fold(1usize, |product, &axis| product.saturating_mul(axis));
                 rows.push(match left.checked_sub(count).map(|rest| (rest, checkpoint.tensor(&name))) {
                     Some((rest, Ok(numbers))) => {
                         left = rest;
-                        array_row(&name, dtype, &shape, numbers.into_iter())
+                        array_row(&name, &dtype, &shape, numbers.into_iter())
                     }
                     // What cannot be read of one says nothing of the others.
-                    Some((_, Err(problem))) => bare_row(&name, Some(dtype), Some(&shape), Some(&problem.message)),
-                    None => bare_row(&name, Some(dtype), Some(&shape), None),
+                    Some((_, Err(problem))) => bare_row(&name, Some(&dtype), Some(&shape), Some(&problem.message)),
+                    None => bare_row(&name, Some(&dtype), Some(&shape), None),
                 });
             }
             "torch checkpoint"

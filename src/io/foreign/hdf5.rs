@@ -1,18 +1,21 @@
-//! HDF5 files as a tree in memory, read under a budget.
+//! HDF5 files as a tree in memory: the one place that uses an HDF5 crate.
 //!
-//! Comes in: the bytes of a file. Goes out: a [`Group`] with all groups and data sets below it, numbers still in the
-//! bytes of their own type. A file is not trusted: objects, depth, strings and decoded bytes are counted and bounded
-//! ([`MOST_FIXED`] and [`MOST_RATIO`]), links to other files are not followed, and a reader that fails becomes a
-//! diagnostic. Attributes are read for the NIR data files only; compound types and references are left out (they become
-//! [`Item::Other`]).
+//! Input: the bytes of a file, or a tree. Output: a [`Group`] with all groups and data sets below it, or the bytes of a
+//! file. Numbers keep the bytes of their own type, in little-endian order.
+//!
+//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded ([`MOST_FIXED`] and
+//! [`MOST_RATIO`]), links to other files are not followed, and what the crate refuses becomes a diagnostic. Attributes are
+//! read for NIR's data files only. Compound types, references and numbers of unusual layouts become [`Item::Other`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use hdf5_pure::{AttrValue, DatasetBuilder, FileBuilder, FinishedGroup, GroupBuilder};
-use hdf5_reader::messages::datatype::{StringSize, VarLenKind};
-use hdf5_reader::{Dataset, Datatype, Hdf5File, OpenOptions};
+use hdf5_pure::{
+    AttrValue, ChunkCacheConfig, Dataset, DatasetBuilder, Datatype, DatatypeByteOrder, File, FileAccessProperties,
+    FileBuilder, FinishedGroup, FixedPointLayout, FloatingPointLayout, GroupBuilder, VlenStringReadOptions,
+};
 
+use super::element::Element;
 use crate::base::diagnostic::Diagnostic;
 
 /// What every HDF5 file begins with (HDF5 file format specification 3.0, II.A).
@@ -61,14 +64,6 @@ pub enum Item {
     Other(String),
 }
 
-/// How the numbers of an array are stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Element {
-    I(u8),
-    U(u8),
-    F(u8),
-}
-
 /// An array of numbers in the bytes of its own type.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Numbers {
@@ -105,12 +100,7 @@ impl Numbers {
     /// The type of an element as NumPy writes it: kind and bytes.
     #[must_use]
     pub fn dtype(&self) -> String {
-        let (kind, size) = match self.element {
-            Element::I(size) => ('i', size),
-            Element::U(size) => ('u', size),
-            Element::F(size) => ('f', size),
-        };
-        format!("{kind}{size}")
+        self.element.dtype()
     }
 
     /// Reals of 64 bits.
@@ -119,55 +109,35 @@ impl Numbers {
     /// When the numbers do not fill the shape, a mistake of the caller; the other makers alike.
     #[must_use]
     pub fn f64(shape: &[usize], reals: &[f64]) -> Numbers {
-        Numbers::of(shape, Element::F(8), reals.iter().flat_map(|x| x.to_ne_bytes()).collect())
+        Numbers::from_bytes(shape, Element::F(8), reals.iter().flat_map(|x| x.to_le_bytes()).collect())
     }
 
     /// Reals of 32 bits.
     #[must_use]
     pub fn f32(shape: &[usize], reals: &[f32]) -> Numbers {
-        Numbers::of(shape, Element::F(4), reals.iter().flat_map(|x| x.to_ne_bytes()).collect())
+        Numbers::from_bytes(shape, Element::F(4), reals.iter().flat_map(|x| x.to_le_bytes()).collect())
     }
 
     /// Integers of 64 bits.
     #[must_use]
     pub fn i64(shape: &[usize], integers: &[i64]) -> Numbers {
-        Numbers::of(shape, Element::I(8), integers.iter().flat_map(|x| x.to_ne_bytes()).collect())
+        Numbers::from_bytes(shape, Element::I(8), integers.iter().flat_map(|x| x.to_le_bytes()).collect())
     }
 
-    fn of(shape: &[usize], element: Element, bytes: Vec<u8>) -> Numbers {
+    fn from_bytes(shape: &[usize], element: Element, bytes: Vec<u8>) -> Numbers {
         let numbers = Numbers { shape: shape.to_vec(), element, bytes };
         assert_eq!(numbers.len(), shape.iter().product::<usize>(), "the numbers fill the shape");
         numbers
     }
 
     fn size(&self) -> usize {
-        let (Element::I(size) | Element::U(size) | Element::F(size)) = self.element;
-        usize::from(size)
+        self.element.bytes()
     }
 
     /// Each number as a real. Integers beyond 2^53 are rounded.
     pub fn reals(&self) -> impl Iterator<Item = f64> + '_ {
-        let element = self.element;
-        self.bytes.chunks_exact(self.size()).map(move |b| match element {
-            Element::F(4) => f64::from(f32::from_ne_bytes(fixed(b))),
-            Element::F(_) => f64::from_ne_bytes(fixed(b)),
-            Element::U(1) => f64::from(b[0]),
-            Element::U(2) => f64::from(u16::from_ne_bytes(fixed(b))),
-            Element::U(4) => f64::from(u32::from_ne_bytes(fixed(b))),
-            Element::U(_) => u64::from_ne_bytes(fixed(b)) as f64,
-            Element::I(1) => f64::from(b[0] as i8),
-            Element::I(2) => f64::from(i16::from_ne_bytes(fixed(b))),
-            Element::I(4) => f64::from(i32::from_ne_bytes(fixed(b))),
-            Element::I(_) => i64::from_ne_bytes(fixed(b)) as f64,
-        })
+        self.bytes.chunks_exact(self.size()).map(|bytes| self.element.real(bytes))
     }
-}
-
-/// Bytes of a known number.
-fn fixed<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    let mut array = [0; N];
-    array.copy_from_slice(bytes);
-    array
 }
 
 impl From<Group> for Item {
@@ -286,99 +256,107 @@ impl Budget<'_> {
 /// # Errors
 /// `hdf5.format`, `hdf5.too-large`.
 pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group, Diagnostic> {
-    let most = MOST_FIXED + MOST_RATIO * bytes.len() as u64;
-    let mut budget = Budget { path, bytes: most, objects: 0 };
-    let options = OpenOptions::default()
-        .with_chunk_cache_bytes(0)
-        .with_max_chunk_bytes(most as usize)
-        .with_max_read_bytes(most as usize)
-        .with_max_object_header_bytes(1 << 20);
-    let file = Hdf5File::from_vec_with_options(bytes, options).map_err(|error| budget.wrong(&error))?;
-    let root = file.root_group().map_err(|error| budget.wrong(&error))?;
-    group(&root, &mut budget, 0)
+    let mut budget = Budget { path, bytes: MOST_FIXED + MOST_RATIO * bytes.len() as u64, objects: 0 };
+    let options = FileAccessProperties::new().with_chunk_cache(ChunkCacheConfig::disabled());
+    let file = File::from_bytes_with_options(bytes, options).map_err(|error| budget.wrong(&error))?;
+    group(&file.root(), &mut budget, 0)
 }
 
-fn group(group: &hdf5_reader::group::Group, budget: &mut Budget<'_>, depth: usize) -> Result<Group, Diagnostic> {
+fn group(group: &hdf5_pure::Group, budget: &mut Budget<'_>, depth: usize) -> Result<Group, Diagnostic> {
     budget.object(depth)?;
-    let (groups, datasets) = group.members().map_err(|error| budget.wrong(&error))?;
     let mut items = BTreeMap::new();
-    for child in groups {
-        items.insert(child.name().to_string(), Item::Group(self::group(&child, budget, depth + 1)?));
+    for (name, child) in group.iter_groups().map_err(|error| budget.wrong(&error))? {
+        items.insert(name, Item::Group(self::group(&child, budget, depth + 1)?));
     }
-    for dataset in datasets {
+    for (name, dataset) in group.iter_datasets().map_err(|error| budget.wrong(&error))? {
         budget.object(depth)?;
-        items.insert(dataset.name().to_string(), self::dataset(&dataset, budget)?);
+        let item = self::dataset(&name, &dataset, budget)?;
+        items.insert(name, item);
     }
-    Ok(Group { items, attributes: attributes(&group.attributes().unwrap_or_default()) })
+    let attributes = group.attrs().unwrap_or_default();
+    let attributes = attributes.into_iter().filter_map(|(name, value)| Some((name, Attribute::from_value(&value)?)));
+    Ok(Group { items, attributes: attributes.collect() })
 }
 
-fn attributes(list: &[hdf5_reader::Attribute]) -> BTreeMap<String, Attribute> {
-    let value = |attribute: &hdf5_reader::Attribute| match &attribute.datatype {
-        Datatype::String { .. } | Datatype::VarLen { .. } => attribute.read_string().ok().map(Attribute::Text),
-        Datatype::FixedPoint { .. } | Datatype::FloatingPoint { .. } => {
-            attribute.read_as_f64().ok().map(Attribute::Number)
+/// The type of an element and whether its bytes are in big-endian order; none for what is not read as a number.
+fn element(datatype: &Datatype) -> Option<(Element, bool)> {
+    let (element, order) = match datatype {
+        Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), byte_order, layout } => {
+            let (size, bits) = (*size as u8, 8 * *size as u16);
+            match layout {
+                FixedPointLayout { bit_offset: 0, bit_precision, signed } if *bit_precision == bits => {
+                    (if *signed { Element::I(size) } else { Element::U(size) }, byte_order)
+                }
+                _ => return None,
+            }
         }
-        _ => None,
-    };
-    list.iter().filter_map(|attribute| Some((attribute.name.clone(), value(attribute)?))).collect()
-}
-
-fn element(datatype: &Datatype) -> Option<Element> {
-    match datatype {
-        Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), signed: true, .. } => Some(Element::I(*size)),
-        Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), signed: false, .. } => Some(Element::U(*size)),
-        Datatype::FloatingPoint { size: size @ (4 | 8), .. } => Some(Element::F(*size)),
+        Datatype::FloatingPoint { size, byte_order, layout } => match (size, layout) {
+            (4, &FloatingPointLayout::IEEE754_BINARY32) => (Element::F(4), byte_order),
+            (8, &FloatingPointLayout::IEEE754_BINARY64) => (Element::F(8), byte_order),
+            _ => return None,
+        },
         // h5py writes bool as an enumeration of an 8-bit integer.
-        Datatype::Enum { base, .. } => element(base),
-        _ => None,
+        Datatype::Enumeration { base_type, .. } => return element(base_type),
+        _ => return None,
+    };
+    match order {
+        DatatypeByteOrder::LittleEndian => Some((element, false)),
+        DatatypeByteOrder::BigEndian => Some((element, true)),
+        DatatypeByteOrder::Vax => None,
     }
 }
 
-fn dataset(dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Item, Diagnostic> {
-    let wrong =
-        |budget: &Budget<'_>, error: &dyn std::fmt::Display| budget.wrong(&format!("{}: {error}", dataset.name()));
-    let shape: Vec<usize> = dataset.shape().iter().map(|&axis| usize::try_from(axis).unwrap_or(usize::MAX)).collect();
-    if shape.len() > MOST_AXES {
-        return Err(wrong(budget, &format!("an array of {} axes", shape.len())));
+fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Item, Diagnostic> {
+    let wrong = |budget: &Budget<'_>, error: &dyn std::fmt::Display| budget.wrong(&format!("{name}: {error}"));
+    let axes = dataset.shape().map_err(|error| wrong(budget, &error))?;
+    if axes.len() > MOST_AXES {
+        return Err(wrong(budget, &format!("an array of {} axes", axes.len())));
     }
-    let length = shape.iter().try_fold(1usize, |product, &axis| product.checked_mul(axis));
-    let size = dataset.raw_byte_len().map_err(|error| wrong(budget, &error))?;
-    if let Some(element) = element(dataset.dtype()) {
-        budget.take(size as u64)?;
-        let bytes = dataset.read_native_bytes().map_err(|error| wrong(budget, &error))?;
+    let product = |axes: &[u64]| axes.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
+    let length = product(&axes);
+    let datatype = dataset.datatype().map_err(|error| wrong(budget, &error))?;
+    // A chunk is decoded whole, however little of it the shape keeps.
+    let chunk = dataset.chunk_shape().map_err(|error| wrong(budget, &error))?;
+    let decoded = length.max(chunk.map_or(Some(0), |chunk| product(&chunk)));
+    let width = dataset.element_size().map_err(|error| wrong(budget, &error))?;
+    let size = decoded.filter(|_| length.is_some()).and_then(|decoded| decoded.checked_mul(width)).unwrap_or(u64::MAX);
+    // Every axis is within memory, or the array is empty.
+    let shape: Vec<usize> = axes.iter().map(|&axis| usize::try_from(axis).unwrap_or(usize::MAX)).collect();
+    if let Some((element, is_big)) = element(&datatype) {
+        budget.take(size)?;
+        let mut bytes = dataset.read_raw().map_err(|error| wrong(budget, &error))?;
+        if is_big {
+            bytes.chunks_exact_mut(width as usize).for_each(<[u8]>::reverse);
+        }
         let numbers = Numbers { shape, element, bytes };
-        if length != Some(numbers.len()) || !numbers.bytes.len().is_multiple_of(numbers.size()) {
+        if length != Some(numbers.len() as u64) || !numbers.bytes.len().is_multiple_of(numbers.size()) {
             return Err(wrong(budget, &"its bytes do not fill its shape"));
         }
         return Ok(Item::Numbers(numbers));
     }
-    let variable = match dataset.dtype() {
-        Datatype::String { size: StringSize::Fixed(_), .. } => false,
-        Datatype::String { size: StringSize::Variable, .. } | Datatype::VarLen { kind: VarLenKind::String, .. } => true,
+    let variable = match datatype {
+        Datatype::String { .. } => false,
+        Datatype::VariableLength { is_string: true, .. } => true,
         other => {
             let mut name = format!("{other:?}");
             name.truncate(name.find([' ', '{']).unwrap_or(40).min(40));
             return Ok(Item::Other(name));
         }
     };
-    if length.is_none_or(|length| length as u64 > MOST_STRINGS) {
+    if length.is_none_or(|length| length > MOST_STRINGS) {
         return Err(wrong(budget, &format!("more than {MOST_STRINGS} texts")));
     }
-    budget.take(size as u64)?;
-    if !variable {
-        let texts = dataset.read_strings().map_err(|error| wrong(budget, &error))?;
-        return Ok(Item::Texts(shape, texts));
+    budget.take(size)?;
+    if variable {
+        // Many references may name one long text: the sum of their lengths counts.
+        budget.take(dataset.vlen_string_payload_size().map_err(|error| wrong(budget, &error))?)?;
     }
-    // Many references may name one long text: each is resolved and counted by itself.
-    let raw = dataset.read_raw_bytes().map_err(|error| wrong(budget, &error))?;
-    let mut texts = Vec::new();
-    for reference in raw.chunks_exact(dataset.vlen_reference_size().max(1)) {
-        let bytes = dataset.resolve_vlen_reference_bytes(reference, 1).map_err(|error| wrong(budget, &error))?;
-        budget.take(bytes.len() as u64)?;
-        let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
-        texts.push(String::from_utf8_lossy(&bytes[..end]).into_owned());
+    let texts = if variable { dataset.read_vlen_strings(VlenStringReadOptions::new()) } else { dataset.read_string() };
+    let mut texts = texts.map_err(|error| wrong(budget, &error))?;
+    for text in &mut texts {
+        text.truncate(text.find('\0').unwrap_or(text.len()));
     }
-    if Some(texts.len()) != length {
+    if Some(texts.len() as u64) != length {
         return Err(wrong(budget, &"its texts do not fill its shape"));
     }
     Ok(Item::Texts(shape, texts))
@@ -409,6 +387,13 @@ pub fn write(root: &Group) -> Result<Vec<u8>, Diagnostic> {
 }
 
 impl Attribute {
+    /// An attribute that is one number or one text.
+    fn from_value(value: &AttrValue) -> Option<Attribute> {
+        let number =
+            value.as_f64().or_else(|| value.as_i64().map(|x| x as f64)).or_else(|| value.as_u64().map(|x| x as f64));
+        number.map(Attribute::Number).or_else(|| Some(Attribute::Text(value.as_str()?.to_string())))
+    }
+
     fn written(&self) -> AttrValue {
         match self {
             Attribute::Number(x) => AttrValue::F64(*x),

@@ -1,15 +1,15 @@
 //! Tensors of a PyTorch checkpoint, in both of its containers.
 //!
-//! Comes in: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or five pickles with raw numbers behind them
-//! (before). Goes out: the names of its tensors, and a tensor at a time. The pickles are read by [`super::pickle`], which
+//! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or five pickles with raw numbers behind them
+//! (before). Output: the names of its tensors, and a tensor at a time. The pickles are read by [`super::pickle`], which
 //! executes nothing: a checkpoint that pickles a whole module is refused with the class that it names.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
 
-use half::{bf16, f16};
 use zip::ZipArchive;
 
+use super::element::Element;
 use super::pickle::{self, Arena, PickleError, Value, ValueId};
 use crate::base::diagnostic::Diagnostic;
 
@@ -24,65 +24,20 @@ const MOST_TENSORS: usize = 1 << 14;
 /// Files of an archive.
 const MOST_FILES: usize = 1 << 16;
 
-/// How the numbers of a storage are stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Element {
-    F64,
-    F32,
-    F16,
-    Bf16,
-    I64,
-    I32,
-    I16,
-    I8,
-    U8,
-}
-
-impl Element {
-    fn of(class: &str) -> Option<Element> {
-        Some(match class {
-            "DoubleStorage" => Element::F64,
-            "FloatStorage" => Element::F32,
-            "HalfStorage" => Element::F16,
-            "BFloat16Storage" => Element::Bf16,
-            "LongStorage" => Element::I64,
-            "IntStorage" => Element::I32,
-            "ShortStorage" => Element::I16,
-            "CharStorage" => Element::I8,
-            "ByteStorage" | "BoolStorage" => Element::U8,
-            _ => return None,
-        })
-    }
-
-    fn bytes(self) -> usize {
-        match self {
-            Element::F64 | Element::I64 => 8,
-            Element::F32 | Element::I32 => 4,
-            Element::F16 | Element::Bf16 | Element::I16 => 2,
-            Element::I8 | Element::U8 => 1,
-        }
-    }
-
-    /// The number in these bytes.
-    fn real(self, b: &[u8]) -> f64 {
-        match self {
-            Element::F64 => f64::from_le_bytes(fixed(b)),
-            Element::F32 => f64::from(f32::from_le_bytes(fixed(b))),
-            Element::F16 => f16::from_le_bytes(fixed(b)).to_f64(),
-            Element::Bf16 => bf16::from_le_bytes(fixed(b)).to_f64(),
-            Element::I64 => i64::from_le_bytes(fixed(b)) as f64,
-            Element::I32 => f64::from(i32::from_le_bytes(fixed(b))),
-            Element::I16 => f64::from(i16::from_le_bytes(fixed(b))),
-            Element::I8 => f64::from(b[0] as i8),
-            Element::U8 => f64::from(b[0]),
-        }
-    }
-}
-
-fn fixed<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    let mut array = [0; N];
-    array.copy_from_slice(bytes);
-    array
+/// The numbers of a storage class.
+fn element(class: &str) -> Option<Element> {
+    Some(match class {
+        "DoubleStorage" => Element::F(8),
+        "FloatStorage" => Element::F(4),
+        "HalfStorage" => Element::F(2),
+        "BFloat16Storage" => Element::Bf16,
+        "LongStorage" => Element::I(8),
+        "IntStorage" => Element::I(4),
+        "ShortStorage" => Element::I(2),
+        "CharStorage" => Element::I(1),
+        "ByteStorage" | "BoolStorage" => Element::U(1),
+        _ => return None,
+    })
 }
 
 /// A tensor as the pickle describes it.
@@ -196,7 +151,7 @@ fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint, Diagnostic> {
         let Some(&element) = elements.get(key.as_str()) else {
             return Err(wrong(format!("storage '{key}' belongs to no tensor")));
         };
-        let count = bytes.get(at..at + 8).map(|b| i64::from_le_bytes(fixed(b)));
+        let count = bytes.get(at..at + 8).and_then(|bytes| Some(i64::from_le_bytes(bytes.try_into().ok()?)));
         let count = count.and_then(|count| usize::try_from(count).ok());
         let end = count.and_then(|count| count.checked_mul(element.bytes())?.checked_add(at + 8));
         match end.filter(|&end| end <= bytes.len()) {
@@ -291,7 +246,7 @@ fn view(arena: &Arena, arguments: &[ValueId], name: &str) -> Result<View, Diagno
     if parts.get(5).is_some_and(|&view| arena.get(view) != &Value::None) {
         return Err(bad("its storage is a view of another").help("save it again with a later PyTorch"));
     }
-    let element = Element::of(class).ok_or_else(|| bad(&format!("numbers of the kind {class} are not read")))?;
+    let element = element(class).ok_or_else(|| bad(&format!("numbers of the kind {class} are not read")))?;
     let view =
         View { storage: key.clone(), element, offset: whole(offset)?, shape: list(shape)?, strides: list(strides)? };
     if view.shape.len() != view.strides.len() {
@@ -308,19 +263,9 @@ impl Checkpoint {
 
     /// The type of a tensor's numbers as NumPy writes it, or `bf16`.
     #[must_use]
-    pub fn dtype(&self, name: &str) -> Option<&'static str> {
+    pub fn dtype(&self, name: &str) -> Option<String> {
         let (_, view) = self.views.iter().find(|(key, _)| key == name)?;
-        Some(match view.element {
-            Element::F64 => "f8",
-            Element::F32 => "f4",
-            Element::F16 => "f2",
-            Element::Bf16 => "bf16",
-            Element::I64 => "i8",
-            Element::I32 => "i4",
-            Element::I16 => "i2",
-            Element::I8 => "i1",
-            Element::U8 => "u1",
-        })
+        Some(view.element.dtype())
     }
 
     /// The numbers of a tensor in C order.

@@ -171,4 +171,15 @@ mod tests {
         let error = read_source(&path, 1).unwrap_err();
         assert!(error.code == "input.kind" && error.help.unwrap().contains(".csv"));
     }
+
+    /// One that names itself would be read without end.
+    #[test]
+    fn a_data_set_is_no_recording_of_a_data_set() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("d.ron");
+        std::fs::write(&path, r#"DataSet(name: "x", populations: {"a": "a"}, recordings: {"a": "d.ron"})"#).unwrap();
+        let error = read_source(&path, 1).unwrap_err();
+        assert!(error.code == "input.kind" && error.message.contains("another data set"), "{error}");
+        assert_eq!(error.position().unwrap().line, 1);
+    }
 }

@@ -3,9 +3,15 @@
 //! A line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then packets: a stream's number and a
 //! size, and so many bytes that hold, plain or compressed by LZ4 or Zstandard, a flatbuffer with a vector of events of 16
 //! bytes: microseconds, x, y, polarity (iniVation, AEDAT file format 4.0; `dv/data/event.fbs`). Packets whose identifier
-//! is not `EVTS` are passed over. A packet is read whole: it and what it decompresses to take at most 64 MiB each.
+//! is not `EVTS` are skipped. A packet is read whole: it and what it decompresses to take at most 64 MiB each.
+//!
+//! Flatbuffers are read with `planus`, which checks each access: the accessors of the crate `flatbuffers` are unsafe.
 
 use std::io::{BufRead, Read};
+
+use planus::errors::ErrorKind;
+use planus::table_reader::Table;
+use planus::{SliceWithStartOffset, TableRead};
 
 use super::event::{Event, Sink, fill, unreadable, wrong};
 use crate::base::diagnostic::Diagnostic;
@@ -30,11 +36,11 @@ pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagno
         return Err(wrong(format!("this is {what}")).help("convert it with DV, or with dv-processing in Python"));
     }
     let header = sized(input, &mut at, "the header")?.ok_or_else(|| wrong("the file ends behind its first line"))?;
-    let table = Table::root(&header).ok_or_else(|| wrong("the header is damaged"))?;
-    let compression =
-        table.scalar(0, 4).map_or(0, |bytes| i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
-    let end = table.scalar(1, 8).map_or(-1, |b| i64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]));
-    if let Some(text) = table.text(2) {
+    let header = root(&header).ok_or_else(|| wrong("the header is damaged"))?;
+    let damaged = |_| wrong("the header is damaged");
+    let compression: i32 = header.access(0, "IOHeader", "compression").map_err(damaged)?.unwrap_or(0);
+    let end: i64 = header.access(1, "IOHeader", "dataTablePosition").map_err(damaged)?.unwrap_or(-1);
+    if let Ok(Some(text)) = header.access::<&str>(2, "IOHeader", "infoNode") {
         let side = |name: &str| {
             let after = text.split(&format!("\"{name}\"")).nth(1)?;
             after.split_once('>')?.1.split('<').next()?.trim().parse::<u32>().ok()
@@ -108,11 +114,14 @@ fn sized(input: &mut dyn BufRead, at: &mut u64, what: &str) -> Result<Option<Vec
 }
 
 fn packet_events(packet: &[u8], sink: &mut dyn Sink) -> Result<(), Diagnostic> {
-    // Behind the size stand the root's place and the identifier.
+    // The size comes before the root's offset and the identifier.
     let Some(buffer) = packet.get(4..).filter(|buffer| buffer.get(4..8) == Some(b"EVTS")) else { return Ok(()) };
     let damaged = || wrong("a packet of events is damaged");
-    let Some(events) = Table::root(buffer).ok_or_else(damaged)?.vector(0, EVENT) else { return Ok(()) };
-    for event in events.ok_or_else(damaged)?.chunks_exact(EVENT) {
+    let packet = root(buffer).ok_or_else(damaged)?;
+    let Some(Events(events)) = packet.access(0, "EventPacket", "elements").map_err(|_| damaged())? else {
+        return Ok(());
+    };
+    for event in events {
         let t_us = i64::from_le_bytes([event[0], event[1], event[2], event[3], event[4], event[5], event[6], event[7]]);
         let side = |a: u8, b: u8| u32::try_from(i16::from_le_bytes([a, b])).unwrap_or(u32::MAX);
         sink.event(Event { t_us, x: side(event[8], event[9]), y: side(event[10], event[11]), on: event[12] != 0 })?;
@@ -120,56 +129,20 @@ fn packet_events(packet: &[u8], sink: &mut dyn Sink) -> Result<(), Diagnostic> {
     Ok(())
 }
 
-/// A table of a flatbuffer (FlatBuffers, internals: a table begins with the signed distance to its vtable).
-struct Table<'a> {
-    buffer: &'a [u8],
-    at: usize,
+/// The root table of a flatbuffer.
+fn root(buffer: &[u8]) -> Option<Table<'_>> {
+    Table::from_buffer(SliceWithStartOffset { buffer, offset_from_start: 0 }, 0).ok()
 }
 
-impl<'a> Table<'a> {
-    fn root(buffer: &'a [u8]) -> Option<Self> {
-        let at = word(buffer, 0)? as usize;
-        buffer.get(at..at.checked_add(4)?)?;
-        Some(Table { buffer, at })
-    }
+/// A vector of structs of [`EVENT`] bytes, which `planus` reads by unsafe generated code only.
+struct Events<'a>(&'a [[u8; EVENT]]);
 
-    /// The place of a field; none when it has its default.
-    fn field(&self, index: usize) -> Option<usize> {
-        let back = i64::from(word(self.buffer, self.at)? as i32);
-        let vtable = usize::try_from(self.at as i64 - back).ok()?;
-        let half =
-            |at: usize| Some(usize::from(u16::from_le_bytes([*self.buffer.get(at)?, *self.buffer.get(at + 1)?])));
-        let place = 4 + 2 * index;
-        if place + 2 > half(vtable)? {
-            return None;
-        }
-        let offset = half(vtable.checked_add(place)?)?;
-        (offset != 0).then(|| self.at.checked_add(offset))?
+impl<'a> TableRead<'a> for Events<'a> {
+    fn from_buffer(buffer: SliceWithStartOffset<'a>, offset: usize) -> Result<Self, ErrorKind> {
+        let start = offset.checked_add(u32::from_buffer(buffer, offset)? as usize).ok_or(ErrorKind::InvalidOffset)?;
+        let vector = buffer.advance(start)?;
+        let count = u32::from_buffer(vector, 0)? as usize;
+        let (events, _) = vector.advance(4)?.as_slice().as_chunks();
+        events.get(..count).map(Events).ok_or(ErrorKind::InvalidLength)
     }
-
-    fn scalar(&self, index: usize, size: usize) -> Option<&'a [u8]> {
-        let at = self.field(index)?;
-        self.buffer.get(at..at.checked_add(size)?)
-    }
-
-    /// The entries of a vector: none when the field is absent, none within when they leave the buffer.
-    fn vector(&self, index: usize, size: usize) -> Option<Option<&'a [u8]>> {
-        let at = self.field(index)?;
-        let entries = || {
-            let start = at.checked_add(word(self.buffer, at)? as usize)?;
-            let count = word(self.buffer, start)? as usize;
-            let first = start.checked_add(4)?;
-            self.buffer.get(first..first.checked_add(count.checked_mul(size)?)?)
-        };
-        Some(entries())
-    }
-
-    fn text(&self, index: usize) -> Option<&'a str> {
-        std::str::from_utf8(self.vector(index, 1)??).ok()
-    }
-}
-
-fn word(buffer: &[u8], at: usize) -> Option<u32> {
-    let bytes = buffer.get(at..at.checked_add(4)?)?;
-    Some(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
 }

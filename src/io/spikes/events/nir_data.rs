@@ -1,6 +1,6 @@
 //! NIR's data files: events, or values on a grid of time.
 //!
-//! Comes in: the tree of a file that `nir.write_data` made (NIR 1.0.8, `data_ir`). Goes out: the spikes of its samples. Of
+//! Input: the tree of a file that `nir.write_data` made (NIR 1.0.8, `data_ir`). Output: the spikes of its samples. Of
 //! several observables the one named `spikes` of the population's node is read, else the only one. Times are in seconds;
 //! a grid's own step is a timestep unless bins are asked for. Also makes such trees, for spikes (as events) and for other
 //! registers (on a grid).
@@ -9,9 +9,12 @@ use std::path::Path;
 
 use super::event::wrong;
 use crate::base::diagnostic::Diagnostic;
-use crate::io::foreign::hdf5::{Attribute, Group, Numbers};
+use crate::io::foreign::hdf5::{Attribute, Group, Item, Numbers};
 use crate::io::spikes::options::EventOptions;
 use crate::io::spikes::population::{Expected, MOST_STEPS, PopulationSpikes};
+
+/// The most samples of a file.
+const MOST_SAMPLES: usize = 1 << 20;
 
 fn kind(group: &Group) -> Option<&str> {
     match group.attributes.get("__type__")? {
@@ -37,18 +40,18 @@ pub fn is_data(root: &Group) -> bool {
 fn observable<'a>(root: &'a Group, population: &str) -> Result<&'a Group, Diagnostic> {
     let mut found: Vec<(&str, &str, &Group)> = Vec::new();
     for (node, item) in root.group("nodes").into_iter().flat_map(|nodes| &nodes.items) {
-        let crate::io::foreign::hdf5::Item::Group(node_group) = item else { continue };
+        let Item::Group(node_group) = item else { continue };
         for name in node_group.group("observables").into_iter().flat_map(|list| list.items.keys()) {
             if let Some(group) = node_group.group(&format!("observables/{name}")) {
                 found.push((node, name, group));
             }
         }
     }
-    let of_node = found.iter().filter(|(node, ..)| *node == population).collect::<Vec<_>>();
-    let chosen = match (of_node.as_slice(), found.as_slice()) {
+    let in_node = found.iter().filter(|(node, ..)| *node == population).collect::<Vec<_>>();
+    let chosen = match (in_node.as_slice(), found.as_slice()) {
         ([one], _) => Some(one.2),
         ([], [one]) => Some(one.2),
-        _ => of_node.iter().find(|(_, name, _)| *name == "spikes").map(|(.., group)| *group),
+        _ => in_node.iter().find(|(_, name, _)| *name == "spikes").map(|(.., group)| *group),
     };
     chosen.ok_or_else(|| {
         let names: Vec<String> = found.iter().take(8).map(|(node, name, _)| format!("{node}/{name}")).collect();
@@ -69,7 +72,6 @@ pub fn read(
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>, Diagnostic> {
     let group = observable(root, population)?;
-    let name = path.display().to_string();
     let array = |key: &str, axes: usize| {
         let numbers = group.numbers(key).ok_or_else(|| wrong(format!("the observable has no '{key}'")))?;
         if numbers.shape().len() == axes {
@@ -91,23 +93,19 @@ pub fn read(
         }
         Err(Diagnostic::new("input.too-long", format!("{steps} timesteps, beyond 1..={MOST_STEPS}")))
     };
+    let silent = |samples: usize, steps: u32| {
+        if samples > MOST_SAMPLES {
+            return Err(wrong(format!("{samples} samples")));
+        }
+        Ok(PopulationSpikes::silent(samples, expected.units, steps, path))
+    };
     match kind(group) {
         Some("TimeGriddedData") => {
             let data = array("data", 3)?;
             let &[samples, steps, units] = data.shape() else { return Err(wrong("'data' is empty")) };
             check(units as f64)?;
             let all = bound(steps as f64)?;
-            let blank = || PopulationSpikes {
-                units: Some(expected.units),
-                steps: all,
-                label: None,
-                events: Vec::new(),
-                name: name.clone(),
-            };
-            if samples > 1 << 20 {
-                return Err(wrong(format!("{samples} samples")));
-            }
-            let mut recordings: Vec<PopulationSpikes> = (0..samples).map(|_| blank()).collect();
+            let mut recordings = silent(samples, all)?;
             for (at, _) in data.reals().enumerate().filter(|(_, x)| *x != 0.0) {
                 let (sample, step, unit) = (at / (steps * units), at / units % steps, at % units);
                 recordings[sample].events.push((step as u32, unit as u32));
@@ -128,18 +126,7 @@ pub fn read(
                 None => bound((end / bin_s + 1e-6).floor())?,
             };
             let (samples, each) = (idx.shape()[0], idx.shape()[1]);
-            if samples > 1 << 20 {
-                return Err(wrong(format!("{samples} samples")));
-            }
-            let mut recordings: Vec<PopulationSpikes> = (0..samples)
-                .map(|_| PopulationSpikes {
-                    units: Some(expected.units),
-                    steps,
-                    label: None,
-                    events: Vec::new(),
-                    name: name.clone(),
-                })
-                .collect();
+            let mut recordings = silent(samples, steps)?;
             for (at, (unit, seconds)) in idx.reals().zip(time.reals()).enumerate() {
                 // An index of -1 and an endless time fill up the shorter samples.
                 if unit < 0.0 || !seconds.is_finite() {

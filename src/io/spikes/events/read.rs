@@ -11,7 +11,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::io::spikes::detect::EventFormat;
 use crate::io::spikes::options::{EventOptions, Origin};
 use crate::io::spikes::population::{Expected, PopulationSpikes};
-use crate::io::text::read_bytes;
+use crate::io::text;
 
 /// Passes every event of a recording to a sink.
 ///
@@ -38,15 +38,8 @@ pub fn decode_file(path: &Path, format: EventFormat, sink: &mut dyn Sink) -> Res
 
 /// Opens a recording, with the same errors as any other file.
 fn open(path: &Path) -> Result<BufReader<File>, Diagnostic> {
-    read_bytes(path, 256).map(drop).or_else(|problem| match problem.code {
-        "io.too-large" => Ok(()),
-        _ => Err(problem),
-    })?;
-    let unreadable = |error| unreadable(&error).in_file(path);
-    let mut input = BufReader::with_capacity(1 << 16, File::open(path).map_err(unreadable)?);
-    if input.fill_buf().map_err(unreadable)?.starts_with(b"version https://git-lfs") {
-        read_bytes(path, 1 << 20)?;
-    }
+    let mut input = BufReader::with_capacity(1 << 16, text::open(path)?.0);
+    text::refuse_pointer(path, input.fill_buf().map_err(|error| unreadable(&error).in_file(path))?)?;
     Ok(input)
 }
 
