@@ -85,7 +85,7 @@ fn damaged(bytes: &[u8], seed: u64) -> Vec<u8> {
 #[test]
 fn corpora_and_damaged_files_neither_panic_nor_take_memory_beyond_the_bound() {
     memory::alone("corpora_and_damaged_files_neither_panic_nor_take_memory_beyond_the_bound", |growth| {
-        // More rounds than a test should take: NSIM_FUZZ_FACTOR=100 for an hour or so.
+        // More rounds than a test should take: NSIM_FUZZ_FACTOR=15 for a minute or two.
         let factor = std::env::var("NSIM_FUZZ_FACTOR").map_or(1, |factor| factor.parse().unwrap());
         let mut largest = 0;
         for (target, run) in TARGETS {
