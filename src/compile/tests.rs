@@ -231,7 +231,9 @@ fn every_limit_is_kept_on_hundreds_of_random_networks() {
     let (mut fitted, mut split, mut refused) = (0, 0, 0);
     for seed in 0..500 {
         let limits = drawn_limits(seed);
-        let options = Options { copies: 1 + (seed % 3) as u32, ..Options::default() };
+        // Searching for places takes most of the time and changes no limit but slots off chip.
+        let place = seed.is_multiple_of(5);
+        let options = Options { copies: 1 + (seed % 3) as u32, place, ..Options::default() };
         // Compiling verifies the tables against the limits and checks them against the network.
         match compile(random_network(seed), &target(2, 2, limits.clone()), &options) {
             Ok(compiled) => {

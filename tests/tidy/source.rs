@@ -40,13 +40,13 @@ pub struct SourceFile {
     pub imports: Vec<Import>,
     /// Names of functions, and their lines.
     pub functions: Vec<(String, usize)>,
-    /// Names of methods that are called, and the lines; test code left out.
-    pub method_calls: Vec<(String, usize)>,
+    /// Names of methods and associated functions that are called, and the lines; test code left out.
+    pub calls: Vec<(String, usize)>,
 }
 
 impl SourceFile {
     fn forget(&mut self) {
-        (self.test_lines, self.imports, self.functions, self.method_calls) = Default::default();
+        (self.test_lines, self.imports, self.functions, self.calls) = Default::default();
     }
 
     /// The lines that are not for tests only, with their numbers.
@@ -126,8 +126,8 @@ fn read_module(root: &Path, path: &Path, module: Vec<String>, test: bool, files:
     };
     declared(root, &folder, &module, &syntax.items, test, files);
     let path = path.strip_prefix(root).unwrap().to_string_lossy().into_owned();
-    let (test_lines, imports, functions, method_calls) = Default::default();
-    let file = SourceFile { path, module, text, test, test_lines, imports, functions, method_calls };
+    let (test_lines, imports, functions, calls) = Default::default();
+    let file = SourceFile { path, module, text, test, test_lines, imports, functions, calls };
     files.push((file, syntax));
 }
 
@@ -337,9 +337,16 @@ impl<'ast> Visit<'ast> for Reader<'_> {
 
     fn visit_expr_method_call(&mut self, node: &'ast syn::ExprMethodCall) {
         if !self.test {
-            self.file.method_calls.push((node.method.to_string(), node.method.span().start().line));
+            self.file.calls.push((node.method.to_string(), node.method.span().start().line));
         }
         visit::visit_expr_method_call(self, node);
+    }
+
+    fn visit_expr_path(&mut self, node: &'ast syn::ExprPath) {
+        if let (false, Some(last), 2..) = (self.test, node.path.segments.last(), node.path.segments.len()) {
+            self.file.calls.push((last.ident.to_string(), last.ident.span().start().line));
+        }
+        visit::visit_expr_path(self, node);
     }
 
     fn visit_visibility(&mut self, _: &'ast syn::Visibility) {}
