@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use assert_cmd::Command;
-use nsim::desc::measurement::MeasurementsFile;
+use nsim::desc::published::measurement::MeasurementsFile;
 use nsim::io;
 use serde_json::Value;
 
@@ -48,7 +48,7 @@ fn printed(table: &MeasurementsFile, unit: &str, figure: &str) -> (f64, f64) {
 }
 
 fn hold(name: &str, mode: &str, limit: f64) {
-    let table = io::measurement::load_measurements(name).unwrap();
+    let table = io::published::measurement::load_measurements(name).unwrap();
     assert_eq!(table.cells.len(), 14);
     // As printed: power, latency, and energy by the paper's arithmetic.
     let published = rows(mode, "published");
@@ -89,7 +89,7 @@ fn the_real_time_table_is_predicted_within_six_percent() {
 
 #[test]
 fn nothing_is_fitted_to_the_real_time_table() {
-    assert!(io::measurement::load_measurements("vtsnn-realtime").unwrap().fit.is_empty());
+    assert!(io::published::measurement::load_measurements("vtsnn-realtime").unwrap().fit.is_empty());
     let preset = std::fs::read_to_string(root("mapping/constants/vtsnn-calibrated.ron")).unwrap();
     assert!(preset.contains("(offline)") && !preset.contains("real-world"));
     let compared = energy(&["--calibrate", "vtsnn-realtime"]);

@@ -122,7 +122,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     };
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
     let model = &network.file().name;
-    let scenario = io::scenario::shipped_for(&args.job.model)?;
+    let scenario = io::published::scenario::shipped_for(&args.job.model)?;
     let scenario = scenario.as_ref();
     let question = Question { model, target: &target, options: &options, pruned, remedies: &remedies, scenario };
     let outcome = match &mapped {

@@ -5,7 +5,7 @@
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::base::units::Picoseconds;
 use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
-use crate::desc::baseline::{BaselineFile, DenseLayer, Mode};
+use crate::desc::published::baseline::{BaselineFile, DenseLayer, Mode};
 use crate::desc::spanned::parse;
 use crate::desc::target::Status;
 use crate::ir::quantised::{Connectivity, Quantised, Units};
@@ -204,7 +204,7 @@ impl Baseline {
                 .at(source, row.total_mw.span));
             }
         }
-        for (name, figure) in file.roofline.iter().flat_map(super::super::desc::baseline::Roofline::list) {
+        for (name, figure) in file.roofline.iter().flat_map(super::super::desc::published::baseline::Roofline::list) {
             if !(figure.value.value > 0.0 && figure.value.value <= 1e15) || figure.source.trim().is_empty() {
                 let message = format!("{name} {} is not within 0..=10^15, or names no source", figure.value.value);
                 return Err(Diagnostic::new("baseline.figure", message).at(source, figure.value.span));
@@ -307,7 +307,7 @@ impl Baseline {
     ) -> Option<EnergyRow> {
         let roofline = self.file.roofline.as_ref()?;
         let window = f64::from(steps.filter(|&steps| steps > 0)?);
-        let value = |figure: &crate::desc::baseline::RooflineFigure| figure.value.value;
+        let value = |figure: &crate::desc::published::baseline::RooflineFigure| figure.value.value;
         let busy_us = 1e6 * work.roofline_s(window, value(&roofline.peak_gflops), value(&roofline.bandwidth_gb_s));
         let window_us = busy_us + value(&roofline.layer_overhead_us) * work.layers.len() as f64;
         let (idle, active) = (value(&roofline.idle_mw), value(&roofline.active_mw));

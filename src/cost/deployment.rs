@@ -4,7 +4,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::desc::scenario::{DeployedCores, ScenarioFile};
+use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::target::{Chip, PowerUnit};
 use crate::ir::placement::Placement;
 

@@ -13,8 +13,8 @@ use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{Lane, Spread, StepMeter, paced};
 use crate::cost::model::{StepTime, energy};
-use crate::desc::baseline::Mode;
-pub use crate::desc::scenario::Convention;
+use crate::desc::published::baseline::Mode;
+pub use crate::desc::published::scenario::Convention;
 use crate::ir::activity::Activity;
 
 impl Convention {

@@ -3,15 +3,13 @@
 //! Values here are parsed and know where they stood in their file, so that any later stage can point at them. Whether
 //! they make sense together is for `compile::frontend::lower` to find out.
 
-pub mod baseline;
 pub mod dataset;
 mod lists;
 pub mod mapping;
-pub mod measurement;
 pub mod network;
 pub mod neurons;
+pub mod published;
 pub mod resource;
-pub mod scenario;
 pub mod spanned;
 pub mod stimulus;
 pub mod target;

@@ -11,7 +11,7 @@ use crate::base::units::Picoseconds;
 use crate::compile::Compiled;
 use crate::cost::estimate::{Case, Convention, Estimate, estimate};
 use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
-use crate::desc::baseline::Mode;
+use crate::desc::published::baseline::Mode;
 use crate::desc::target::Target;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::program::Program;

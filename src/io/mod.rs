@@ -7,12 +7,11 @@
 pub mod foreign;
 pub mod fuzz_entry;
 pub mod mapping;
-pub mod measurement;
 pub mod model;
 pub mod model_builder;
 pub mod npy;
+pub mod published;
 pub mod safetensors;
-pub mod scenario;
 pub mod shipped;
 pub mod spikes;
 pub mod target;

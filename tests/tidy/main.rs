@@ -47,7 +47,7 @@ const CYCLES: &[&[&str]] = &[
     &["src/machine/layout/lists.rs", "src/machine/layout/padded_runs.rs"],
 ];
 /// Folders with more files than a dozen.
-const CROWDED: &[&str] = &["src/desc", "src/io"];
+const CROWDED: &[&str] = &[];
 /// Files with a function called just `of`.
 const NAMED_OF: &[&str] = &[
     "src/compile/resources/axon_sharing.rs",
@@ -57,8 +57,6 @@ const NAMED_OF: &[&str] = &[
     "src/compile/resources/formats.rs",
     "src/compile/resources/packing.rs",
     "src/compile/resources/receptive_field.rs",
-    "src/io/foreign/hdf5.rs",
-    "src/io/foreign/torch.rs",
     "src/ir/firing_rates.rs",
     "src/ir/placement.rs",
     "src/machine/count/routing_tables.rs",

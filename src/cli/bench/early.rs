@@ -12,7 +12,7 @@ use crate::cli::energy::workload::Workload;
 use crate::cli::output;
 use crate::cost::estimate::{Case, Convention, spent_by_step_uj};
 use crate::cost::{Deployment, Transport};
-use crate::desc::baseline::Mode;
+use crate::desc::published::baseline::Mode;
 use crate::error::Error;
 use crate::io;
 use crate::report::bench::early::EarlyReport;
@@ -112,7 +112,8 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
         io::write::check_free(path, context.force)?;
     }
     let models = models(args)?;
-    let scenario = models.first().map(|model| io::scenario::shipped_for(&model.model)).transpose()?.flatten();
+    let scenario =
+        models.first().map(|model| io::published::scenario::shipped_for(&model.model)).transpose()?.flatten();
     let copies = args.copies.or(scenario.map(|scenario| scenario.copies.value)).unwrap_or(1);
     let quiet = Context { progress: false, ..context };
     let groups = output::with_progress(context, models.len(), "models", |done| {

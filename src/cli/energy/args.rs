@@ -9,8 +9,8 @@ use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::{Switch, one_of};
 use crate::cost::Transport;
-use crate::desc::baseline::Mode;
-use crate::desc::scenario::Convention;
+use crate::desc::published::baseline::Mode;
+use crate::desc::published::scenario::Convention;
 use crate::drive::decision::Rule;
 
 const EXAMPLES: &str = "\

@@ -10,7 +10,7 @@ use crate::bench::power::{POWERCAP, Power, PowerMeter};
 use crate::cli::energy::options::{Beside, Watts};
 use crate::cost::baseline::{Figures, NetworkShape, Work};
 use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
-use crate::desc::baseline::Mode;
+use crate::desc::published::baseline::Mode;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;

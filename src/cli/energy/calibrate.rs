@@ -13,7 +13,7 @@ use crate::compile::Compiled;
 use crate::cost::calibrate::{Cell, Unknown, fit};
 use crate::cost::estimate::{Case, Convention, EnergyRow, estimate};
 use crate::cost::{CostTable, Deployment};
-use crate::desc::measurement::{FittedConstant, MeasurementsFile};
+use crate::desc::published::measurement::{FittedConstant, MeasurementsFile};
 use crate::desc::target::{Constants, Residual, Status, Unit};
 use crate::error::Error;
 use crate::io;
@@ -130,7 +130,7 @@ fn fitted(bench: &Bench<'_>, start: &Constants) -> Result<(Constants, Vec<String
 }
 
 fn residuals(table: &MeasurementsFile, rows: &[EnergyRow]) -> Result<Vec<Residual>, Error> {
-    let residual = |cell: &crate::desc::measurement::MeasuredCell| {
+    let residual = |cell: &crate::desc::published::measurement::MeasuredCell| {
         let model = figure(rows, &cell.unit.value, &cell.figure.value)?;
         let value = cell.value().map_or(f64::NAN, |(value, _)| value);
         let short = |x: f64, digits: i32| {
@@ -155,7 +155,7 @@ pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, E
     if let Some(output) = &args.output {
         io::write::check_free(output, context.force)?;
     }
-    let table = io::measurement::load_measurements(table)?;
+    let table = io::published::measurement::load_measurements(table)?;
     let asked = JobArgs { model: table.model.clone(), target: table.target.clone(), ..args.job.clone() };
     let job = match jobs::prepare(&asked, Wanted::Mapped, table.copies)? {
         Prepared::Ready(job) => job,
@@ -171,7 +171,7 @@ pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, E
             }
         }
     }
-    let scenario = io::scenario::shipped_for(&table.model)?;
+    let scenario = io::published::scenario::shipped_for(&table.model)?;
     let source = DeploymentSource::load(&table.deployment.as_str().into(), &table.model, scenario.as_ref())?;
     let Compiled { one, placement, .. } = workload.compiled;
     let deployment = source.deployment(&one.parts().name, table.copies, placement, workload.target)?;

@@ -41,7 +41,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         io::write::check_free(file, context.force)?;
     }
     let (mode, convention) = (args.mode, args.convention);
-    let shipped = io::scenario::shipped_for(&args.job.model)?;
+    let shipped = io::published::scenario::shipped_for(&args.job.model)?;
     let source = DeploymentSource::load(&args.deployment, &args.job.model, shipped.as_ref())?;
     let deployed = match &source {
         DeploymentSource::Scenario(_, scenario) => Some(&**scenario),
@@ -151,8 +151,8 @@ mod tests {
     use crate::cost::baseline::{Baseline, tests::vtsnn};
     use crate::cost::deployment::tests::paper;
     use crate::cost::estimate::tests::{MS, run};
-    use crate::desc::baseline::Mode;
-    use crate::desc::scenario::Convention;
+    use crate::desc::published::baseline::Mode;
+    use crate::desc::published::scenario::Convention;
     use crate::desc::spanned::parse;
     use crate::desc::target::Target;
     use crate::desc::target::{Chip, Constants, TargetFile};
@@ -195,7 +195,7 @@ mod tests {
         placement: &Placement,
         target: &Target,
     ) -> Result<Deployment, Error> {
-        let shipped = io::scenario::shipped_for(model)?;
+        let shipped = io::published::scenario::shipped_for(model)?;
         DeploymentSource::load(arg, model, shipped.as_ref())?.deployment(model, copies, placement, target)
     }
 
@@ -248,7 +248,7 @@ mod tests {
     #[test]
     fn defaults_are_those_of_the_contract() {
         let args = args(&[]).unwrap();
-        let scenario = io::scenario::shipped_for(&args.job.model).unwrap().unwrap();
+        let scenario = io::published::scenario::shipped_for(&args.job.model).unwrap().unwrap();
         assert_eq!((scenario.copies.value, scenario.target), (32, args.job.target.clone()));
         assert_eq!(
             (args.job.model.as_str(), args.job.target.as_str(), args.copies, args.input.repeat),

@@ -7,7 +7,7 @@ use crate::compile::mapping_file;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::cost::{CostTable, Deployment};
 use crate::desc::mapping::MappingFile;
-use crate::desc::scenario::ScenarioFile;
+use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::target::Target;
 use crate::error::Error;
@@ -104,7 +104,7 @@ impl DeploymentSource {
         };
         let source = io::text::read_text(path)?;
         if root_name(source.text()) == "Scenario" {
-            let scenario = io::scenario::scenario(&source)?;
+            let scenario = io::published::scenario::scenario(&source)?;
             return Ok(DeploymentSource::Scenario(path.display().to_string(), Box::new(scenario)));
         }
         let mapping = parse(&source, "mapping.syntax").map_err(|error| match error.help {

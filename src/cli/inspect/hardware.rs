@@ -5,7 +5,7 @@
 use serde_json::{Value, json};
 
 use crate::cost::baseline::Baseline;
-use crate::desc::scenario::ScenarioFile;
+use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::target::{Chip, Constants, Target};
 use crate::report::inspect::{Findings, Rows};
 

@@ -22,9 +22,10 @@ use crate::desc::mapping::{MappingFile, PrunedFile};
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
+use crate::io::published::scenario;
 use crate::io::shipped::{self, Origin};
 use crate::io::spikes::{self, SpikeFormat, manifest};
-use crate::io::{model, npy, safetensors, scenario, target, text};
+use crate::io::{model, npy, safetensors, target, text};
 use crate::report::inspect::{Findings, Rows, number};
 
 /// What was typed.

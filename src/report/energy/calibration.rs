@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::format::{plain, short};
-use crate::desc::measurement::MeasurementsFile;
+use crate::desc::published::measurement::MeasurementsFile;
 use crate::desc::target::{Residual, Unit};
 use crate::report::text::{csv_text, wrapped};
 

@@ -13,7 +13,7 @@ use super::format::{fixed, plain, short, unknown};
 use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Convention, EnergyRow, Estimate};
-use crate::desc::baseline::Mode;
+use crate::desc::published::baseline::Mode;
 use crate::desc::target::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
 use crate::report::text::{count, wrapped};

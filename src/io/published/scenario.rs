@@ -3,10 +3,10 @@
 //! Input: the text of a scenario, or the name of a shipped model. Output: a [`ScenarioFile`] whose numbers of cores are
 //! possible and whose tables of measurements are shipped. Errors: `scenario.syntax`, `scenario.number`, `scenario.measured`.
 
-use super::shipped;
 use crate::base::diagnostic::{Diagnostic, SourceText};
-use crate::desc::scenario::ScenarioFile;
+use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::spanned::parse;
+use crate::io::shipped;
 
 /// The scenario that ships for a model, given as on the command line: a path names no shipped model.
 ///
@@ -49,7 +49,7 @@ pub fn scenario(source: &SourceText) -> Result<ScenarioFile, Diagnostic> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::io::measurement::load_measurements;
+    use crate::io::published::measurement::load_measurements;
     use crate::io::{model::load_model, target::load_target};
 
     #[test]

@@ -4,8 +4,8 @@
 use serde::Deserialize;
 
 use super::baseline::Mode;
-use super::spanned::Spanned;
-use super::target::Constant;
+use crate::desc::spanned::Spanned;
+use crate::desc::target::Constant;
 
 /// One cell of a table.
 #[derive(Debug, Clone, Deserialize)]

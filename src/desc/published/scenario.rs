@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::spanned::Spanned;
+use crate::desc::spanned::Spanned;
 
 /// What "energy per timestep" and "energy-delay product" mean.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]

@@ -3,11 +3,11 @@
 //! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] in which every constant, unit and
 //! figure that it names exists and every cell is a positive number.
 
-use super::shipped;
 use crate::base::diagnostic::{Diagnostic, SourceText};
-use crate::desc::measurement::MeasurementsFile;
+use crate::desc::published::measurement::MeasurementsFile;
 use crate::desc::spanned::{Spanned, parse};
 use crate::desc::target::Constants;
+use crate::io::shipped;
 
 /// Units of a row that a table may name.
 pub const UNITS: [&str; 3] = ["x86", "neuron", "total"];

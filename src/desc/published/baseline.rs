@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::spanned::Spanned;
-use super::target::Status;
+use crate::desc::spanned::Spanned;
+use crate::desc::target::Status;
 
 /// Whether samples are passed as fast as possible or at the pace of their timesteps.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
