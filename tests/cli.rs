@@ -372,6 +372,24 @@ fn text_is_no_wider_than_a_wide_terminal() {
 }
 
 #[test]
+fn a_model_without_a_scenario_has_one_copy_everywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let energy = ["energy", &model, "--input", "scene:noise?samples=1&steps=20", "--baseline"];
+    assert_eq!(object(&["map", &model], 0)["copies"], 1);
+    assert_eq!(object(&energy, 0)["copies"], 1);
+    let (code, _, stderr) = said(&[&energy[..], &["--deployment", "paper"]].concat());
+    assert!(code == 2 && stderr.contains("no scenario ships"), "{stderr}");
+    // A scenario of one's own gives its copies and its numbers of cores.
+    let own = "Scenario(name: \"s\", model: \"small\", target: \"nahuku-32\", copies: 2, convention: physical, work: \"w\",
+        source: \"s\", notes: \"\", deployment: (cores_used: 7, cores_powered: 9, tiles_used: 4, chips_used: 2, x86_cores: 3))";
+    let own = write(folder.path(), "own.ron", own);
+    let report = object(&[&energy[..], &["--deployment", &own]].concat(), 0);
+    assert_eq!((&report["copies"], &report["cores_powered"], &report["x86_cores"]), (&2.into(), &9.into(), &3.into()));
+    assert_eq!(object(&["inspect", &own], 0)["kind"], "scenario");
+}
+
+#[test]
 fn energy_is_of_as_many_copies_as_a_mapping_has() {
     let folder = tempfile::tempdir().unwrap();
     let saved = folder.path().join("mapping.ron").display().to_string();

@@ -319,7 +319,7 @@ impl Baseline {
             source: FigureSource::Modelled,
             power_source: FigureSource::Modelled,
         };
-        // The paper's card drew as much while it waited for a window as without waiting.
+        // The measured card draws the same power while it waits for a window.
         let figures = match mode {
             Mode::Offline => offline,
             Mode::Realtime => offline.in_real_time(timestep.microseconds(), true, false),

@@ -69,7 +69,7 @@ pub struct Camera {
     draws: Draws,
     sensor: Draws,
     state: Vec<Pixel>,
-    /// Pixels that have changed by more than they could send.
+    /// Pixels whose change exceeds what they have sent.
     behind: Vec<u32>,
     spiking: Vec<u64>,
     step: u16,
@@ -125,7 +125,7 @@ impl Camera {
                 let unit = pooled(x, y);
                 self.spiking[unit / 64] |= 1 << (unit % 64);
             }
-            // What is left is looked at again when the pixel may send.
+            // A remaining difference is checked again when the refractory time is over.
             if (level - state.reference).abs() >= state.threshold {
                 self.behind.push(pixel);
             }

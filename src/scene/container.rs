@@ -2,13 +2,13 @@
 //!
 //! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event camera in 325 bins
 //! of 20 ms. Task, containers, largest fills and times are those of Taunyazov et al. 2020, section V: the recording begins
-//! with the gripper about to close (2.0 s), the fingers meet the container at about 4 s, it is lifted by 5 cm from 6 s to
+//! with the gripper about to close (2.0 s), the fingers touch the container at about 4 s, it is lifted by 5 cm from 6 s to
 //! 8 s and held until 8.5 s. Class = 5 container + fill level.
 //!
-//! Touch tells how stiff the container is (how fast the force grows), how wide (when the fingers meet it) and what it weighs
-//! (how far the load moves the pressure, and sloshing); sight tells the outline and the label, how far soft walls give way,
-//! how far the arm sinks, and the level in the clear bottle. None of it tells all 20 classes apart: what would is blurred by
-//! where and how the container is grasped. `docs/scenes.md` lists every parameter with its source.
+//! Touch depends on stiffness (how fast the force grows), width (when the fingers make contact) and weight (how far the load
+//! moves the pressure, and sloshing). Vision depends on the outline and the label, the deformation of soft walls, how far the
+//! arm sinks, and the level in the clear bottle. No single cue separates all 20 classes: variation of the grasp blurs each.
+//! `docs/scenes.md` lists every parameter with its source.
 
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
@@ -105,7 +105,7 @@ const CONTAINERS: [Container; 4] = [
     },
 ];
 
-/// The scene's parameters. Ranges are drawn from evenly, for each sample anew.
+/// The scene's parameters. Each sample draws uniformly from the ranges.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Containers {
     /// How many samples.

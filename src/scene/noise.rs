@@ -1,7 +1,7 @@
 //! Independent spikes: each channel of a population spikes in each step with the same probability.
 //!
-//! The plainest stimulus there is, for networks that nothing was recorded for. A channel's spike is a function of (seed,
-//! sample and channel, step), so samples can be made in any order.
+//! For networks without recordings. A channel's spike is a function of (seed, sample and channel, step), so samples can be
+//! made in any order.
 
 use std::collections::BTreeMap;
 

@@ -23,14 +23,14 @@ use crate::desc::stimulus::SceneArg;
 pub const STEPS: u32 = 150;
 /// Names of the classes, by label.
 pub const CLASSES: [&str; 2] = ["stable", "slip"];
-/// Milliseconds that are followed before the recording: the fingers close in them.
+/// Milliseconds simulated before the recording, in which the fingers close.
 const BEFORE_MS: u32 = 250;
 /// A pixel's size at the box, mm.
 const PIXEL_MM: f64 = 0.6;
 /// Bricks of the box, across and down.
 const BRICKS: (usize, usize) = (2, 2);
 
-/// The scene's parameters. Ranges are drawn from evenly, for each sample anew.
+/// The scene's parameters. Each sample draws uniformly from the ranges.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Slip {
     /// How many samples.
@@ -140,8 +140,8 @@ impl Slip {
     }
 }
 
-/// The class that a sample is made for: of each two in a row one holds and one slides, in drawn order. Parameters far from
-/// the default ones may make it otherwise; what is recorded is what happened.
+/// The intended class of a sample: of each two consecutive samples one holds and one slides, in random order. With
+/// parameters far from the defaults the outcome, which is what is recorded, may differ.
 #[must_use]
 pub fn label(seed: u64, sample: u32) -> u32 {
     (Draws::new(seed, sample / 2).bits(Purpose::Label, 0, 0) as u32 & 1) ^ (sample & 1)
@@ -420,7 +420,7 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
         let moved = (now.table - shown.table).abs();
         near.clear();
         if turned > 0.1 || moved > 0.1 {
-            // The lines of the box hide the table's edge where they are; both are looked at together.
+            // The box hides parts of the table's edge, so both are updated together.
             if turned > 0.1 {
                 look.near_edges(&now, moved > 0.0, &mut near);
             } else {

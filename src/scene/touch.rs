@@ -1,7 +1,7 @@
 //! Fingertips with fast-adapting taxels: pressure under the skin -> events on changes of pressure.
 //!
 //! Input: the pressure on each taxel, one millisecond after the other. Output: on and off events. A taxel's
-//! pressure runs through the skin (a part of it creeps, so that a deformation takes 300 ms to recover), is held against
+//! pressure runs through the skin (a part of it creeps, so that a deformation takes 300 ms to recover), is compared with
 //! the value at its last event, which slowly follows; beyond a threshold either way it sends an event and is silent for
 //! its refractory time.
 //!

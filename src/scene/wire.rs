@@ -1,9 +1,9 @@
-//! One wire for all taxels: events as overlapping pulse signatures, told apart by correlation.
+//! One wire for all taxels: events as overlapping pulse signatures, decoded by correlation.
 //!
-//! The NeuTouch finger is read out so (ACES; Taunyazov et al. 2020, section III): every taxel answers with its own pattern
-//! of pulses whenever it likes, patterns add up on the wire, and a decoder correlates what arrives with each pattern.
+//! This is the read-out of the NeuTouch finger (ACES; Taunyazov et al. 2020, section III): every taxel sends its own pattern
+//! of pulses asynchronously, patterns add on the wire, and a decoder correlates the signal with each pattern.
 //! Input: events by millisecond and channel. Output: the events that the decoder reports, and how many it missed or
-//! made up. Not modelled: the shape of a pulse and delays along the wire.
+//! reported falsely. Not modelled: the shape of a pulse and delays along the wire.
 //!
 //! A slot is 1 us. A signature has ten pulses in 1,000 slots, one in each 100, at places that the device is built with
 //! (assumed; the seed of a scene does not change them). An event starts anywhere in its millisecond, and each pulse is off by up to

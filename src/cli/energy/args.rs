@@ -51,7 +51,7 @@ pub struct EnergyArgs {
     /// Energy as power x latency, or as the VT-SNN paper computes it
     #[arg(long, default_value = "physical", value_parser = one_of(&Convention::ALL, Convention::name))]
     pub convention: Convention,
-    /// Other hardware to show beside: cpu (measured here), or a name of mapping/baselines; all when left out, none when
+    /// Other hardware to compare with: cpu (measured here), or a name of mapping/baselines; all when left out, none when
     /// given without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,

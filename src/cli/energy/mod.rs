@@ -3,18 +3,18 @@
 //! [`options`] says what the options stand for, [`workload`] runs, [`job`] makes the report, [`calibrate`] fits.
 
 pub mod args;
-pub mod beside;
 pub mod calibrate;
 pub mod job;
 pub mod options;
+pub mod other_hardware;
 pub mod workload;
 
 use std::path::PathBuf;
 
 use self::args::EnergyArgs;
-use self::beside::OneCopy;
 use self::job::{EnergyJob, per_decision, saved};
 use self::options::{DeploymentArg, DeploymentSource, baselines, tables, with_preset};
+use self::other_hardware::OneCopy;
 use self::workload::Workload;
 use crate::base::units::Picoseconds;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
@@ -90,10 +90,10 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let one =
         OneCopy { network: &compiled.one, program, samples: &workload.samples, steps: steps_per_sample, timestep };
     #[cfg_attr(not(feature = "nvml"), allow(unused_mut))]
-    let mut beside = beside::rows(&asked, one, mode, convention, args.cpu_watts);
+    let mut others = other_hardware::rows(&asked, one, mode, convention, args.cpu_watts);
     #[cfg(feature = "nvml")]
     if let Some(command) = &args.gpu_command {
-        beside::gpu(command, run.activity.steps(), one, mode, convention, &mut beside);
+        other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
     }
     let whole = EnergyJob {
         model,
@@ -109,7 +109,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         steps_per_sample,
         samples: workload.samples.len() as u64,
         seed: workload.seed,
-        baselines: &beside.rows,
+        baselines: &others.rows,
         per_decision: None,
         other: other.as_ref(),
         scenario: deployed,
@@ -118,7 +118,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let early_exit = args.early_exit.map(|rule| saved(rule, &whole, &run.outcomes));
     let decision = per_decision(rule, &whole, &run.outcomes);
     let mut energy = job::report(&EnergyJob { early_exit, per_decision: Some(&decision), ..whole });
-    energy.notes.extend(beside.notes);
+    energy.notes.extend(others.notes);
     if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
         io::write::text(path, context.force, &svg)?;
     }

@@ -159,9 +159,9 @@ impl DeploymentSource {
     }
 }
 
-/// What is shown beside the chip.
+/// The baselines that are asked for.
 #[derive(Debug)]
-pub struct Beside {
+pub struct BaselineSelection {
     /// From files.
     pub files: Vec<Baseline>,
     /// Whether this machine's processor is measured.
@@ -172,17 +172,17 @@ pub struct Beside {
 ///
 /// # Errors
 /// A diagnostic for a name that does not exist.
-pub fn baselines(names: Option<&[String]>) -> Result<Beside, Diagnostic> {
+pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnostic> {
     let Some(names) = names else {
         let files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
-        return Ok(Beside { files, cpu: true });
+        return Ok(BaselineSelection { files, cpu: true });
     };
     let files = names.iter().filter(|name| *name != CPU).map(|name| Baseline::shipped(name));
     let files = files.collect::<Result<_, _>>().map_err(|problem: Diagnostic| {
         let known: Vec<&str> = SHIPPED.iter().map(|&(name, _)| name).chain([CPU]).collect();
         problem.help(format!("baselines are {}", known.join(", ")))
     })?;
-    Ok(Beside { files, cpu: names.iter().any(|name| name == CPU) })
+    Ok(BaselineSelection { files, cpu: names.iter().any(|name| name == CPU) })
 }
 
 /// The name of the baseline that is measured on this machine.

@@ -7,7 +7,7 @@ use crate::base::units::Picoseconds;
 use crate::bench::Environment;
 use crate::bench::cpu::{self, Timed};
 use crate::bench::power::{POWERCAP, Power, PowerMeter};
-use crate::cli::energy::options::{Beside, Watts};
+use crate::cli::energy::options::{BaselineSelection, Watts};
 use crate::cost::baseline::{Figures, NetworkShape, Work};
 use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
 use crate::desc::published::baseline::Mode;
@@ -50,7 +50,13 @@ pub struct Rows {
 
 /// The rows of all hardware asked for.
 #[must_use]
-pub fn rows(asked: &Beside, one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>) -> Rows {
+pub fn rows(
+    asked: &BaselineSelection,
+    one: OneCopy<'_>,
+    mode: Mode,
+    convention: Convention,
+    watts: Option<Watts>,
+) -> Rows {
     let mut found = Rows::default();
     let (shape, work) = (NetworkShape::of_network(one.network), Work::of_network(one.network));
     for baseline in &asked.files {
