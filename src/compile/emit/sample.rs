@@ -42,15 +42,22 @@ pub fn sample(
 ) -> Result<Vec<SampledCore>, String> {
     let (tables, fan_in) = (Tables::new(network, partition, placement, limits), FanIn::new(network));
     let one = |&core: &CoreId| {
+        let held = &partition.members()[core];
+        // Most targets of a source are outside the core's range, which spares a load of their seat.
+        let range = held.iter().min()..=held.iter().max();
         let mut keys = Vec::new();
         let mut longest = Delay::MIN;
-        for (projection, index) in sources_of(network, &fan_in, &partition.members()[core]) {
+        for (projection, index) in sources_of(network, &fan_in, held) {
             let of = &network.projections()[projection];
             let Some(first) = network.populations()[of.target].first_compartment() else { continue };
             let source = first_source(network, &network.populations()[of.source]) + index;
             let format = tables.formats.by_projection()[projection.index()];
             of.connectivity.for_each_from(index, |target, weight| {
-                let seat = partition.seats()[CompartmentId(first.0 + target)];
+                let target = CompartmentId(first.0 + target);
+                if !range.contains(&Some(&target)) {
+                    return;
+                }
+                let seat = partition.seats()[target];
                 if seat.core == core {
                     longest = longest.max(of.delay);
                     keys.push(Key::new(source, format, seat.slot, of.delay.get(), weight));
