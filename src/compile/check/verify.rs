@@ -28,13 +28,13 @@ use rayon::prelude::*;
 use crate::base::fixed::Delay;
 use crate::base::id::{CoreId, Id};
 use crate::compile::resources::axon_sharing::{BASE_END, BASE_STEP, MOST_ATOMS, most_axons};
-use crate::compile::resources::exact::profiles;
 use crate::compile::resources::packing::{self, Compression, Group, SKIP_BITS, Widths};
 use crate::desc::resource::{Capacity, Limits, PerResource, Resource};
 use crate::desc::target::Target;
 use crate::ir::partition::CoreUsage;
 use crate::ir::placement::Mesh;
 use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Program, Stored, Synapse};
+use crate::ir::quantised::Neuron;
 
 /// A rule that is broken.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -374,6 +374,7 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
 
 fn usage_of(image: &CoreImage, longest: Delay, (words, widest): (u64, u32)) -> CoreUsage {
     let compartments = image.compartments.len() as u32;
+    let profiles = |neuron: &Neuron| ((neuron.du, neuron.dv, neuron.refractory), neuron.vth);
     let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
     let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u64;

@@ -16,7 +16,8 @@ use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::by_core::{self, Key};
-use crate::compile::resources::exact::{Tallies, group_of, longest_delays, ways_of};
+use crate::compile::resources::counter::stored;
+use crate::compile::resources::exact::{StoredLists, group_of, longest_delays};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Compression, Group, Widths};
 use crate::desc::resource::Limits;
@@ -126,8 +127,8 @@ impl<'a> Tables<'a> {
     pub(super) fn image(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreImage, Vec<u32>), String> {
         let held = &self.partition.members()[core];
         let widths = Widths::of(held.len() as u32, longest, self.limits.packing);
-        let tallies = Tallies::of(keys, &self.formats, widths, self.limits, &self.places);
-        let (formats, inputs, sources) = write_lists(keys, &self.formats, widths, &tallies, self.limits)
+        let lists = StoredLists::new(keys, &self.formats, widths, self.limits, &self.places);
+        let (formats, inputs, sources) = write_lists(keys, &self.formats, widths, &lists, self.limits)
             .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
         let image = CoreImage {
             site: self.placement.site(core),
@@ -184,7 +185,7 @@ impl Writer<'_> {
         if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
             return Some(number);
         }
-        let [_, (compression, _)] = ways_of(made, self.widths, self.limits);
+        let [_, (compression, _)] = stored(made, self.widths, self.limits);
         let stored = CoreFormat {
             synapse: self.formats.get(format),
             delay_bits: if made.delayed { self.widths.delay } else { 0 },
@@ -215,10 +216,16 @@ impl Writer<'_> {
 }
 
 /// What a core keeps of its synapses; `None` when it has more input axons or formats than can be numbered.
-fn write_lists(keys: &[Key], formats: &Formats, widths: Widths, tallies: &Tallies, limits: &Limits) -> Option<Written> {
-    let (runs, lists) = (tallies.runs(limits), Lists::with_capacity(0, keys.len()));
+fn write_lists(
+    keys: &[Key],
+    formats: &Formats,
+    widths: Widths,
+    stored: &StoredLists,
+    limits: &Limits,
+) -> Option<Written> {
+    let (runs, lists) = (stored.stores_runs(limits), Lists::with_capacity(0, keys.len()));
     let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
-    let shared: Vec<_> = tallies.shared(limits).filter(|&(_, places)| places > 0).collect();
+    let shared: Vec<_> = stored.shared(limits).filter(|&(_, places)| places > 0).collect();
     let sources: Vec<u32> = by_core::lists(keys).map(|list| list[0].source()).collect();
     u16::try_from(sources.len().saturating_sub(1)).ok()?;
     if shared.is_empty() {

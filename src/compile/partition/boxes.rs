@@ -14,7 +14,7 @@ use crate::compile::partition::lattice::{self, Cut, Lattice};
 use crate::compile::partition::members::{Members, partition_of, row_of_chips};
 use crate::compile::reason::Reason;
 use crate::compile::resources::closed_form::{BoxUse, Layer};
-use crate::compile::resources::exact::profiles;
+use crate::compile::resources::counter::Profiles;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::MOST_SLOTS;
 use crate::desc::resource::{Limits, Resource};
@@ -284,7 +284,7 @@ fn profiles_of(network: &Quantised, held: &[CompartmentId]) -> (u32, u32) {
     let Units::Compartments { first, neurons, .. } = &network.populations()[population].units else { return (0, 0) };
     let same = matches!(neurons, PerCompartment::Same(_));
     let looked_at = if same { &[CompartmentId(first.0 + index)][..] } else { held };
-    let all = looked_at.iter().map(|id| profiles(&neurons.get(id.0 - first.0)));
-    let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = all.unzip();
-    (profiles.len() as u32, thresholds.len() as u32)
+    let mut profiles = Profiles::default();
+    looked_at.iter().for_each(|id| profiles.insert(&neurons.get(id.0 - first.0)));
+    profiles.counts()
 }

@@ -7,8 +7,10 @@
 //! rate of each source times the number of cores that hold a pin, the source's own core not counted.
 //!
 //! A [`State`] keeps that cost and each core's use of compartments, input axons, output axons and synapse words up to date
-//! while groups of compartments move. Input axons and messages are exact. Words are those of the simple formats, taken at
-//! the index width that the largest core needs; output axons take the slots of another chip where there is more than one.
+//! while groups of compartments move. Compartments and messages are exact. Input axons are those of lists of their own, output
+//! axons take the slots of another chip where there is more than one: both are never too few. Words are those of the
+//! simple formats at the index width that the largest core needs and the longest delay there is: never too few for sources
+//! with one sparse projection, an estimate for others.
 //! Whoever keeps a refined partition has it counted exactly afterwards ([`crate::compile::resources::exact`]).
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
@@ -557,6 +559,44 @@ fn disown(owners: &mut Vec<(u32, u32, u64)>, core: u32, sources: u32, rate: u64)
         (owners[at].1, owners[at].2) = (owners[at].1 - sources, owners[at].2 - rate);
         if owners[at].1 == 0 {
             owners.swap_remove(at);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::resources::exact::usage;
+    use crate::compile::testing::{Builder, limits, random_network, target};
+    use crate::ir::partition::seats;
+
+    /// Compares the loads of a network on three cores with exact counts; words only where they are a bound.
+    fn compare(network: &Quantised, words: bool, what: &str) {
+        let mut members: Vec<Vec<CompartmentId>> = vec![Vec::new(); 3];
+        (0..network.compartments()).for_each(|id| members[id as usize * 7 % 3].push(CompartmentId(id)));
+        members.retain(|held| !held.is_empty());
+        let (members, board): (IdVec<CoreId, _>, _) = (members.into(), target(1, 1, limits()));
+        let graph = Hypergraph::new(network, &Rates::assumed(0.1), &vec![false; network.compartments() as usize]);
+        let state = State::new(&graph, &members, &board, 100);
+        let seats = seats(network.compartments(), &members).unwrap();
+        let exact = usage(network, &members, &seats, &vec![0; members.len()].into(), board.limits());
+        for (load, used) in state.loads.iter().zip(&exact) {
+            assert_eq!(load.compartments as u64, used[Resource::Compartments], "{what}");
+            assert!(load.axons_in as u64 >= used[Resource::AxonsIn], "{what}: {load:?} {used:?}");
+            assert!(load.axons_out as u64 >= used[Resource::AxonsOut], "{what}: {load:?} {used:?}");
+            assert!(!words || load.words as u64 >= used[Resource::SynapseWords], "{what}: {load:?} {used:?}");
+        }
+    }
+
+    #[test]
+    fn loads_are_exact_or_never_too_little() {
+        for seed in 0..40 {
+            compare(&random_network(seed), false, &format!("seed {seed}"));
+            let mut net = Builder::new();
+            let (a, b) = (net.input("a", 40), net.loihi("b", 30));
+            net.random(a, b, 1 + seed as u32 % 20, seed);
+            net.random(b, b, 7, seed + 1);
+            compare(&net.build(), true, &format!("sparse {seed}"));
         }
     }
 }

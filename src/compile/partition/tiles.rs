@@ -17,7 +17,7 @@ use std::collections::BTreeSet;
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::compile::partition::order::{Indices, Segment};
 use crate::compile::resources::axon_sharing::Places;
-use crate::compile::resources::closed_form::{Incoming, Layer};
+use crate::compile::resources::closed_form::{Incoming, Layer, middle, middle_of};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::resources::packing::MOST_SLOTS;
@@ -192,16 +192,6 @@ pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) 
         }
     }
     None
-}
-
-/// The tile in the middle of a grid, whose windows are whole.
-#[must_use]
-pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
-    (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
-}
-
-fn middle_of(length: u32, size: u32) -> u32 {
-    (length.div_ceil(size) - 1) / 2
 }
 
 /// Indices of one tile, in slot order.

@@ -152,7 +152,8 @@ impl Class {
     }
 
     /// Words that so many places save by sharing; less than none when the table is dearer.
-    fn saving(&self, places: u32) -> i64 {
+    #[must_use]
+    pub fn saving(&self, places: u32) -> i64 {
         (u64::from(places) * u64::from(self.words)) as i64 - self.table() as i64
     }
 
@@ -181,17 +182,6 @@ pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
         }
     }
     sharing
-}
-
-/// Words and input axons that sharing leaves of those that lists of their own would take.
-#[must_use]
-pub fn left(words: u64, axons: u32, classes: &[Class], sharing: &[u32]) -> (u64, u32) {
-    classes.iter().zip(sharing).filter(|(_, places)| **places > 0).fold(
-        (words, axons),
-        |(words, axons), (class, &places)| {
-            (words.saturating_add_signed(-class.saving(places)), axons - places * (class.lists - 1))
-        },
-    )
 }
 
 /// Places of a core whose lists are the same, counted from their bases.
@@ -259,8 +249,6 @@ mod tests {
         // 512 atoms leave 64 numbers: the class that saves more takes 60 of them.
         let wide = Class { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
         assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &limits), [4, 60]);
-        assert_eq!(left(100_000, 40_000, &[wide], &[60]), (100_000 - 59 * 1024, 40_000 - 60 * 511));
-        assert_eq!(left(100, 10, &[wide], &[0]), (100, 10));
     }
 
     #[test]

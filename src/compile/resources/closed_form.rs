@@ -13,9 +13,8 @@ use std::sync::Arc;
 
 use crate::base::fixed::Delay;
 use crate::base::id::{Id, PopulationId};
-use crate::compile::partition::tiles;
 use crate::compile::resources::axon_sharing::{self, Class, Places};
-use crate::compile::resources::exact::{Tallies, Words, skip_of};
+use crate::compile::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Group, Widths};
 use crate::compile::resources::receptive_field::{Axis, Pattern, relative};
@@ -99,7 +98,7 @@ impl Layer {
     /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have this size.
     #[must_use]
     pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
-        let at = tiles::middle(self.shape, size);
+        let at = middle(self.shape, size);
         let part = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
         let channels = Channels::of(self, &part(self.shape.0, size.0, at.0));
         let rows = Side::of(self, Axis::rows, &part(self.shape.1, size.1, at.1));
@@ -159,6 +158,18 @@ impl Channels {
     }
 }
 
+/// The box in the middle of a grid, whose windows are whole.
+#[must_use]
+pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
+    (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
+}
+
+/// The part in the middle of an axis that is cut into parts of this size.
+#[must_use]
+pub fn middle_of(length: u32, size: u32) -> u32 {
+    (length.div_ceil(size) - 1) / 2
+}
+
 /// Synapses of a box with sources in one population.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arriving {
@@ -196,7 +207,7 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
     let reaching: Vec<usize> = (0..layer.incoming.len()).filter(|&i| reaching(i)).collect();
     let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::of(compartments, longest, limits.packing);
-    let (mut tallies, mut arriving) = (Tallies::default(), Vec::new());
+    let (mut counter, mut arriving) = (ListCounter::new(formats, widths, limits), Vec::new());
     let mut classes = Classes::default();
     let mut slots: Vec<u16> = Vec::new();
     for &i in &reaching {
@@ -228,10 +239,12 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                         synapses: slots.len() as u32,
                         delayed: delay > Delay::MIN,
                         dense: slots.windows(2).all(|pair| pair[1] == pair[0] + 1),
-                        skip: skip_of(slots.windows(2).map(|pair| pair[1] - pair[0])),
+                        skip: skip_bits_for(slots.windows(2).map(|pair| pair[1] - pair[0])),
                     };
                     let lists = of_rows * of_columns * of_channels;
-                    place.lists(of_channels, tallies.lists(format, group, lists, widths, limits));
+                    let words = counter.group((format, group));
+                    counter.lists(lists, words);
+                    place.lists(of_channels, words);
                     *if group.dense { &mut dense } else { &mut sparse } += lists * slots.len() as u64;
                 }
                 let first_slot = {
@@ -252,9 +265,12 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
         }
         arriving.push(Arriving { source, dense, sparse });
     }
-    tallies.share([&classes.ways[0], &classes.ways[1]], limits);
-    let synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
-    BoxUse { usage: tallies.usage(compartments, synapses, longest, limits), arriving: arriving.into() }
+    let mut totals = CoreTotals { lists: counter.totals(), ..CoreTotals::new(compartments, longest) };
+    for (lists, classes) in totals.lists.iter_mut().zip(&classes.ways) {
+        lists.share(classes, limits);
+    }
+    totals.synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
+    BoxUse { usage: totals.usage(limits), arriving: arriving.into() }
 }
 
 /// The lists of one place.
