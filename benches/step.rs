@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use nsim::bench::networks::Standard;
+use nsim::bench::networks::StandardNetwork;
 use nsim::bench::steps;
 use nsim::compile::{Options, compile};
 use nsim::io::target::load_target;
@@ -22,8 +22,8 @@ fn step(c: &mut Criterion) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut group = c.benchmark_group("step");
     group.sample_size(20).measurement_time(Duration::from_secs(3));
-    let mut mapped: Option<(Standard, Program)> = None;
-    for standard in Standard::ALL {
+    let mut mapped: Option<(StandardNetwork, Program)> = None;
+    for standard in StandardNetwork::ALL {
         let bench = standard.build().unwrap();
         let program = match mapped.take() {
             Some((of, program)) if of == standard.program_of() => program,

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use common::{Net, format, neuron};
 use nsim::base::fixed::SignMode;
 use nsim::base::rng;
-use nsim::bench::mapping::{Mapped, map_all};
+use nsim::bench::mapping::{MeasuredMapping, map_all};
 use nsim::bench::suite::cases;
 use nsim::compile::explore::traffic::traffic;
 use nsim::compile::{Compiled, Objective, Options, Strategy, compile, compile_saved, front};
@@ -40,7 +40,7 @@ const SMALL: [&str; 9] = [
     "scale-free-1k",
 ];
 
-fn mapped(name: &str) -> Vec<Mapped> {
+fn mapped(name: &str) -> Vec<MeasuredMapping> {
     let case = cases().into_iter().find(|case| case.name == name).unwrap();
     let bench = case.build().unwrap();
     let target = load_target(bench.target).unwrap();
@@ -59,7 +59,7 @@ fn no_mapping_of_the_suite_has_more_hops_or_cores_or_longer_steps_than_the_seque
         let sequential = rows.iter().find(|row| row.strategy == Strategy::Sequential && !row.placed).unwrap();
         for row in &rows {
             let what = format!("{name} {} placed {} for {}", row.strategy.name(), row.placed, row.objective.name());
-            let hops = |row: &Mapped| row.traffic.hops_multicast_per_step;
+            let hops = |row: &MeasuredMapping| row.traffic.hops_multicast_per_step;
             if row.objective == Objective::Cores {
                 assert!(row.cores <= sequential.cores, "{what}: {} cores", row.cores);
                 if row.placed {

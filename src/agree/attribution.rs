@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use super::ladder::{Cause, Ladder, Rung};
-use super::metrics::Tally;
+use super::metrics::TrainSums;
 use super::trace::{Comparison, Layer};
 use crate::ir::spikes::Sample;
 
@@ -63,7 +63,7 @@ pub fn distances(ladder: &Ladder, from: Rung, rungs: &[Rung], output: &Layer, sa
         let trained = ladder.run(from, sample, true);
         let one = |&rung: &Rung| {
             let trace = ladder.run(rung, sample, true);
-            let mut sum = Tally::default();
+            let mut sum = TrainSums::default();
             for layer in &layers {
                 let mut comparison = Comparison::default();
                 comparison.add(0, layer, &trained, &trace, ladder.shift(rung) - ladder.shift(from));
@@ -73,9 +73,9 @@ pub fn distances(ladder: &Ladder, from: Rung, rungs: &[Rung], output: &Layer, sa
         };
         rungs.iter().map(one).collect::<Vec<_>>()
     };
-    let each: Vec<Vec<(Tally, bool)>> = samples.par_iter().map(of_sample).collect();
+    let each: Vec<Vec<(TrainSums, bool)>> = samples.par_iter().map(of_sample).collect();
     let distance = |rung: usize| {
-        let (mut sum, mut same) = (Tally::default(), 0usize);
+        let (mut sum, mut same) = (TrainSums::default(), 0usize);
         for sample in &each {
             sum.merge(&sample[rung].0);
             same += usize::from(sample[rung].1);

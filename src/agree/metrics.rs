@@ -1,6 +1,6 @@
 //! How far two networks' spikes and potentials lie apart.
 //!
-//! Comes in: spike trains as ascending steps, potentials relative to their thresholds. Goes out: sums that can be added over
+//! Input: spike trains as ascending steps, potentials relative to their thresholds. Output: sums that can be added over
 //! neurons and samples in any grouping that keeps their order, and from them the figures. All times are timesteps.
 //!
 //! - *Coincidence factor* (Kistler, Gerstner, van Hemmen 1997; Jolivet, Lewis, Gerstner 2004): (N_coinc - p N_a) /
@@ -19,7 +19,7 @@ const WIDEST: u32 = 2;
 
 /// Sums over neurons and samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Tally {
+pub struct TrainSums {
     /// Spikes of the first network.
     pub spikes_a: u64,
     /// Spikes of the second.
@@ -38,7 +38,7 @@ pub struct Tally {
     potentials: u64,
 }
 
-impl Tally {
+impl TrainSums {
     /// Adds a neuron's trains of one sample of so many steps, `b` already shifted onto `a`'s steps.
     pub fn trains(&mut self, a: &[u32], b: &[u32], steps: u32) {
         self.spikes_a += a.len() as u64;
@@ -63,7 +63,7 @@ impl Tally {
     }
 
     /// Adds what another part counted.
-    pub fn merge(&mut self, other: &Tally) {
+    pub fn merge(&mut self, other: &TrainSums) {
         self.spikes_a += other.spikes_a;
         self.spikes_b += other.spikes_b;
         self.count_differences += other.count_differences;
@@ -166,8 +166,8 @@ mod tests {
     use super::*;
     use crate::base::rng;
 
-    fn tally(a: &[u32], b: &[u32]) -> Tally {
-        let mut tally = Tally::default();
+    fn tally(a: &[u32], b: &[u32]) -> TrainSums {
+        let mut tally = TrainSums::default();
         tally.trains(a, b, 150);
         tally
     }
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn independent_trains_coincide_by_chance_only() {
         for rate in [0.02, 0.05, 0.3, 0.6] {
-            let mut tally = Tally::default();
+            let mut tally = TrainSums::default();
             for seed in 0..400 {
                 tally.trains(&poisson(2 * seed, rate, 2000), &poisson(2 * seed + 1, rate, 2000), 2000);
             }

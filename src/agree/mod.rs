@@ -1,6 +1,6 @@
-//! Where and why two networks part.
+//! Where and why two networks disagree.
 //!
-//! Comes in: a network as it was trained, what it became, samples. Goes out: how far spikes and potentials lie apart layer
+//! Input: a network as it was trained, what it became, samples. Output: how far spikes and potentials differ layer
 //! by layer ([`trace`], [`metrics`]), which of the steps from real numbers to the machine is to blame ([`ladder`],
 //! [`attribution`]).
 //!

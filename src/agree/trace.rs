@@ -1,6 +1,6 @@
 //! What a network did in one sample, and the comparison of two such traces.
 
-use super::metrics::Tally;
+use super::metrics::TrainSums;
 use crate::base::id::CompartmentId;
 use crate::ir::spikes::{Engine, Sample};
 
@@ -98,7 +98,7 @@ pub struct Divergence {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Comparison {
     /// Sums.
-    pub tally: Tally,
+    pub tally: TrainSums,
     /// The first sample, in it the first step, in it the lowest neuron in which they differ.
     pub first_divergence: Option<Divergence>,
 }

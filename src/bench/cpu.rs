@@ -1,6 +1,6 @@
 //! The same network on this machine's processor: dense over the window, and event by event.
 //!
-//! Goes in: a network, its samples, and how long a measurement may take. Comes out: microseconds a timestep with the
+//! Input: a network, its samples, and how long a measurement may take. Output: microseconds a timestep with the
 //! spread of the repeats. *Dense* does what a framework on a CPU or GPU does with a window of binned spikes: one f32
 //! matrix product for each projection and whole sample, then the neurons step by step, without the chip's truncation.
 //! *Event-driven* is nsim's own machine, one copy, one thread, which is exact and leaves out what is at rest.

@@ -1,6 +1,6 @@
 //! A command on a GPU, timed, with the board's power.
 //!
-//! Goes in: a command that passes the same samples through a GPU, and a way to read the board's power. Comes out: time and
+//! Input: a command that passes the same samples through a GPU, and a way to read the board's power. Output: time and
 //! power. Idle is measured first, for which nothing else may use the board. What happens on the GPU is the command's
 //! business: nsim computes nothing there.
 
@@ -15,7 +15,7 @@ const EVERY: Duration = Duration::from_millis(20);
 
 /// What was measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
+pub struct GpuTiming {
     /// Microseconds of a timestep.
     pub us_per_timestep: f64,
     /// Timesteps that were counted.
@@ -42,7 +42,7 @@ pub fn measure(
     timesteps: u64,
     idle: Duration,
     mut power_mw: impl FnMut() -> Result<f64, String>,
-) -> Result<Measured, String> {
+) -> Result<GpuTiming, String> {
     let (mut sum, mut count, begin) = (0.0, 0u32, Instant::now());
     while count == 0 || begin.elapsed() < idle {
         sum += power_mw()?;
@@ -84,7 +84,7 @@ pub fn measure(
     }
     let busy_mw = sum / f64::from(readings);
     let power = Power { static_mw: idle_mw, dynamic_mw: (busy_mw - idle_mw).max(0.0), source: FigureSource::Measured };
-    Ok(Measured { us_per_timestep: seconds * 1e6 / timesteps as f64, timesteps, power, readings })
+    Ok(GpuTiming { us_per_timestep: seconds * 1e6 / timesteps as f64, timesteps, power, readings })
 }
 
 /// The first GPU's name and a reader of its power through NVML.

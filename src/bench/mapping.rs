@@ -1,6 +1,6 @@
 //! Mappings of the suite's networks, measured.
 //!
-//! Comes in: a network and how to map it. Goes out: a [`Mapped`] for each way: what it uses, how far spikes go at an
+//! Input: a network and how to map it. Output: a [`MeasuredMapping`] for each way: what it uses, how far spikes go at an
 //! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
 //! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row. A
 //! network that is mapped by its kernels is not run, and its energy and time are the expected ones.
@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::base::units::Femtojoules;
-use crate::bench::networks::Bench;
-use crate::bench::suite::{Case, STEPS};
+use crate::bench::networks::BenchNetwork;
+use crate::bench::suite::{STEPS, SuiteCase};
 use crate::compile::explore::traffic::Traffic;
 use crate::compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Objective, Options, Strategy, explore};
 use crate::cost::constants::CostTable;
@@ -26,7 +26,7 @@ use crate::machine::{Image, Machine, Settings};
 
 /// A mapping and what it is worth.
 #[derive(Debug, Clone)]
-pub struct Mapped {
+pub struct MeasuredMapping {
     /// The network.
     pub network: &'static str,
     /// How compartments were gathered.
@@ -55,7 +55,7 @@ pub struct Mapped {
 
 /// Why there is no row.
 #[derive(Debug, thiserror::Error)]
-pub enum Failure {
+pub enum MappingFailure {
     /// The network could not be mapped.
     #[error("{0} {1}: {2}")]
     Compile(&'static str, &'static str, #[source] Box<CompileError>),
@@ -92,14 +92,14 @@ const BY_KERNELS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, 
 /// Every way of mapping a case; `row` gets each as soon as it is there.
 ///
 /// # Errors
-/// [`Failure`], which no network of the suite gives.
+/// [`MappingFailure`], which no network of the suite gives.
 pub fn map_all(
-    case: &Case,
-    bench: &Bench,
+    case: &SuiteCase,
+    bench: &BenchNetwork,
     target: &Target,
     effort_s: u32,
-    mut row: impl FnMut(Mapped),
-) -> Result<(), Failure> {
+    mut row: impl FnMut(MeasuredMapping),
+) -> Result<(), MappingFailure> {
     let form = Form::for_network(&bench.network, case.copies);
     let ways = match form {
         Form::Written => &WAYS[..],
@@ -110,7 +110,7 @@ pub fn map_all(
     let expected = (form == Form::Written)
         .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
     for &(strategy, objective, places) in ways {
-        let failed = |error| Failure::Compile(case.name, strategy.name(), Box::new(error));
+        let failed = |error| MappingFailure::Compile(case.name, strategy.name(), Box::new(error));
         let options = Options { copies: case.copies, strategy, objective, effort_s, ..Options::default() };
         reset_peak();
         let begin = Instant::now();
@@ -145,11 +145,11 @@ pub fn map_all(
                 }
                 None => {
                     let score = mapping.score(&traffic, target);
-                    let score = score.map_err(|error| Failure::Run(case.name, error.to_string()))?;
+                    let score = score.map_err(|error| MappingFailure::Run(case.name, error.to_string()))?;
                     (score.energy_uj, score.step_us)
                 }
             };
-            row(Mapped {
+            row(MeasuredMapping {
                 network: case.name,
                 strategy,
                 placed: place,
@@ -170,13 +170,13 @@ pub fn map_all(
 
 /// Mean energy and time of a step, once its spikes have been compared.
 fn simulated(
-    case: &Case,
+    case: &SuiteCase,
     compiled: &Compiled,
     target: &Target,
     sample: &Sample,
     meant: &[Vec<u32>],
-) -> Result<(f64, f64), Failure> {
-    let failed = |error: &dyn std::fmt::Display| Failure::Run(case.name, error.to_string());
+) -> Result<(f64, f64), MappingFailure> {
+    let failed = |error: &dyn std::fmt::Display| MappingFailure::Run(case.name, error.to_string());
     let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
     let table = CostTable::new(constants).map_err(|e| failed(&e))?;
     let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), case.copies);
@@ -196,7 +196,7 @@ fn simulated(
         machine.step(sample.at(step));
         let copies = (0..case.copies).flat_map(|k| meant[step as usize].iter().map(move |id| id + k * of_copy));
         if !machine.ascending_spikes().iter().map(|id| id.0).eq(copies) {
-            return Err(Failure::Spikes(case.name, compiled.options.strategy.name(), step));
+            return Err(MappingFailure::Spikes(case.name, compiled.options.strategy.name(), step));
         }
         meter.add(machine.last_step(), 1);
     }

@@ -1,6 +1,6 @@
 //! Steps of a machine, timed.
 //!
-//! Comes in: an engine, a period of input, and how long it may take. Goes out: the median time of a step, the spread of
+//! Input: an engine, a period of input, and how long it may take. Output: the median time of a step, the spread of
 //! the repeats, and what a step did. The input is repeated without a break, so the network stays in the state that it
 //! settles in; nothing but steps is timed. Every step is a call of [`Engine::step`]: steps that a run would jump over
 //! as a whole (`drive::run_sample`) are computed here, since a jump costs the same however long it is.
@@ -31,7 +31,7 @@ const LEAST_REPEAT: Duration = Duration::from_millis(2);
 
 /// What was measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
+pub struct StepTiming {
     /// Microseconds of a step: the median of the repeats.
     pub us_per_timestep: f64,
     /// Microseconds of a step in the fastest repeat: what a machine shared with others comes nearest to being alone in.
@@ -46,7 +46,7 @@ pub struct Measured {
     pub totals: Totals,
 }
 
-impl Measured {
+impl StepTiming {
     /// A count's mean over the timed steps.
     #[must_use]
     pub fn per_step(&self, count: u64) -> f64 {
@@ -72,7 +72,7 @@ pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) 
 }
 
 /// Measures steps of an engine; it begins anew.
-pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> Measured {
+pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> StepTiming {
     // So many steps never come: nothing is near the end, where deliveries would no longer be counted.
     engine.begin(u32::MAX);
     let (mut at, size, repeats) = match budget {
@@ -100,7 +100,7 @@ pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> Me
         })
         .collect();
     each.sort_unstable_by(f64::total_cmp);
-    Measured {
+    StepTiming {
         us_per_timestep: quantile(&each, 0.5),
         fastest: quantile(&each, 0.0),
         spread: quantile(&each, 0.75) - quantile(&each, 0.25),

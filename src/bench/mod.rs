@@ -1,9 +1,9 @@
 //! How fast the machine is, and how good mappings are: standard networks, steps of them measured, and mapped.
 //!
-//! Comes in: the name of a standard network. Goes out: medians with their spread, beside what a step did and the
+//! Input: the name of a standard network. Output: medians with their spread, beside what a step did and the
 //! machine it was measured on. What a figure is good for, and how it was taken: `docs/benchmarks.md`.
 //!
-//! Left out on purpose: goals. Whether a figure is good is for documents to say, not for the program.
+//! There are no goals here: documents say whether a figure is good.
 
 pub mod cpu;
 pub mod early;
@@ -17,5 +17,5 @@ pub mod power;
 pub mod suite;
 
 pub use environment::Environment;
-pub use measure::{Budget, Measured, measure, steps};
-pub use networks::Standard;
+pub use measure::{Budget, StepTiming, measure, steps};
+pub use networks::StandardNetwork;

@@ -1,6 +1,6 @@
-//! The standard networks that speed is measured on, as code: nothing is read, so nothing can change them unseen.
+//! The standard networks on which speed is measured, as code: no file can change them unnoticed.
 //!
-//! Comes in: a name. Goes out: the network in integers, its input for a period of steps (repeated for as long as a
+//! Input: a name. Output: the network in integers, its input for a period of steps (repeated for as long as a
 //! measurement takes) and the board that it is mapped onto. The same on every machine: all randomness is `base::rng`.
 //!
 //! - `vtsnn-1pct`, `vtsnn-5pct`: the layers of the shipped `vtsnn-slip`, 156 / 3,150 -> 50 / 10 -> 2, every channel
@@ -29,7 +29,7 @@ use crate::ir::spikes::{Sample, SampleError};
 
 /// A standard network. Its names are fixed: stored results carry them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Standard {
+pub enum StandardNetwork {
     /// The visual-tactile network at 1 % input.
     VtSnn1Pct,
     /// The visual-tactile network at 5 % input.
@@ -42,9 +42,9 @@ pub enum Standard {
     Silent1m,
 }
 
-/// What a network of this module could not be made of: a fault of its constants.
+/// Why a network could not be built: a wrong constant of this module.
 #[derive(Debug, thiserror::Error)]
-pub enum Unbuildable {
+pub enum BuildError {
     /// A value does not fit its field.
     #[error(transparent)]
     Field(#[from] OutOfRange),
@@ -58,7 +58,7 @@ pub enum Unbuildable {
 
 /// A network with what drives it.
 #[derive(Debug, Clone)]
-pub struct Bench {
+pub struct BenchNetwork {
     /// The network.
     pub network: Quantised,
     /// Its input, to be repeated.
@@ -67,60 +67,65 @@ pub struct Bench {
     pub target: &'static str,
 }
 
-impl Standard {
+impl StandardNetwork {
     /// Every standard network.
-    pub const ALL: [Standard; 5] =
-        [Standard::VtSnn1Pct, Standard::VtSnn5Pct, Standard::Random32k, Standard::Random1m, Standard::Silent1m];
+    pub const ALL: [StandardNetwork; 5] = [
+        StandardNetwork::VtSnn1Pct,
+        StandardNetwork::VtSnn5Pct,
+        StandardNetwork::Random32k,
+        StandardNetwork::Random1m,
+        StandardNetwork::Silent1m,
+    ];
 
     /// Its name in arguments and results.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            Standard::VtSnn1Pct => "vtsnn-1pct",
-            Standard::VtSnn5Pct => "vtsnn-5pct",
-            Standard::Random32k => "random-32k",
-            Standard::Random1m => "random-1m",
-            Standard::Silent1m => "silent-1m",
+            StandardNetwork::VtSnn1Pct => "vtsnn-1pct",
+            StandardNetwork::VtSnn5Pct => "vtsnn-5pct",
+            StandardNetwork::Random32k => "random-32k",
+            StandardNetwork::Random1m => "random-1m",
+            StandardNetwork::Silent1m => "silent-1m",
         }
     }
 
     /// The network of a name.
     #[must_use]
-    pub fn named(name: &str) -> Option<Standard> {
-        Standard::ALL.into_iter().find(|standard| standard.name() == name)
+    pub fn named(name: &str) -> Option<StandardNetwork> {
+        StandardNetwork::ALL.into_iter().find(|standard| standard.name() == name)
     }
 
     /// Whether a step has so much to do that sharing it out over threads can pay.
     #[must_use]
     pub fn wants_threads(self) -> bool {
-        matches!(self, Standard::Random32k | Standard::Random1m)
+        matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m)
     }
 
     /// The standard network with the same compartments and synapses: its program serves both, only the input differs.
     #[must_use]
-    pub fn program_of(self) -> Standard {
+    pub fn program_of(self) -> StandardNetwork {
         match self {
-            Standard::VtSnn5Pct => Standard::VtSnn1Pct,
-            Standard::Silent1m => Standard::Random1m,
+            StandardNetwork::VtSnn5Pct => StandardNetwork::VtSnn1Pct,
+            StandardNetwork::Silent1m => StandardNetwork::Random1m,
             own => own,
         }
     }
 
-    /// Makes it.
+    /// Builds it.
     ///
     /// # Errors
-    /// [`Unbuildable`] never in practice; the tests build all.
-    pub fn build(self) -> Result<Bench, Unbuildable> {
+    /// [`BuildError`] never in practice; the tests build all.
+    pub fn build(self) -> Result<BenchNetwork, BuildError> {
         match self {
-            Standard::VtSnn1Pct => vtsnn(self.name(), 1),
-            Standard::VtSnn5Pct => vtsnn(self.name(), 5),
-            Standard::Random32k => {
+            StandardNetwork::VtSnn1Pct => vtsnn(self.name(), 1),
+            StandardNetwork::VtSnn5Pct => vtsnn(self.name(), 5),
+            StandardNetwork::Random32k => {
                 random(self.name(), Random { compartments: 32_768, background: 4, driven: 714, period: 256 })
             }
-            Standard::Random1m => {
+            StandardNetwork::Random1m => {
                 random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 10_170, period: 64 })
             }
-            Standard::Silent1m => {
+            StandardNetwork::Silent1m => {
                 random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 0, period: 64 })
             }
         }
@@ -149,6 +154,20 @@ impl Builder {
             notes: Vec::new(),
         };
         Builder { parts, channels: 0, compartments: 0 }
+    }
+
+    /// Compartments that fire at a set rate: each has a driving channel over one strong synapse.
+    pub(super) fn driven(name: &str, compartments: u32) -> Result<(Self, PopulationId, PopulationId), OutOfRange> {
+        let mut net = Builder::new(name);
+        let drive = net.input("drive", compartments);
+        let neurons = net.loihi("neurons", compartments, THRESHOLD, REFRACTORY)?;
+        let one_to_one = Connectivity::Sparse {
+            first: (0..=u64::from(compartments)).collect(),
+            targets: (0..compartments).collect(),
+            weights: vec![254; compartments as usize].into(),
+        };
+        net.connect((drive, neurons), 3, SignMode::Mixed, one_to_one)?;
+        Ok((net, drive, neurons))
     }
 
     pub(super) fn input(&mut self, name: &str, channels: u32) -> PopulationId {
@@ -232,7 +251,7 @@ const VTSNN_STEPS: u32 = 20 * 150;
 
 /// The layers, weights and thresholds of `models/vtsnn-slip.ron`, without its file: a retrained model would change what
 /// is measured.
-pub(super) fn vtsnn(name: &str, percent: u64) -> Result<Bench, Unbuildable> {
+pub(super) fn vtsnn(name: &str, percent: u64) -> Result<BenchNetwork, BuildError> {
     let mut net = Builder::new(name);
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
     let (touch, sight) = (net.loihi("touch", 50, 80, 1)?, net.loihi("sight", 10, 80, 1)?);
@@ -242,20 +261,30 @@ pub(super) fn vtsnn(name: &str, percent: u64) -> Result<Bench, Unbuildable> {
     net.dense((touch, out), (-64, 80), 3)?;
     net.dense((sight, out), (-64, 80), 4)?;
     let network = net.build()?;
+    let period = independent_spikes(&network, VTSNN_STEPS, (percent, 100))?;
+    Ok(BenchNetwork { network, period, target: "nahuku-32" })
+}
+
+/// Input in which every channel spikes independently in so many of so many steps.
+pub(super) fn independent_spikes(
+    network: &Quantised,
+    steps: u32,
+    (spiking, all): (u64, u64),
+) -> Result<Sample, SampleError> {
     let mut events = Vec::new();
     for channel in 0..network.channels() {
-        let spiking = (0..VTSNN_STEPS).filter(|&t| rng::below(100, 5, u64::from(channel), u64::from(t)) < percent);
-        events.extend(spiking.map(|t| (t, ChannelId(channel))));
+        let steps = (0..steps).filter(|&t| rng::below(all, 5, u64::from(channel), u64::from(t)) < spiking);
+        events.extend(steps.map(|t| (t, ChannelId(channel))));
     }
-    Ok(Bench { network, period: Sample::new(VTSNN_STEPS, &events, None)?, target: "nahuku-32" })
+    Sample::new(steps, &events, None)
 }
 
 /// Synapses of each compartment of a random network.
 const FAN_OUT: u32 = 64;
-/// What a random network's compartments need to fire, in units of the weight. A driving spike gives 254 * 2^3 = 2,032 at
+/// Threshold of a random network, in units of the weight. A driving spike gives 254 * 2^3 = 2,032 at
 /// once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
 const THRESHOLD: i64 = 1_400;
-/// Steps from a spike of a random network to the next possible.
+/// Refractory period of a random network, in steps.
 const REFRACTORY: i64 = 8;
 
 /// The sizes of a random network.
@@ -271,27 +300,22 @@ pub struct Random {
     pub period: u32,
 }
 
+/// So many synapses of each source to random targets, with small weights of both signs.
+fn random_synapses(targets: u32, fan_out: u32, seed: u64) -> Connectivity {
+    Connectivity::Random { targets, fan_out, low: -8, high: 8, step: 2, seed, first_source: 0 }
+}
+
 /// A random network: see the module.
 ///
 /// # Errors
-/// [`Unbuildable`] when there is no compartment.
-pub fn random(name: &str, sizes: Random) -> Result<Bench, Unbuildable> {
+/// [`BuildError`] when there is no compartment.
+pub fn random(name: &str, sizes: Random) -> Result<BenchNetwork, BuildError> {
     let n = sizes.compartments;
-    let mut net = Builder::new(name);
-    let drive = net.input("drive", n);
-    let neurons = net.loihi("neurons", n, THRESHOLD, REFRACTORY)?;
-    let one_to_one = Connectivity::Sparse {
-        first: (0..=u64::from(n)).collect(),
-        targets: (0..n).collect(),
-        weights: vec![254; n as usize].into(),
-    };
-    let random =
-        |fan_out, seed| Connectivity::Random { targets: n, fan_out, low: -8, high: 8, step: 2, seed, first_source: 0 };
-    net.connect((drive, neurons), 3, SignMode::Mixed, one_to_one)?;
+    let (mut net, drive, neurons) = Builder::driven(name, n)?;
     if sizes.background > 0 {
-        net.connect((drive, neurons), 0, SignMode::Mixed, random(sizes.background, 1))?;
+        net.connect((drive, neurons), 0, SignMode::Mixed, random_synapses(n, sizes.background, 1))?;
     }
-    net.connect((neurons, neurons), 0, SignMode::Mixed, random(FAN_OUT, 2))?;
+    net.connect((neurons, neurons), 0, SignMode::Mixed, random_synapses(n, FAN_OUT, 2))?;
     let spikes = |t| {
         let channel = move |k| rng::below(u64::from(n), 3, u64::from(t), u64::from(k)) as u32;
         (0..sizes.driven).map(move |k| (t, ChannelId(channel(k))))
@@ -299,15 +323,15 @@ pub fn random(name: &str, sizes: Random) -> Result<Bench, Unbuildable> {
     let events: Vec<_> = (0..sizes.period).flat_map(spikes).collect();
     let period = Sample::new(sizes.period, &events, None)?;
     let target = if n > 100_000 { "pohoiki-springs" } else { "nahuku-32" };
-    Ok(Bench { network: net.build()?, period, target })
+    Ok(BenchNetwork { network: net.build()?, period, target })
 }
 
 /// A network whose steps have any number of synaptic events and nothing else: channels with 64 random synapses each,
 /// onto compartments that forget at once and never fire. `driven` channels spike in each step.
 ///
 /// # Errors
-/// [`Unbuildable`] when there is no compartment.
-pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<Bench, Unbuildable> {
+/// [`BuildError`] when there is no compartment.
+pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<BenchNetwork, BuildError> {
     let mut net = Builder::new("events-only");
     let drive = net.input("drive", compartments);
     let neurons = net.loihi("neurons", compartments, 131_071, 1)?;
@@ -315,23 +339,14 @@ pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<Bench,
         // Without memory, and with the greatest threshold.
         *neurons = PerCompartment::Same(Neuron::PLAIN);
     }
-    let connectivity = Connectivity::Random {
-        targets: compartments,
-        fan_out: FAN_OUT,
-        low: -8,
-        high: 8,
-        step: 2,
-        seed: 2,
-        first_source: 0,
-    };
-    net.connect((drive, neurons), 0, SignMode::Mixed, connectivity)?;
+    net.connect((drive, neurons), 0, SignMode::Mixed, random_synapses(compartments, FAN_OUT, 2))?;
     // A stride that shares no factor with the number of channels visits each before any again.
     let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);
     let channel = |k: u64| ChannelId((k * stride % u64::from(compartments)) as u32);
     let events: Vec<_> = (0..u64::from(period) * u64::from(driven))
         .map(|k| ((k / u64::from(driven.max(1))) as u32, channel(k)))
         .collect();
-    Ok(Bench { network: net.build()?, period: Sample::new(period, &events, None)?, target: "nahuku-32" })
+    Ok(BenchNetwork { network: net.build()?, period: Sample::new(period, &events, None)?, target: "nahuku-32" })
 }
 
 fn gcd(a: u64, b: u64) -> u64 {
@@ -346,7 +361,7 @@ mod tests {
     use crate::ir::spikes::Engine;
 
     /// What a step does on average once the network has settled, by the interpreter.
-    fn settled(bench: &Bench, steps: u32) -> (f64, f64, f64) {
+    fn settled(bench: &BenchNetwork, steps: u32) -> (f64, f64, f64) {
         let mut engine = Golden::new(&bench.network);
         engine.begin(u32::MAX);
         let mut run = |from: u32, to: u32| -> Totals {
@@ -360,7 +375,9 @@ mod tests {
 
     #[test]
     fn the_visual_tactile_rows_have_about_400_and_2000_events_a_step() {
-        for (standard, low, high) in [(Standard::VtSnn1Pct, 370.0, 430.0), (Standard::VtSnn5Pct, 1900.0, 2100.0)] {
+        for (standard, low, high) in
+            [(StandardNetwork::VtSnn1Pct, 370.0, 430.0), (StandardNetwork::VtSnn5Pct, 1900.0, 2100.0)]
+        {
             let bench = standard.build().unwrap();
             assert_eq!((bench.network.channels(), bench.network.compartments()), (3306, 62));
             let (spikes, events, _) = settled(&bench, 2000);
@@ -371,7 +388,7 @@ mod tests {
 
     #[test]
     fn random_32k_fires_as_it_says_and_every_compartment_moves() {
-        let bench = Standard::Random32k.build().unwrap();
+        let bench = StandardNetwork::Random32k.build().unwrap();
         let (spikes, events, active) = settled(&bench, 60);
         assert!((spikes / 32_768.0 - 0.021).abs() < 0.001, "{spikes} spikes a step");
         assert!((events - 47_500.0).abs() < 1_000.0, "{events} events a step");
@@ -398,10 +415,10 @@ mod tests {
 
     #[test]
     fn networks_that_share_a_program_are_equal() {
-        for standard in Standard::ALL {
+        for standard in StandardNetwork::ALL {
             let (own, other) = (standard.build().unwrap(), standard.program_of().build().unwrap());
             assert_eq!(own.target, other.target);
-            let said = |bench: &Bench| {
+            let said = |bench: &BenchNetwork| {
                 let parts = bench.network.parts();
                 format!("{:?} {:?}", parts.populations, parts.projections)
             };
@@ -414,9 +431,9 @@ mod tests {
 
     #[test]
     fn names_find_their_networks() {
-        for standard in Standard::ALL {
-            assert_eq!(Standard::named(standard.name()), Some(standard));
+        for standard in StandardNetwork::ALL {
+            assert_eq!(StandardNetwork::named(standard.name()), Some(standard));
         }
-        assert_eq!(Standard::named("random-2m"), None);
+        assert_eq!(StandardNetwork::named("random-2m"), None);
     }
 }

@@ -1,9 +1,9 @@
 //! Run time against error: one network in many forms, on the same samples.
 //!
-//! Comes in: a network as it was trained, what stands for its spike response populations, samples. Goes out: a [`Row`] for
+//! Input: a network as it was trained, what stands for its spike response populations, samples. Output: a [`VariantRow`] for
 //! each [`Variant`]: microseconds a timestep on one thread, and how far its spikes and potentials are from the trained
 //! network in doubles. Variants that claim to be exact are held against the golden interpreter besides; for them
-//! [`Row::exact`] must be true.
+//! [`VariantRow::exact`] must be true.
 //!
 //! A timestep is one of the samples' own, also where a variant merges or leaves off steps. Only runs are timed, not what
 //! makes a variant ready.
@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::agree::ladder::layers;
-use crate::agree::metrics::Tally;
+use crate::agree::metrics::TrainSums;
 use crate::agree::trace::{Comparison, Layer, Trace};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{Decay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits};
@@ -117,7 +117,7 @@ impl Variant {
 
 /// What was measured of a variant.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct VariantRow {
     /// The variant.
     pub variant: Variant,
     /// Median of the repeats.
@@ -235,10 +235,10 @@ impl<'a> Subject<'a> {
     }
 
     /// Compares traces with the trained network's.
-    fn row(&self, variant: Variant, traces: &[Trace], times: &[f64]) -> Row {
+    fn row(&self, variant: Variant, traces: &[Trace], times: &[f64]) -> VariantRow {
         let integers = !matches!(variant, Variant::Reference { .. });
         let shift = if integers && self.graph.has_srm() { -1 } else { 0 };
-        let (mut tally, mut same, mut right) = (Tally::default(), 0usize, 0usize);
+        let (mut tally, mut same, mut right) = (TrainSums::default(), 0usize, 0usize);
         for ((trained, trace), sample) in self.trained.iter().zip(traces).zip(&self.samples) {
             for layer in &self.layers {
                 let mut comparison = Comparison::default();
@@ -253,7 +253,7 @@ impl<'a> Subject<'a> {
         let labelled = self.samples.iter().all(|sample| sample.label().is_some());
         let trains = |traces: &[Trace]| traces.iter().map(|trace| trace.trains.clone()).collect::<Vec<_>>();
         let (median, spread) = quartiles(times);
-        Row {
+        VariantRow {
             variant,
             us_per_timestep: median,
             spread,
@@ -281,7 +281,7 @@ impl<'a> Subject<'a> {
         times
     }
 
-    fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> Row {
+    fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> VariantRow {
         let model = Model::<F>::new(self.graph, reference::Options { kernel });
         let mut engine = Reference::new(&model);
         let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
@@ -289,7 +289,13 @@ impl<'a> Subject<'a> {
     }
 
     /// A network on the machine; `samples` are what it is given.
-    fn machine(&self, variant: Variant, network: &Quantised, skip: bool, merged: u32) -> Result<Row, ParetoError> {
+    fn machine(
+        &self,
+        variant: Variant,
+        network: &Quantised,
+        skip: bool,
+        merged: u32,
+    ) -> Result<VariantRow, ParetoError> {
         let compiled = compile(network.clone(), self.target, &Options::default())?;
         let image = Image::new(&compiled.program, 1).map_err(|e| ParetoError::Variant(e.to_string()))?;
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });
@@ -315,7 +321,7 @@ impl<'a> Subject<'a> {
     }
 
     /// The machine with a meter that sees every step.
-    fn metered(&self, variant: Variant, transport: Transport) -> Result<Row, ParetoError> {
+    fn metered(&self, variant: Variant, transport: Transport) -> Result<VariantRow, ParetoError> {
         let compiled = compile(self.deployed.clone(), self.target, &Options::default())?;
         let program = &compiled.program;
         let wrong = |e: &dyn std::fmt::Display| ParetoError::Variant(e.to_string());
@@ -348,7 +354,7 @@ impl<'a> Subject<'a> {
     ///
     /// # Errors
     /// [`ParetoError`].
-    pub fn measure(&self, variant: Variant) -> Result<Row, ParetoError> {
+    pub fn measure(&self, variant: Variant) -> Result<VariantRow, ParetoError> {
         let kernel = |convolution| if convolution { Kernel::Truncated } else { Kernel::Exact };
         match variant {
             Variant::Reference { single: true, convolution } => Ok(self.real::<f32>(variant, kernel(convolution))),
@@ -378,7 +384,7 @@ impl<'a> Subject<'a> {
 }
 
 /// Marks the rows that no other is faster and nearer than; distance is 1 minus the coincidence.
-pub fn mark_front(rows: &mut [Row]) {
+pub fn mark_front(rows: &mut [VariantRow]) {
     let points: Vec<(f64, f64)> = rows.iter().map(|row| (row.us_per_timestep, 1.0 - row.coincidence)).collect();
     for (row, own) in rows.iter_mut().zip(&points) {
         let beats = |other: &(f64, f64)| other.0 <= own.0 && other.1 <= own.1 && other != own;
@@ -517,8 +523,8 @@ fn slower(network: &Quantised, steps: u32) -> Result<Quantised, ParetoError> {
 mod tests {
     use super::*;
 
-    fn row(us: f64, coincidence: f64) -> Row {
-        Row {
+    fn row(us: f64, coincidence: f64) -> VariantRow {
+        VariantRow {
             variant: Variant::Golden,
             us_per_timestep: us,
             spread: 0.0,

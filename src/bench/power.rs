@@ -1,7 +1,7 @@
 //! What this machine draws while it computes: from its energy counters where they can be read, else as stated.
 //!
-//! Goes in: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start again at
-//! `max_energy_range_uj`. Comes out: milliwatts idle and on top. The counters are of whole packages: what else runs is
+//! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start again at
+//! `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole packages: what else runs is
 //! counted too. Root alone may read them since Linux 5.10; why they could not be read is kept.
 
 use std::path::{Path, PathBuf};

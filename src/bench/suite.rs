@@ -1,6 +1,6 @@
-//! The networks that mappings are compared on, as code.
+//! The networks on which mappings are compared, as code.
 //!
-//! Comes in: a name. Goes out: the network in integers, a short input, and the board. Sizes are those of published
+//! Input: a name. Output: the network in integers, a short input, and the board. Sizes are those of published
 //! networks where there is one; weights are drawn (`base::rng`), because places do not depend on them.
 //!
 //! - `vtsnn-slip`, `container-tactile`: 156 / 3,150 -> 50 / 10 -> 2 and 78 -> 32 -> 20, dense; `vtsnn-slip-x32`: 32 copies
@@ -12,7 +12,7 @@
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
 //! - `conv-10m`: 2 @ 512 x 512, convolutions 3 x 3 to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32 @ 256 x 256, 64 @ 128 x
 //!   128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x 16, 11: 11,012,107 compartments, whose 2.2
-//!   thousand million synapses are never written out ([`crate::compile::symbolic`]); made up, to be as large.
+//!   thousand million synapses are never written out ([`crate::compile::Form::Symbolic`]); made up, to be as large.
 //! - `random-N`: N compartments, each with a driving channel and 64 random synapses ([`crate::bench::networks::random`]).
 //! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
 //!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between
@@ -21,12 +21,11 @@
 //!   attachment do (Barabasi & Albert 1999); no compartment takes more than 2,000, so that its input axons fit a core.
 
 use crate::base::fixed::{OutOfRange, SignMode};
-use crate::base::id::{ChannelId, PopulationId};
+use crate::base::id::PopulationId;
 use crate::base::rng;
-use crate::bench::networks::{Bench, Builder, Random, Unbuildable, random, vtsnn};
+use crate::bench::networks::{BenchNetwork, BuildError, Builder, Random, independent_spikes, random, vtsnn};
 use crate::ir::graph::Window;
 use crate::ir::quantised::Connectivity;
-use crate::ir::spikes::Sample;
 
 /// Steps of input: enough for spikes to reach every layer.
 pub const STEPS: u32 = 16;
@@ -35,34 +34,34 @@ const RARE: u64 = 20;
 
 /// A network to map.
 #[derive(Debug, Clone)]
-pub struct Case {
+pub struct SuiteCase {
     /// Its name in results.
     pub name: &'static str,
     /// Copies.
     pub copies: u32,
     /// Whether it is left out unless everything is asked for.
     pub large: bool,
-    make: fn(&'static str) -> Result<Bench, Unbuildable>,
+    make: fn(&'static str) -> Result<BenchNetwork, BuildError>,
 }
 
-impl Case {
+impl SuiteCase {
     /// The network with its input.
     ///
     /// # Errors
-    /// [`Unbuildable`] never in practice; the tests build all.
-    pub fn build(&self) -> Result<Bench, Unbuildable> {
+    /// [`BuildError`] never in practice; the tests build all.
+    pub fn build(&self) -> Result<BenchNetwork, BuildError> {
         (self.make)(self.name)
     }
 }
 
 /// All networks, small ones first.
 #[must_use]
-pub fn cases() -> Vec<Case> {
-    let case = |name, make| Case { name, copies: 1, large: false, make };
+pub fn cases() -> Vec<SuiteCase> {
+    let case = |name, make| SuiteCase { name, copies: 1, large: false, make };
     vec![
         case("vtsnn-slip", slip),
         case("container-tactile", container),
-        Case { copies: 32, ..case("vtsnn-slip-x32", slip) },
+        SuiteCase { copies: 32, ..case("vtsnn-slip-x32", slip) },
         case("lenet", lenet),
         case("dvs-gesture", gesture),
         case("mlp-3x1024", perceptron),
@@ -76,34 +75,24 @@ pub fn cases() -> Vec<Case> {
         case("random-100k", |name| recurrent(name, 100_000)),
         case("small-world-100k", |name| small_world(name, 316)),
         case("scale-free-100k", |name| scale_free(name, 100_000)),
-        Case { large: true, ..case("random-1m", |name| recurrent(name, 1_000_000)) },
-        Case { large: true, ..case("small-world-1m", |name| small_world(name, 1_000)) },
-        Case { large: true, ..case("scale-free-1m", |name| scale_free(name, 1_000_000)) },
-        Case { large: true, ..case("conv-10m", convolutions) },
+        SuiteCase { large: true, ..case("random-1m", |name| recurrent(name, 1_000_000)) },
+        SuiteCase { large: true, ..case("small-world-1m", |name| small_world(name, 1_000)) },
+        SuiteCase { large: true, ..case("scale-free-1m", |name| scale_free(name, 1_000_000)) },
+        SuiteCase { large: true, ..case("conv-10m", convolutions) },
     ]
 }
 
-fn bench(net: Builder, target: &'static str) -> Result<Bench, Unbuildable> {
+fn bench(net: Builder, target: &'static str) -> Result<BenchNetwork, BuildError> {
     let network = net.build()?;
-    let mut events = Vec::new();
-    for channel in 0..network.channels() {
-        let spiking = (0..STEPS).filter(|&t| rng::below(RARE, 5, u64::from(channel), u64::from(t)) == 0);
-        events.extend(spiking.map(|t| (t, ChannelId(channel))));
-    }
-    Ok(Bench { network, period: Sample::new(STEPS, &events, None)?, target })
+    Ok(BenchNetwork { period: independent_spikes(&network, STEPS, (1, RARE))?, network, target })
 }
 
-fn slip(name: &'static str) -> Result<Bench, Unbuildable> {
-    let Bench { network, target, .. } = vtsnn(name, 5)?;
-    let mut events = Vec::new();
-    for channel in 0..network.channels() {
-        let spiking = (0..STEPS).filter(|&t| rng::below(RARE, 5, u64::from(channel), u64::from(t)) == 0);
-        events.extend(spiking.map(|t| (t, ChannelId(channel))));
-    }
-    Ok(Bench { network, period: Sample::new(STEPS, &events, None)?, target })
+fn slip(name: &'static str) -> Result<BenchNetwork, BuildError> {
+    let bench = vtsnn(name, 5)?;
+    Ok(BenchNetwork { period: independent_spikes(&bench.network, STEPS, (1, RARE))?, ..bench })
 }
 
-fn container(name: &'static str) -> Result<Bench, Unbuildable> {
+fn container(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut net = Builder::new(name);
     let touch = net.input("touch", 78);
     let hidden = net.loihi("hidden", 32, 80, 1)?;
@@ -181,7 +170,7 @@ impl Layers {
     }
 }
 
-fn lenet(name: &'static str) -> Result<Bench, Unbuildable> {
+fn lenet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (1, 28, 28));
     layers.convolve(6, 5, 1, 2)?;
     layers.pool(2)?;
@@ -193,7 +182,7 @@ fn lenet(name: &'static str) -> Result<Bench, Unbuildable> {
     bench(layers.net, "nahuku-32")
 }
 
-fn gesture(name: &'static str) -> Result<Bench, Unbuildable> {
+fn gesture(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (1, 32, 32));
     layers.convolve(16, 3, 2, 0)?;
     for channels in [32, 64, 11] {
@@ -203,7 +192,7 @@ fn gesture(name: &'static str) -> Result<Bench, Unbuildable> {
     bench(layers.net, "nahuku-32")
 }
 
-fn pilotnet(name: &'static str) -> Result<Bench, Unbuildable> {
+fn pilotnet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (3, 66, 200));
     for channels in [24, 36, 48] {
         layers.convolve(channels, 5, 2, 0)?;
@@ -217,7 +206,7 @@ fn pilotnet(name: &'static str) -> Result<Bench, Unbuildable> {
     bench(layers.net, "pohoiki-springs")
 }
 
-fn convolutions(name: &'static str) -> Result<Bench, Unbuildable> {
+fn convolutions(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (2, 512, 512));
     for (channels, stride) in [(16, 1), (32, 2), (32, 1), (64, 2), (64, 1), (128, 2)] {
         layers.convolve(channels, 3, stride, 1)?;
@@ -227,7 +216,7 @@ fn convolutions(name: &'static str) -> Result<Bench, Unbuildable> {
     bench(layers.net, "pohoiki-springs")
 }
 
-fn perceptron(name: &'static str) -> Result<Bench, Unbuildable> {
+fn perceptron(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (784, 1, 1));
     for units in [1024, 1024, 1024, 10] {
         layers.dense(units)?;
@@ -235,7 +224,7 @@ fn perceptron(name: &'static str) -> Result<Bench, Unbuildable> {
     bench(layers.net, "nahuku-32")
 }
 
-fn recurrent(name: &'static str, compartments: u32) -> Result<Bench, Unbuildable> {
+fn recurrent(name: &'static str, compartments: u32) -> Result<BenchNetwork, BuildError> {
     let driven = compartments / 50;
     random(name, Random { compartments, background: 0, driven, period: STEPS })
 }
@@ -245,16 +234,8 @@ fn listed(
     name: &'static str,
     compartments: u32,
     targets_of: impl Fn(u32, &mut Vec<u32>),
-) -> Result<Bench, Unbuildable> {
-    let mut net = Builder::new(name);
-    let drive = net.input("drive", compartments);
-    let neurons = net.loihi("neurons", compartments, 1_400, 8)?;
-    let one_to_one = Connectivity::Sparse {
-        first: (0..=u64::from(compartments)).collect(),
-        targets: (0..compartments).collect(),
-        weights: vec![254; compartments as usize].into(),
-    };
-    net.connect((drive, neurons), 3, SignMode::Mixed, one_to_one)?;
+) -> Result<BenchNetwork, BuildError> {
+    let (mut net, _, neurons) = Builder::driven(name, compartments)?;
     let (mut first, mut all, mut own) = (vec![0u64], Vec::new(), Vec::new());
     for source in 0..compartments {
         own.clear();
@@ -274,7 +255,7 @@ fn listed(
 /// Synapses of a compartment of the networks below.
 const FAN_OUT: u32 = 32;
 
-fn small_world(name: &'static str, side: u32) -> Result<Bench, Unbuildable> {
+fn small_world(name: &'static str, side: u32) -> Result<BenchNetwork, BuildError> {
     let n = side * side;
     // The 33 nearest of a square neighbourhood of 7 x 7, without its corners' surroundings, less the compartment itself.
     let near: Vec<(i64, i64)> = (-3..=3i64)
@@ -295,7 +276,7 @@ fn small_world(name: &'static str, side: u32) -> Result<Bench, Unbuildable> {
     })
 }
 
-fn scale_free(name: &'static str, n: u32) -> Result<Bench, Unbuildable> {
+fn scale_free(name: &'static str, n: u32) -> Result<BenchNetwork, BuildError> {
     const MOST_IN: u32 = 2_000;
     let taken = std::cell::RefCell::new(vec![0u32; n as usize]);
     listed(name, n, |source, targets| {

@@ -1,4 +1,4 @@
-//! `nsim agree`: where and why two networks part.
+//! `nsim agree`: where and why two networks disagree.
 
 use std::path::{Path, PathBuf};
 
@@ -31,7 +31,7 @@ EXAMPLES:
   nsim agree model.ron --input in.npy --against hidden=h.npy --against out=o.npy --require-exact
   nsim agree --require-class-agreement 0.99 --svg causes.svg";
 
-/// Say where and why a network and what it became part: spikes, potentials, classes, causes
+/// Compare a trained network with its deployed form: spikes, potentials, classes, and the causes of differences
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -40,8 +40,8 @@ pub struct Args {
     model: String,
     #[command(flatten)]
     input: InputArgs,
-    /// What the deployed network is held against: srm (as trained), cuba (current-based neurons in real numbers), golden, or
-    /// a file of recorded spikes, [POPULATION=]FILE [default: srm for spike response networks, cuba for others]
+    /// What the deployed network is compared with: srm (as trained), cuba (current-based neurons in real numbers), golden
+    /// (the reference interpreter), or recorded spikes, [POPULATION=]FILE [default: srm for spike response networks, else cuba]
     #[arg(long, value_name = "srm|cuba|golden|FILE")]
     against: Vec<String>,
     #[command(flatten)]
@@ -52,30 +52,30 @@ pub struct Args {
     /// Compare only so many steps of each sample
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
-    /// Say which cause takes what share of the disagreement
+    /// Attribute the disagreement to causes
     #[arg(long, value_enum, default_value = "on")]
     attribution: Switch,
-    /// How many samples to attribute on
+    /// How many samples the attribution uses
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     attribution_samples: u32,
-    /// A bar chart of the causes
+    /// Write a bar chart of the causes
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
-    /// A document whose section `<!-- agree MODEL -->` is replaced; the bar chart goes beside it
+    /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to it
     #[arg(long, value_name = "FILE.md")]
     update: Option<PathBuf>,
-    /// A target file or the name of a shipped target, onto which the deployed network is mapped
+    /// The target of the deployed network: a file or the name of a shipped target
     #[arg(long, default_value = "nahuku-32")]
     target: String,
-    /// Exit status 1 below this share of samples with the same class
+    /// Exit with status 1 if fewer than this share of the samples have the same class
     #[arg(long, value_name = "SHARE")]
     require_class_agreement: Option<f64>,
-    /// Exit status 1 unless every spike agrees
+    /// Exit with status 1 unless every spike is the same
     #[arg(long)]
     require_exact: bool,
 }
 
-/// The command; the answer is no when a bound that was asked for is missed.
+/// Runs the command; the answer is no when a bound that was asked for is missed.
 ///
 /// # Errors
 /// [`Error`] when an input cannot be used.

@@ -1,6 +1,6 @@
 //! `nsim export MODEL -o FILE.nir`: a model in a form that other tools read.
 //!
-//! Comes in: a model of any kind that nsim reads. Goes out: a NIR file, and a word on what other tools will not see of the
+//! Input: a model of any kind that nsim reads. Output: a NIR file, and notes on what other tools will not see of the
 //! model. nsim itself reads it back without loss.
 
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// The command.
+/// Runs the command.
 ///
 /// # Errors
 /// When the model cannot be read or has parts that NIR has no form for.

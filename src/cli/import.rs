@@ -1,6 +1,6 @@
-//! `nsim import FILE`: a model of another tool, told and written as one of nsim's own.
+//! `nsim import FILE`: a model of another tool, described and written as one of nsim's own.
 //!
-//! Comes in: a file and what it does not say. Goes out: what was read and by which conventions, and with `-o` the model as
+//! Input: a file and what it does not say. Output: what was read and by which conventions, and with `-o` the model as
 //! RON with its arrays beside it. The model is lowered before it is written: what cannot be one is refused here.
 
 use std::path::{Path, PathBuf};
@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::cli::args::values::one_of_named;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::frontend::lower::lower;
@@ -15,25 +16,7 @@ use crate::desc::network::ThresholdTest;
 use crate::error::Error;
 use crate::io::foreign::{self, Imported, Options, ResetMode};
 use crate::io::model_builder::{ModelBuilder, ProjectionKind};
-use crate::report::inspect::{Findings, Rows};
-
-/// When a compartment spikes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Comparison {
-    /// v > threshold, as the chip does.
-    Strict,
-    /// v >= threshold, as SLAYER 2 does.
-    Inclusive,
-}
-
-/// What the voltage does when a neuron spikes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum AtSpike {
-    /// It returns to zero, as on the chip.
-    Zero,
-    /// The threshold is subtracted, which a core cannot do.
-    Subtract,
-}
+use crate::report::inspect::{Findings, FindingsTable};
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -52,12 +35,13 @@ pub struct Args {
     /// Parameters of the neuron, where the file has none: SLAYER's YAML
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
-    /// What v does at a spike, where the file does not say (NIR)
-    #[arg(long, value_enum, value_name = "HOW")]
-    reset: Option<AtSpike>,
-    /// How v is compared with the threshold
-    #[arg(long, value_enum, value_name = "HOW")]
-    threshold: Option<Comparison>,
+    /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as on the chip, or the
+    /// threshold is subtracted, which a core cannot do
+    #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("zero", ResetMode::Zero), ("subtract", ResetMode::Subtract)]))]
+    reset: Option<ResetMode>,
+    /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)
+    #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)]))]
+    threshold: Option<ThresholdTest>,
     /// An image as .npy, 0 to 1 or 8 bits, that drives the bias of an input layer with neurons
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
@@ -89,14 +73,8 @@ impl Args {
         Ok(Options {
             dt_ms: self.dt,
             neuron: self.neuron.clone(),
-            reset: self.reset.map(|reset| match reset {
-                AtSpike::Zero => ResetMode::Zero,
-                AtSpike::Subtract => ResetMode::Subtract,
-            }),
-            threshold: self.threshold.map(|comparison| match comparison {
-                Comparison::Strict => ThresholdTest::Strict,
-                Comparison::Inclusive => ThresholdTest::Inclusive,
-            }),
+            reset: self.reset,
+            threshold: self.threshold,
             image: self.image.clone(),
             first_step: self.first_step,
             reset_interval: self.reset_interval,
@@ -106,7 +84,7 @@ impl Args {
     }
 }
 
-/// The command.
+/// Runs the command.
 ///
 /// # Errors
 /// When the file cannot be read, is of no kind that is imported, or holds what nsim has no counterpart for.
@@ -128,7 +106,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// A problem of the model, told of the foreign file: its text is not one that the user wrote.
+/// Places an error of the imported model in the foreign file: the user did not write the text of the model.
 fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
     move |mut problem| {
         problem.place = None;
@@ -189,12 +167,12 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             ("written", if files.is_empty() { json!(null) } else { json!(files) }),
         ],
         tables: vec![
-            Rows {
+            FindingsTable {
                 key: "populations",
                 columns: &["name", "kind", "shape", "start_step", "parameters"],
                 rows: populations.collect(),
             },
-            Rows {
+            FindingsTable {
                 key: "projections",
                 columns: &["from", "to", "kind", "weights", "delay", "weight_exp"],
                 rows: projections.collect(),

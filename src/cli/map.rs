@@ -23,11 +23,11 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim map                                          the shipped network on a board of 32 chips
   nsim map model.ron --target loihi1-chip           on one chip, or every reason why not
-  nsim map --copies 32 -o packed.ron                32 copies; keep the mapping
-  nsim map --copies 32 --mapping packed.ron         check and use a kept mapping
-  nsim map --prune static                           without what can change no output, and what that was
-  nsim map --objective latency --profile recordings.npy   short steps, for sources that spike as these do
-  nsim map --pareto front.svg                       cores, energy and time of several mappings, and the front
+  nsim map --copies 32 -o packed.ron                32 copies; save the mapping
+  nsim map --copies 32 --mapping packed.ron         check and use a saved mapping
+  nsim map --prune static                           without what cannot change an output, which is listed
+  nsim map --objective latency --profile recordings.npy   short timesteps at the firing rates of these recordings
+  nsim map --pareto front.svg                       cores, energy and time of several mappings, with the Pareto front
   nsim map --copies 32 --svg board.svg              a picture of the chips in use
   nsim map model.ron --format json                  for scripts";
 
@@ -41,29 +41,29 @@ pub struct MapArgs {
     /// Copies of the model; 1 unless a mapping says otherwise
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// What the mapping is to be good for
+    /// What to minimise: cores, energy or latency
     #[arg(long, default_value = "cores", value_parser = one_of(&Objective::ALL, Objective::name))]
     pub objective: Objective,
-    /// How compartments are gathered on cores
+    /// How compartments are assigned to cores: sequential, greedy or multilevel
     #[arg(long, default_value = "multilevel", value_parser = one_of(&Strategy::ALL, Strategy::name), conflicts_with = "mapping")]
     pub strategy: Strategy,
-    /// Leave cores in the order of the partition instead of placing them near what they talk to
+    /// Keep cores in the order of the partition instead of placing those that communicate close together
     #[arg(long, conflicts_with = "mapping")]
     pub unplaced: bool,
-    /// Seconds to spend on a better partition and placement, counted in work so that the result is the same everywhere
+    /// Effort for a better partition and placement, in seconds of a reference machine: the result is the same on any machine
     #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
     pub time_budget: u32,
-    /// Seed of strategies that draw
+    /// Seed of randomised strategies
     #[arg(long, default_value_t = 0, conflicts_with = "mapping")]
     pub seed: u64,
-    /// Spikes that show how often sources fire, as --input of nsim run has them; `scene` for the model's own
-    /// [default: an assumed rate, the same for all]
+    /// Input spikes from which firing rates are measured, as --input of nsim run takes them; `scene` for the model's own
+    /// [default: one assumed rate for all]
     #[arg(long, value_name = "SOURCE")]
     pub profile: Vec<String>,
-    /// Compare several mappings and draw cores, energy and step time, with the front
+    /// Compare several mappings and draw cores, energy and step time, with the Pareto front
     #[arg(long, value_name = "FILE.svg", conflicts_with = "mapping")]
     pub pareto: Option<PathBuf>,
-    /// Draw the cores on their chips, what they hold and what links carry
+    /// Draw the cores on their chips, what they hold, and the traffic of the links
     #[arg(long, value_name = "FILE.svg")]
     pub svg: Option<PathBuf>,
     /// Where to save the mapping
@@ -93,7 +93,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let (compiled, pruned) = match mapping.as_ref() {
         Some(file) => {
             let mapped = compile::load(front, &target, &options, file, form);
-            let mapped = mapped.map_err(|error| args.job.of_mapping(error));
+            let mapped = mapped.map_err(|error| args.job.with_mapping_file(error));
             let pruned = mapped.as_ref().ok().and_then(|mapped| mapped.one.pruned().cloned());
             (mapped, pruned)
         }
@@ -247,7 +247,7 @@ mod tests {
         let asked = |target: &str, copies| {
             let target = io::target::load_target(target).unwrap();
             let (args, options) = (typed(&[]).unwrap(), Options { copies, ..Options::default() });
-            jobs::compiled(&args.job, &network, &target, &options, None, &[]).unwrap().0
+            jobs::compiled(&args.job, &network, &target, &options, None, &[]).unwrap()
         };
         let compiled = asked("nahuku-32", 1).unwrap();
         let used = compiled.partition.usage().as_slice();

@@ -30,7 +30,7 @@ use crate::error::Error;
 
 const AFTER_HELP: &str = "\
 EXAMPLES:
-  nsim energy                          the shipped network on its shipped scene, beside the paper's GPU
+  nsim energy                          energy of the shipped network, compared with a GPU
   nsim map --target loihi1-chip        how the shipped network fits onto one chip
   nsim run model.ron --input spikes.npy --format json
   nsim inspect model.ron
@@ -53,31 +53,31 @@ struct Cli {
     /// Replace existing files
     #[arg(long, global = true)]
     force: bool,
-    /// Say more on stderr (-v, -vv)
+    /// Print more messages on stderr (-v, -vv)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// Say nothing on stderr but errors
+    /// Print only errors on stderr
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     quiet: bool,
 }
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Map a network onto a target and say how it fits, or every reason why it does not
+    /// Map a network onto a target: how it fits, or every reason why it does not
     Map(map::MapArgs),
     Run(run::Args),
-    /// Report power, latency and energy of a network, beside other hardware
+    /// Estimate power, latency and energy of a network, and compare with other hardware
     Energy(energy::args::EnergyArgs),
     Agree(agree::Args),
     Bench(bench::Args),
     Scene(scene::Args),
     Train(train::Args),
-    /// Turn a model of another tool into one of nsim's own
+    /// Convert a model of another tool into nsim's format
     Import(import::Args),
-    /// Write a model in a form that other tools read
+    /// Convert a model into a format of other tools (NIR)
     Export(export::Args),
     Stress(stress::Args),
-    /// Say what a file holds
+    /// Describe the content of a file
     Inspect(inspect::Args),
     /// Print shell completions
     #[command(after_help = "EXAMPLES:\n  nsim completions bash > ~/.local/share/bash-completion/completions/nsim")]

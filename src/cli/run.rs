@@ -3,7 +3,7 @@
 use crate::base::id::Id;
 use crate::cli::args::input::{InputArgs, check_pruned, select};
 use crate::cli::args::jobs::{self, Job, Prepared, Wanted};
-use crate::cli::args::values::Switch;
+use crate::cli::args::values::{Switch, one_of_named};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::probes::{ProbeArgs, Recorded};
@@ -22,19 +22,10 @@ use crate::report::run::RunReport;
 pub enum EngineChoice {
     /// The mapped program on simulated cores.
     Fast,
-    /// The slow, obvious interpreter of the quantised network.
+    /// The slow reference interpreter of the quantised network.
     Golden,
     /// The network in real numbers: spike response neurons as they were trained, current-based ones without integers.
     Reference,
-}
-
-/// How the reference engine applies spike response kernels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum KernelChoice {
-    /// Without end.
-    Exact,
-    /// Cut as SLAYER cuts them.
-    Truncated,
 }
 
 impl EngineChoice {
@@ -56,7 +47,7 @@ EXAMPLES:
   nsim run --input tactile=t.npy --input vision=v.npy --samples 0..20
   nsim run --input 'scene:noise?samples=5&seed=7&rate=0.02'
   nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
-  nsim run --early-exit certain                        leave off what can no longer change a decision
+  nsim run --early-exit certain                        end each sample once its decision cannot change
   nsim run --engine golden --format json
   nsim run srm.ron --input s.npy --probe hidden.u -o traces     potentials of spike response neurons, as float64";
 
@@ -71,20 +62,20 @@ pub struct Args {
     /// Which engine [default: fast; reference for a model with spike response neurons]
     #[arg(long, value_enum)]
     engine: Option<EngineChoice>,
-    /// How the reference engine applies spike response kernels
-    #[arg(long, value_enum, default_value = "exact")]
-    kernel: KernelChoice,
-    /// Leave out work that cannot change anything
+    /// Whether the reference engine uses exact spike response kernels, or truncates them as SLAYER does
+    #[arg(long, default_value = "exact", value_parser = one_of_named(&[("exact", Kernel::Exact), ("truncated", Kernel::Truncated)]))]
+    kernel: Kernel,
+    /// Skip work that cannot change the result
     #[arg(long, value_enum, default_value = "on")]
     skip: Switch,
-    /// End a sample when an output leads by so many spikes, or when no other can overtake it any more
+    /// End a sample as soon as one output leads by MARGIN spikes, or (certain) can no longer be overtaken
     #[arg(long, value_name = "MARGIN|certain")]
     early_exit: Option<Rule>,
     #[command(flatten)]
     probes: ProbeArgs,
 }
 
-/// The command.
+/// Runs the command.
 ///
 /// # Errors
 /// [`Error`] when an input cannot be used.
@@ -169,11 +160,7 @@ fn ran(args: &Args, job: &Job, samples: &[&Sample], keep: &Keep, progress: Progr
                 let message = "--probe .v_register: the reference engine has no registers; probe .v";
                 return Err(Error::Usage(message.to_string()));
             }
-            let kernel = match args.kernel {
-                KernelChoice::Exact => Kernel::Exact,
-                KernelChoice::Truncated => Kernel::Truncated,
-            };
-            let model = Model::<f64>::new(graph, reference::Options { kernel });
+            let model = Model::<f64>::new(graph, reference::Options { kernel: args.kernel });
             let (outcomes, traces, wall_s) = samples::reference(&model, samples, keep, progress);
             Ran { engine: "reference", outcomes, traces: Some(traces), activity: None, skipped_updates: 0, wall_s }
         }

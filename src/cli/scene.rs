@@ -15,7 +15,7 @@ use crate::desc::stimulus::SceneArg;
 use crate::error::Error;
 use crate::io::{mapping, npy, spikes, write};
 use crate::report::charts::raster::{Panel, Raster};
-use crate::report::scene::{Class, SceneReport};
+use crate::report::scene::{ClassSummary, SceneReport};
 use crate::scene::wire::Carried;
 use crate::scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
 
@@ -37,13 +37,13 @@ pub struct Args {
     /// How many samples
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(crate::scene::MOST_SAMPLES)))]
     pub samples: Option<u32>,
-    /// Seed of everything that is drawn
+    /// Seed of the random numbers
     #[arg(long)]
     pub seed: Option<u64>,
     /// Folder for the recordings and their dataset.ron
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
-    /// Draw the spikes of one sample here: taxels and pixels over time, the onset marked
+    /// Draw the spikes of one sample: taxels and pixels over time, with the onset
     #[arg(long, value_name = "FILE.svg")]
     pub plot: Option<PathBuf>,
     /// The sample to draw [default: the first with an onset]
@@ -217,7 +217,7 @@ fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Opti
         let spikes = |sense: usize| of.iter().map(|fact| fact.spikes[sense] as u64).sum::<u64>();
         let mut onsets: Vec<f64> = of.iter().filter_map(|fact| fact.onset_ms).collect();
         onsets.sort_by(f64::total_cmp);
-        Class {
+        ClassSummary {
             name,
             samples: of.len(),
             spikes: [spikes(0), spikes(1)],

@@ -15,7 +15,7 @@ EXAMPLES:
   nsim stress --case ten-million-steps        one of them
   nsim stress --format json";
 
-/// Run the numerical stability suite: overflow, rounding and long runs at the ends of every field
+/// Run the numerical stability tests: overflow, rounding and long runs at the limits of every field
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

@@ -18,7 +18,7 @@ use crate::error::Error;
 use crate::io;
 use crate::io::shipped::Origin;
 use crate::ir::quantised::Quantised;
-use crate::report::train::{Run, StudyReport, TrainReport, history_csv};
+use crate::report::train::{StudyReport, StudyRun, TrainReport, history_csv};
 use crate::train::checkpoint;
 use crate::train::export;
 use crate::train::fit::{Example, Plan, TrainingState};
@@ -32,7 +32,7 @@ EXAMPLES:
   nsim train models/train/vtsnn-slip.ron -o my-slip.ron    train the slip network on synthetic scenes
   nsim train models/train/container-tactile.ron --train ev-containers/train --test ev-containers/test -o m.ron
   nsim train c.ron --folds 5 --log history.csv             with the accuracy of a cross-validation
-  nsim train c.ron --epochs 500 --checkpoint state.safetensors -o m.ron    goes on where it was broken off
+  nsim train c.ron --epochs 500 --checkpoint state.safetensors -o m.ron    resumes an interrupted training
   nsim train c.ron --study runs --seeds 1..6 --folds 5 --set weight_decay=0 --set weight_decay=0.01
                                                            every combination; runs already in the folder are kept";
 
@@ -52,26 +52,26 @@ pub struct Args {
     /// Write the model here, its weights beside it as NAME.safetensors
     #[arg(short, long, value_name = "MODEL.ron")]
     output: Option<PathBuf>,
-    /// Another seed than the training file's
+    /// Seed, instead of the training file's
     #[arg(long)]
     seed: Option<u64>,
-    /// Other epochs than the training file's
+    /// Epochs, instead of the training file's
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     epochs: Option<u32>,
-    /// Train on so many stratified folds too, and report the accuracy on what each leaves out
+    /// Also cross-validate with K stratified folds
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=100))]
     folds: Option<u32>,
-    /// Another value for a field of the training file; with --study a field may be given several values
+    /// Override a field of the training file; with --study a field may have several values
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
     /// Write loss and accuracy of each epoch here, as CSV
     #[arg(long, value_name = "FILE.csv")]
     log: Option<PathBuf>,
-    /// Keep the state here after every tenth epoch, and begin from it if it is there
+    /// Save the state here every tenth epoch, and resume from it if the file exists
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Train every combination of --seeds, --folds and --set, keep each result in this folder, and go on where a study
-    /// was broken off
+    /// Train every combination of --seeds, --folds and --set, save each result in this folder, and resume an interrupted
+    /// study
     #[arg(long, value_name = "DIR", conflicts_with_all = ["output", "log", "checkpoint", "seed"])]
     study: Option<PathBuf>,
     /// Seeds of a study
@@ -245,7 +245,7 @@ fn write_model(
     Ok(io::write::text(path, force, &model.ron)?)
 }
 
-/// The command.
+/// Runs the command.
 ///
 /// # Errors
 /// [`Error`] when the training file or a source cannot be used.
@@ -321,9 +321,9 @@ fn combinations<'a>(fields: &[(&'a str, &'a str)]) -> Vec<Vec<(&'a str, &'a str)
 }
 
 /// A run of a study from its file, when it is there and of the same training.
-fn kept(path: &Path, print: &str) -> Option<Run> {
+fn kept(path: &Path, print: &str) -> Option<StudyRun> {
     let value: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-    (value["fingerprint"] == print).then(|| Run::from_json(&value)).flatten()
+    (value["fingerprint"] == print).then(|| StudyRun::from_json(&value)).flatten()
 }
 
 fn study(
@@ -371,7 +371,7 @@ fn study(
                         let said = format!("{name} seed {seed}, {kind}, of a study: accuracy {accuracy:.4}");
                         write_model(&model, true, &file, &plan, &weights, "", &said)?;
                         let seconds = begin.elapsed().as_secs_f64();
-                        let run = Run {
+                        let run = StudyRun {
                             setting: name.clone(),
                             number,
                             seed: seed as u64,
@@ -388,7 +388,7 @@ fn study(
                     }
                 };
                 tracing::info!("{name} seed {seed} {kind}: {:.4}", run.accuracy);
-                runs.push(Run { number, ..run });
+                runs.push(StudyRun { number, ..run });
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The integers with which a spike response network is best deployed, by a deterministic search over calibration samples.
 //!
-//! Comes in: the graph and calibration samples. Goes out: a [`Fit`] for each population, and what of the disagreement is
+//! Input: the graph and calibration samples. Output: a [`Fit`] for each population, and what of the disagreement is
 //! left. From the analytic start (`compile::frontend::analytic`) the search goes through the populations from the input on. Each gets
 //! the spikes that its converted sources send, and is to send those that the trained population sends:
 //!
@@ -21,7 +21,7 @@ use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
 use crate::agree::ladder::{Cause, Ladder, Rung};
-use crate::agree::metrics::{TAU, Tally};
+use crate::agree::metrics::{TAU, TrainSums};
 use crate::agree::trace::{Comparison, Layer, Trace};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{Decay, Refractory};
@@ -38,7 +38,7 @@ const FEW: usize = 20;
 
 /// How near a conversion is on the calibration samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Score {
+pub struct ConversionScore {
     /// Share of samples with the class of the trained network.
     pub class_agreement: f64,
     /// Coincidence factor over all layers.
@@ -47,7 +47,7 @@ pub struct Score {
     pub count_error: f64,
 }
 
-impl Score {
+impl ConversionScore {
     /// What is minimised: wrong classes, and wrong counts of the output.
     fn distance(&self) -> f64 {
         (1.0 - self.class_agreement) + self.count_error
@@ -56,13 +56,13 @@ impl Score {
 
 /// What a search found.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
+pub struct SearchResult {
     /// In the order of the populations.
     pub fits: Vec<Option<Fit>>,
     /// The analytic start.
-    pub start: Score,
+    pub start: ConversionScore,
     /// What is left.
-    pub end: Score,
+    pub end: ConversionScore,
     /// Candidates that were tried.
     pub tried: u64,
     /// Calibration samples.
@@ -168,7 +168,7 @@ impl Shape {
 ///
 /// # Errors
 /// As `compile::frontend::quantise`.
-pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)) -> Result<Found, Diagnostic> {
+pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)) -> Result<SearchResult, Diagnostic> {
     let starts = analytic::starts(graph);
     let ladder = Ladder::new(graph, &starts)?;
     let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
@@ -179,7 +179,7 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
         samples.par_iter().map(|sample| ladder.run(Rung::TRAINED.with(Cause::Untruncated), sample, false)).collect();
     let layers = ladder.layers();
     let output = output_layer(graph, &layers);
-    let score = |fits: &[Option<Fit>]| -> Result<Score, Diagnostic> {
+    let score = |fits: &[Option<Fit>]| -> Result<ConversionScore, Diagnostic> {
         Ok(scored(&Ladder::new(graph, fits)?, &layers, output, samples, &trained))
     };
 
@@ -194,7 +194,7 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
             best = (fits, score);
         }
     }
-    Ok(Found { fits: best.0, start, end: best.1, tried, samples: samples.len() })
+    Ok(SearchResult { fits: best.0, start, end: best.1, tried, samples: samples.len() })
 }
 
 /// Which populations' compartments get gains and biases of their own.
@@ -270,8 +270,14 @@ fn output_layer<'l>(graph: &Graph, layers: &'l [Layer]) -> &'l Layer {
     layers.iter().find(|layer| &layer.name == name).expect("the output has compartments")
 }
 
-fn scored(ladder: &Ladder, layers: &[Layer], output: &Layer, samples: &[&Sample], trained: &[Trace]) -> Score {
-    let each: Vec<(Tally, Tally, bool)> = samples
+fn scored(
+    ladder: &Ladder,
+    layers: &[Layer],
+    output: &Layer,
+    samples: &[&Sample],
+    trained: &[Trace],
+) -> ConversionScore {
+    let each: Vec<(TrainSums, TrainSums, bool)> = samples
         .par_iter()
         .zip(trained)
         .map(|(sample, trained)| {
@@ -281,18 +287,18 @@ fn scored(ladder: &Ladder, layers: &[Layer], output: &Layer, samples: &[&Sample]
                 comparison.add(0, layer, trained, &machine, -1);
                 comparison.tally
             };
-            let mut all = Tally::default();
+            let mut all = TrainSums::default();
             layers.iter().for_each(|layer| all.merge(&of(layer)));
             (all, of(output), trained.class(output) == machine.class(output))
         })
         .collect();
-    let (mut all, mut last, mut same) = (Tally::default(), Tally::default(), 0usize);
+    let (mut all, mut last, mut same) = (TrainSums::default(), TrainSums::default(), 0usize);
     for (layers, output, agrees) in &each {
         all.merge(layers);
         last.merge(output);
         same += usize::from(*agrees);
     }
-    Score {
+    ConversionScore {
         class_agreement: same as f64 / samples.len().max(1) as f64,
         coincidence: all.coincidence(),
         count_error: last.count_error(),

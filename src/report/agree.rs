@@ -7,7 +7,7 @@ use super::text::{count, wrapped};
 use crate::agree::attribution::{Attribution, Share};
 use crate::agree::compare::LayerRow;
 use crate::compile::frontend::analytic::Fit;
-use crate::convert::search::{Found, Score};
+use crate::convert::search::{ConversionScore, SearchResult};
 use crate::report::charts::plot::{self, Axis};
 
 /// Everything that the report says.
@@ -30,7 +30,7 @@ pub struct AgreeReport<'a> {
     /// Layer by layer.
     pub layers: &'a [LayerRow],
     /// The search, when there was one.
-    pub found: Option<&'a Found>,
+    pub found: Option<&'a SearchResult>,
     /// What stands for each spike response population.
     pub fits: &'a [(String, Fit)],
     /// Causes, when asked for.
@@ -54,7 +54,7 @@ fn rounded(x: f64) -> f64 {
     format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
-fn score_json(score: &Score) -> Value {
+fn score_json(score: &ConversionScore) -> Value {
     json!({
         "class_agreement": rounded(score.class_agreement),
         "coincidence": rounded(score.coincidence),
@@ -211,7 +211,7 @@ impl AgreeReport<'_> {
             );
         }
         if let Some(found) = self.found {
-            let score = |score: &Score| {
+            let score = |score: &ConversionScore| {
                 format!(
                     "class agreement {:.4}, coincidence {:.4}, output counts off by {:.2} %",
                     score.class_agreement,

@@ -1,6 +1,6 @@
 //! The result of `nsim inspect` as text, JSON (`nsim.inspect/1`) and CSV.
 //!
-//! In comes what was found in a file: its kind, facts about the whole, tables of its parts. Out go strings.
+//! Input: what was found in a file: its kind, facts about the whole, tables of its parts. Output: strings.
 
 use std::fmt::Write as _;
 
@@ -15,12 +15,12 @@ pub struct Findings {
     /// Name and value; what is null is not known.
     pub facts: Vec<(&'static str, Value)>,
     /// Of its parts.
-    pub tables: Vec<Rows>,
+    pub tables: Vec<FindingsTable>,
 }
 
 /// A table of parts.
 #[derive(Debug, Clone)]
-pub struct Rows {
+pub struct FindingsTable {
     /// Its name.
     pub key: &'static str,
     /// Names of its columns.

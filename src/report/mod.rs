@@ -1,6 +1,6 @@
 //! Results as people and scripts read them: text, JSON, CSV.
 //!
-//! Goes in: finished results. Comes out: strings; writing them is the command line's. Nothing is computed here but the
+//! Input: finished results. Output: strings; writing them is the command line's. Nothing is computed here but the
 //! rounding of what is printed.
 
 pub mod agree;

@@ -7,7 +7,7 @@ use crate::scene::wire::Carried;
 
 /// What the samples of one class hold.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Class {
+pub struct ClassSummary {
     /// Its name.
     pub name: String,
     /// How many samples.
@@ -34,7 +34,7 @@ pub struct SceneReport {
     /// Milliseconds of a timestep.
     pub timestep_ms: f64,
     /// By label.
-    pub classes: Vec<Class>,
+    pub classes: Vec<ClassSummary>,
     /// What the taxels' common wire did to their events, when there is one.
     pub wire: Option<Carried>,
     /// Where the manifest is, when recordings were written.
@@ -46,7 +46,7 @@ impl SceneReport {
     fn density(&self, sense: usize) -> f64 {
         // Each class has as many channels and steps a sample, so samples are the weights.
         let weighted =
-            |class: &Class| if class.samples == 0 { 0.0 } else { class.density[sense] * class.samples as f64 };
+            |class: &ClassSummary| if class.samples == 0 { 0.0 } else { class.density[sense] * class.samples as f64 };
         self.classes.iter().map(weighted).sum::<f64>() / self.samples as f64
     }
 

@@ -13,7 +13,7 @@ pub struct StressReport<'a> {
     pub verdicts: &'a [Verdict],
 }
 
-fn word(verdict: &Verdict) -> &'static str {
+fn verdict_name(verdict: &Verdict) -> &'static str {
     if verdict.pass { "pass" } else { "fail" }
 }
 
@@ -23,7 +23,7 @@ impl StressReport<'_> {
     pub fn json(&self) -> Value {
         let cases = self.verdicts.iter().map(|verdict| {
             json!({
-                "name": verdict.name, "verdict": word(verdict), "steps": verdict.steps, "detail": verdict.detail,
+                "name": verdict.name, "verdict": verdict_name(verdict), "steps": verdict.steps, "detail": verdict.detail,
             })
         });
         json!({ "schema": "nsim.stress/1", "cases": cases.collect::<Vec<_>>() })
@@ -37,7 +37,7 @@ impl StressReport<'_> {
         let mut out = csv::Writer::from_writer(Vec::new());
         out.write_record(["name", "verdict", "steps", "detail"])?;
         for verdict in self.verdicts {
-            out.write_record([verdict.name, word(verdict), &verdict.steps.to_string(), &verdict.detail])?;
+            out.write_record([verdict.name, verdict_name(verdict), &verdict.steps.to_string(), &verdict.detail])?;
         }
         super::text::csv_text(out)
     }
@@ -47,7 +47,7 @@ impl StressReport<'_> {
     pub fn text(&self) -> String {
         let mut table = super::text::table(["case", "verdict", "steps", "seen"]);
         for verdict in self.verdicts {
-            table.add_row([verdict.name, word(verdict), &verdict.steps.to_string(), &verdict.detail]);
+            table.add_row([verdict.name, verdict_name(verdict), &verdict.steps.to_string(), &verdict.detail]);
         }
         if let Some(column) = table.column_mut(2) {
             column.set_cell_alignment(CellAlignment::Right);

@@ -139,7 +139,7 @@ pub fn history_csv(history: &[EpochRow]) -> String {
 
 /// One training of a study.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Run {
+pub struct StudyRun {
     /// The fields that were set.
     pub setting: String,
     /// Number of the combination of fields.
@@ -154,7 +154,7 @@ pub struct Run {
     pub seconds: f64,
 }
 
-impl Run {
+impl StudyRun {
     /// As kept in a study's folder.
     #[must_use]
     pub fn json(&self) -> Value {
@@ -166,8 +166,8 @@ impl Run {
 
     /// From what was kept.
     #[must_use]
-    pub fn from_json(value: &Value) -> Option<Run> {
-        Some(Run {
+    pub fn from_json(value: &Value) -> Option<StudyRun> {
+        Some(StudyRun {
             setting: value["setting"].as_str()?.to_string(),
             number: 0,
             seed: value["seed"].as_u64()?,
@@ -184,18 +184,18 @@ pub struct StudyReport<'a> {
     /// The training file.
     pub name: &'a str,
     /// Its runs, settings together.
-    pub runs: &'a [Run],
+    pub runs: &'a [StudyRun],
 }
 
 impl StudyReport<'_> {
-    fn settings(&self) -> impl Iterator<Item = (&str, Vec<&Run>)> {
+    fn settings(&self) -> impl Iterator<Item = (&str, Vec<&StudyRun>)> {
         self.runs.chunk_by(|a, b| a.number == b.number).map(|runs| (runs[0].setting.as_str(), runs.iter().collect()))
     }
 
     /// `nsim.train/1` with a row each setting.
     #[must_use]
     pub fn json(&self) -> Value {
-        let setting = |(name, runs): (&str, Vec<&Run>)| {
+        let setting = |(name, runs): (&str, Vec<&StudyRun>)| {
             let (mean, sd) = mean_sd(&runs.iter().map(|run| run.accuracy).collect::<Vec<_>>());
             json!({
                 "setting": name, "mean": rounded(mean), "sd": rounded(sd),

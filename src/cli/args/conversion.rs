@@ -3,7 +3,7 @@
 use crate::cli::args::input::InputArgs;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::convert::calibration::{self, RunInput};
-use crate::convert::search::{self, Found};
+use crate::convert::search::{self, SearchResult};
 use crate::error::Error;
 use crate::ir::graph::Graph;
 use crate::ir::quantised::Quantised;
@@ -24,7 +24,7 @@ pub struct ConversionArgs {
     /// How a spike response network becomes integers
     #[arg(long, value_enum, default_value = "search")]
     pub conversion: Conversion,
-    /// Samples to search on, as --input takes them [default: the scene with another seed, or the first of the input]
+    /// Samples for the search, as --input takes them [default: the scene with another seed, or the first input samples]
     #[arg(long, value_name = "SOURCE")]
     pub calibrate: Vec<String>,
 }
@@ -41,7 +41,7 @@ impl ConversionArgs {
         scene: Option<&str>,
         samples: &[&Sample],
         wanted: usize,
-    ) -> Result<(Vec<Option<Fit>>, Option<Found>), Error> {
+    ) -> Result<(Vec<Option<Fit>>, Option<SearchResult>), Error> {
         if !graph.has_srm() || self.conversion == Conversion::Analytic {
             return Ok((analytic::starts(graph), None));
         }

@@ -9,13 +9,13 @@ use crate::ir::spikes::Sample;
 /// Where the spikes of a run come from.
 #[derive(Debug, Clone, clap::Args)]
 pub struct InputArgs {
-    /// Spikes: POPULATION=SOURCE, or SOURCE when it is clear for which [default: the model's scene]
+    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations [default: the model's scene]
     #[arg(long, value_name = "SOURCE")]
     pub input: Vec<String>,
     /// Only these samples, such as 0..20
     #[arg(long, value_name = "A..B")]
     pub samples: Option<SampleRange>,
-    /// Run everything so many times; nothing is remembered
+    /// Run all samples N times; each starts from rest
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub repeat: u32,
     /// Seed of a synthetic scene
@@ -24,7 +24,7 @@ pub struct InputArgs {
 }
 
 impl InputArgs {
-    /// All samples of these sources, once.
+    /// All samples of these sources, once each.
     #[must_use]
     pub fn from_sources(sources: &[String]) -> Self {
         InputArgs { input: sources.to_vec(), samples: None, repeat: 1, seed: None }
@@ -44,7 +44,7 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
     Ok((0..args.repeat).flat_map(|_| chosen.iter()).collect())
 }
 
-/// Refuses samples that fire what the network was pruned of; samples are numbered as the input has them.
+/// Refuses samples that use pruned channels; samples are numbered as in the input.
 ///
 /// # Errors
 /// `input.pruned`.

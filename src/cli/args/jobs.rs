@@ -1,7 +1,6 @@
 //! From MODEL, `--target` and `--mapping` to something that can run.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
@@ -17,7 +16,6 @@ use crate::error::Error;
 use crate::io;
 use crate::ir::graph::Graph;
 use crate::ir::program::Program;
-use crate::ir::quantised::Pruned;
 use crate::ir::quantised::Quantised;
 use crate::report;
 
@@ -41,14 +39,14 @@ pub struct JobArgs {
 impl JobArgs {
     /// A model on the default target, unpruned.
     #[must_use]
-    pub fn of_model(model: &str) -> Self {
+    pub fn for_model(model: &str) -> Self {
         let target = "nahuku-32".to_string();
         JobArgs { model: model.to_string(), target, mapping: None, prune: PruneArgs { prune: Vec::new() } }
     }
 
     /// An error about the saved mapping, with its file and what to do.
     #[must_use]
-    pub fn of_mapping(&self, error: CompileError) -> CompileError {
+    pub fn with_mapping_file(&self, error: CompileError) -> CompileError {
         match (&self.mapping, error) {
             (Some(path), CompileError::Input(diagnostic)) if diagnostic.code.starts_with("mapping.") => {
                 let has_help = diagnostic.help.is_some();
@@ -114,7 +112,7 @@ impl Refusal {
         Refusal { model: model.to_string(), target: Box::new(target), reasons }
     }
 
-    /// Says why, and prints the command's own object, in which every key stands that a run would have filled.
+    /// Prints the reasons on stderr and, as JSON, the command's own object with the keys of a run left empty.
     ///
     /// # Errors
     /// When stdout cannot be written.
@@ -159,15 +157,6 @@ impl Job {
         }
     }
 
-    /// The network in real numbers, when it is to run in them.
-    #[must_use]
-    pub fn graph(&self) -> Option<&Graph> {
-        match self {
-            Job::Real(graph, _, _) => Some(graph),
-            Job::Mapped(..) | Job::Quantised(..) => None,
-        }
-    }
-
     /// The target's name.
     #[must_use]
     pub fn target_name(&self) -> &str {
@@ -196,7 +185,7 @@ impl Job {
 }
 
 impl From<CompileError> for Error {
-    /// What does not fit is an answer; where none is expected it is told as an input that cannot be used.
+    /// A network that does not fit is an answer; a command that has no such answer reports an unusable input.
     fn from(error: CompileError) -> Self {
         match error {
             CompileError::Input(diagnostic) => diagnostic.into(),
@@ -251,7 +240,7 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
         tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);
         *file = mapping_file::one_copy(file);
     }
-    match compiled(args, &network, &target, &options, mapping.as_ref(), probed)?.0 {
+    match compiled(args, &network, &target, &options, mapping.as_ref(), probed)? {
         Ok(compiled) => {
             say_notes(&compiled.quantised);
             Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), Box::new(target), scene)))
@@ -268,12 +257,12 @@ fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| matches!(population.value, PopulationDesc::Srm(_)))
 }
 
-/// Says on stderr that a network means other neurons than those that it is about to become.
+/// Warns that a network was trained with other neurons than it will run with.
 fn say_converted(network: &Network) {
     if has_srm(network) {
         tracing::warn!(
-            "{}: its spike response neurons become Loihi compartments by analysis (equal decays, peaks matched); `nsim agree` \
-             says how far they agree",
+            "{}: its spike response neurons are replaced by Loihi compartments (equal decays, matched peaks); `nsim agree` says \
+             how far they agree",
             network.file().name
         );
     }
@@ -286,8 +275,7 @@ fn say_converted(network: &Network) {
 pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
     let front = compile::front(network)?;
     say_converted(network);
-    let of_name = |name: &&str| front.quantised().population_named(name);
-    let probed: Vec<PopulationId> = probed.iter().filter_map(of_name).collect();
+    let probed: Vec<PopulationId> = probed.iter().filter_map(|name| front.quantised().population_named(name)).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
         Some(plan) => {
             Form::require_written("--prune", front.quantised(), 1)?;
@@ -296,9 +284,6 @@ pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compi
         None => front,
     })
 }
-
-/// A network compiled, and what was pruned from it.
-pub type Fit = (Result<Compiled, CompileError>, Option<Arc<Pruned>>);
 
 /// Compiles a network, onto the cores of a saved mapping when there is one.
 ///
@@ -311,17 +296,18 @@ pub fn compiled(
     options: &Options,
     mapping: Option<&MappingFile>,
     probed: &[&str],
-) -> Result<Fit, Error> {
+) -> Result<Result<Compiled, CompileError>, Error> {
     args.prune.not_with_mapping(mapping.is_some())?;
     let front = front(args, network, probed)?;
-    let Some(file) = mapping else {
-        Form::require_written("running it on cores", front.quantised(), options.copies)?;
-        let pruned = front.quantised().pruned().cloned();
-        return Ok((compile::compile(front, target, options), pruned));
-    };
-    let compiled = compile::compile_saved(front, target, options, file).map_err(|error| args.of_mapping(error));
-    let pruned = compiled.as_ref().ok().and_then(|compiled| compiled.one.pruned().cloned());
-    Ok((compiled, pruned))
+    Ok(match mapping {
+        Some(file) => {
+            compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))
+        }
+        None => {
+            Form::require_written("running it on cores", front.quantised(), options.copies)?;
+            compile::compile(front, target, options)
+        }
+    })
 }
 
 fn say_notes(quantised: &Quantised) {

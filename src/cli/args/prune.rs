@@ -9,8 +9,8 @@ use crate::ir::quantised::Quantised;
 /// What may be left out.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct PruneArgs {
-    /// Leave out what cannot change an output: none, static (for every input), or an INPUT as --input takes it (and then
-    /// channels too that it never fires)
+    /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in --input, which also
+    /// removes channels that never spike in it
     #[arg(long, value_name = "none|static|INPUT")]
     pub prune: Vec<String>,
 }

@@ -6,6 +6,16 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
+/// Values of a type that has no names of its own, each with the name that is typed.
+pub fn one_of_named<T: Clone + Send + Sync + 'static>(
+    values: &'static [(&'static str, T)],
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(values.iter().map(|(name, _)| *name)).try_map(|typed| {
+        let found = values.iter().find(|(name, _)| *name == typed);
+        found.map(|(_, value)| value.clone()).ok_or("unknown value")
+    })
+}
+
 /// On or off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Switch {

@@ -24,27 +24,27 @@ EXAMPLES:
   nsim bench early --study runs --input ev-containers/train -o early    the models of a study with --folds, each on the
                                                                         samples that its training left out";
 
-/// Accuracy on the spikes so far, over time and over the energy spent so far
+/// Accuracy of decisions made early: over the time and over the energy used so far
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct EarlyArgs {
     /// Model files or names of shipped models
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip", conflicts_with = "study")]
     models: Vec<String>,
-    /// Instead: the models that a study of `nsim train` left in this folder
+    /// Use the models of a study of `nsim train` in this folder instead
     #[arg(long, value_name = "DIR")]
     study: Option<PathBuf>,
-    /// Spikes: POPULATION=SOURCE, or SOURCE when it is clear for which [default: the first model's scene]
+    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations [default: each model's scene]
     #[arg(long, value_name = "SOURCE")]
     input: Vec<String>,
     /// A target file or the name of a shipped target
     #[arg(long, default_value = "nahuku-32")]
     target: String,
-    /// Copies of the model on the target; figures are of one [default: those of the scenario that ships for the first
+    /// Copies of the model on the target; the figures are for one copy [default: those of the scenario that ships for the first
     /// model, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     copies: Option<u32>,
-    /// Hold every step to the model's timestep, as a live sensor does
+    /// Let every step take at least the model's timestep, as with a live sensor
     #[arg(long)]
     realtime: bool,
     /// Folder for `early.csv`, `over-time.svg` and `over-energy.svg`
@@ -62,7 +62,7 @@ fn models(args: &EarlyArgs) -> Result<Vec<StudyModel>, Error> {
 
 /// Accuracy and energy after each step.
 fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) -> Result<Option<Trial>, Error> {
-    let job = JobArgs { target: args.target.clone(), ..JobArgs::of_model(&model.model) };
+    let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(&model.model) };
     let job = match jobs::prepare(&job, Wanted::Mapped, copies)? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
@@ -100,7 +100,7 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
     Ok(Some(trial))
 }
 
-/// The command.
+/// Runs the command.
 ///
 /// # Errors
 /// [`Error`] when a model or an input cannot be used.

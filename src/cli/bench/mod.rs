@@ -1,4 +1,4 @@
-//! `nsim bench`: measures.
+//! `nsim bench`: measures speed and the quality of mappings.
 
 pub mod early;
 pub mod pareto;
@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use self::early::EarlyArgs;
 use self::pareto::ParetoArgs;
-use crate::bench::networks::{Bench, Standard};
-use crate::bench::suite::{self, Case};
+use crate::bench::networks::{BenchNetwork, StandardNetwork};
+use crate::bench::suite::{self, SuiteCase};
 use crate::bench::{Budget, Environment, mapping, measure};
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
@@ -27,13 +27,13 @@ use crate::report::bench::step::{StepReport, StepRow};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim bench step                                   microseconds a timestep on standard networks
+  nsim bench step                                   microseconds per timestep on standard networks
   nsim bench step --network vtsnn-1pct --seconds 5  one of them, for longer
   nsim bench step --format json > speed.json        with the environment, for comparison
   nsim bench map                                    cores, traffic, energy and time of mappings by every strategy
   nsim bench map --network lenet pilotnet           of these networks
   nsim bench map --full                             with networks of a million compartments
-  nsim bench pareto --samples 0..50                 run time against error of the shipped network in many forms";
+  nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network";
 
 /// Measure speed and mappings on standard networks, and run time against error
 #[derive(Debug, clap::Args)]
@@ -51,53 +51,53 @@ enum Which {
     Pareto(Box<ParetoArgs>),
 }
 
-/// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each is run and its spikes
-/// are compared with the golden interpreter's
+/// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each mapping is run and its
+/// spikes are compared with those of the reference interpreter
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MapArgs {
     /// Only these networks, for example vtsnn-slip-x32, lenet, pilotnet, small-world-10k [default: all below a million]
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = case)]
-    network: Vec<Case>,
-    /// Networks of a million compartments as well
+    network: Vec<SuiteCase>,
+    /// Also map networks of a million compartments
     #[arg(long)]
     full: bool,
-    /// Seconds that each search for a better mapping may take, counted in work
+    /// Effort of each search for a better mapping, in seconds of a reference machine
     #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
     time_budget: u32,
 }
 
-fn case(name: &str) -> Result<Case, String> {
+fn case(name: &str) -> Result<SuiteCase, String> {
     let cases = suite::cases();
     let names: Vec<&str> = cases.iter().map(|case| case.name).collect();
     let unknown = format!("networks are: {}", names.join(", "));
     cases.into_iter().find(|case| case.name == name).ok_or(unknown)
 }
 
-/// Microseconds a timestep on standard networks: medians, and the distance of the quartiles
+/// Microseconds per timestep on standard networks: median and interquartile range
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct StepArgs {
-    /// Only these networks: vtsnn-1pct, vtsnn-5pct, random-32k, random-1m, silent-1m [default: all; the last two map for a
-    /// minute and take 4 GiB]
+    /// Only these networks: vtsnn-1pct, vtsnn-5pct, random-32k, random-1m, silent-1m [default: all; mapping the last two
+    /// takes a minute and 4 GiB]
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = standard)]
-    network: Vec<Standard>,
-    /// Seconds that each row is measured for, set-up not included
+    network: Vec<StandardNetwork>,
+    /// Seconds of measurement per row, without set-up
     #[arg(long, value_name = "S", default_value = "1", value_parser = values::seconds)]
     seconds: Duration,
-    /// Instead: exactly so many steps, once, without warm-up, for counting instructions
+    /// Run exactly N steps, once, without warm-up, to count instructions
     #[arg(long, value_name = "N", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     steps: Option<u64>,
 }
 
-fn standard(name: &str) -> Result<Standard, String> {
-    Standard::named(name).ok_or_else(|| {
-        let names: Vec<&str> = Standard::ALL.iter().map(|standard| standard.name()).collect();
+fn standard(name: &str) -> Result<StandardNetwork, String> {
+    StandardNetwork::named(name).ok_or_else(|| {
+        let names: Vec<&str> = StandardNetwork::ALL.iter().map(|standard| standard.name()).collect();
         format!("standard networks are: {}", names.join(", "))
     })
 }
 
-/// The command.
+/// Runs the command.
 ///
 /// # Errors
 /// [`Error::Fault`] when a standard network cannot be made.
@@ -112,7 +112,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 
 /// `nsim bench map`.
 fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
-    let cases: Vec<Case> = match args.network.as_slice() {
+    let cases: Vec<SuiteCase> = match args.network.as_slice() {
         [] => suite::cases().into_iter().filter(|case| args.full || !case.large).collect(),
         given => given.to_vec(),
     };
@@ -140,8 +140,8 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
 
 /// `nsim bench step`.
 fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
-    let networks: Vec<Standard> = match args.network.as_slice() {
-        [] => Standard::ALL.to_vec(),
+    let networks: Vec<StandardNetwork> = match args.network.as_slice() {
+        [] => StandardNetwork::ALL.to_vec(),
         given => given.to_vec(),
     };
     let environment = Environment::here();
@@ -151,12 +151,12 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     let mut rows = Vec::new();
     // Networks of the same program are mapped and flattened once.
     for same in networks.chunk_by(|a, b| a.program_of() == b.program_of()) {
-        let build = |standard: Standard| standard.build().map_err(|e| fault(standard, &e));
-        let Bench { network, target, .. } = build(same[0])?;
+        let build = |standard: StandardNetwork| standard.build().map_err(|e| fault(standard, &e));
+        let BenchNetwork { network, target, .. } = build(same[0])?;
         let program = map(same[0], network, target)?;
         let images = Images::new(&program);
         for standard in same {
-            let Bench { period, .. } = build(*standard)?;
+            let BenchNetwork { period, .. } = build(*standard)?;
             rows.extend(step_rows(*standard, &images, &period, budget, context)?);
             bar.inc(1);
         }
@@ -179,7 +179,7 @@ impl<'p> Images<'p> {
         Images { program, one: OnceCell::new(), shared: OnceCell::new() }
     }
 
-    fn get(&self, standard: Standard, threads: usize) -> Result<&Image<'p>, Error> {
+    fn get(&self, standard: StandardNetwork, threads: usize) -> Result<&Image<'p>, Error> {
         let place = if threads == 1 { &self.one } else { &self.shared };
         if let Some(image) = place.get() {
             return Ok(image);
@@ -193,7 +193,7 @@ impl<'p> Images<'p> {
 
 /// One network's rows: with skipping and without on one thread, and on all threads where that can pay.
 fn step_rows(
-    standard: Standard,
+    standard: StandardNetwork,
     images: &Images,
     period: &Sample,
     budget: Budget,
@@ -230,7 +230,7 @@ fn step_rows(
     measured.collect()
 }
 
-fn map(standard: Standard, network: Quantised, target: &str) -> Result<Program, Error> {
+fn map(standard: StandardNetwork, network: Quantised, target: &str) -> Result<Program, Error> {
     let target = io::target::load_target(target)?;
     let compiled = compile(network, &target, &Options::default()).map_err(|error| match error {
         CompileError::Input(diagnostic) => diagnostic.into(),
@@ -242,6 +242,6 @@ fn map(standard: Standard, network: Quantised, target: &str) -> Result<Program, 
     Ok(compiled.program)
 }
 
-fn fault(standard: Standard, error: &dyn std::fmt::Display) -> Error {
+fn fault(standard: StandardNetwork, error: &dyn std::fmt::Display) -> Error {
     Error::Fault(format!("{}: {error}", standard.name()))
 }

@@ -24,7 +24,7 @@ EXAMPLES:
   nsim bench pareto container-tactile-srm --input dataset.ron --svg front.svg
   nsim bench pareto --update docs/benchmarks.md --force      replaces the section of this network and its picture";
 
-/// Run time against error: one network in many forms (precision, bits, merged steps, early exit), on the same samples
+/// Run time against error: variants of one network (precision, bits, merged steps, early exit) on the same samples
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ParetoArgs {
@@ -35,16 +35,16 @@ pub struct ParetoArgs {
     input: InputArgs,
     #[command(flatten)]
     conversion: ConversionArgs,
-    /// Seconds that each variant is measured for, five repeats at least
+    /// Seconds of measurement per variant, at least five repeats
     #[arg(long, value_name = "S", default_value = "0.5", value_parser = values::seconds)]
     seconds: Duration,
-    /// A target file or the name of a shipped target, onto which the network is mapped
+    /// The target: a file or the name of a shipped target
     #[arg(long, default_value = "nahuku-32")]
     target: String,
-    /// A chart with the front
+    /// Write a chart with the Pareto front
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
-    /// A document whose section `<!-- pareto MODEL -->` is replaced; the chart goes beside it
+    /// Replace the section `<!-- pareto MODEL -->` of this document, and write the chart next to it
     #[arg(long, value_name = "FILE.md")]
     update: Option<PathBuf>,
 }
@@ -62,7 +62,7 @@ impl From<ParetoError> for Error {
 /// Samples that a conversion is searched on.
 const CALIBRATION_SAMPLES: usize = 100;
 
-/// The command; the answer is no when a variant that claims to be exact is not.
+/// Runs the command; the answer is no when a variant that claims to be exact is not.
 ///
 /// # Errors
 /// [`Error`] when an input cannot be used.

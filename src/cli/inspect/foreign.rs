@@ -1,6 +1,6 @@
 //! What files of other tools hold: networks and checkpoints, recordings of event sensors.
 //!
-//! Comes in: a path. Goes out: every array with its type, shape and range, and whether the file can be imported as it is or
+//! Input: a path. Output: every array with its type, shape and range, and whether the file can be imported as it is or
 //! what would have to be said; of a recording its events, extent and duration. Nothing in a file is executed. How a
 //! recording becomes spikes is for the options of a run to say.
 
@@ -15,13 +15,13 @@ use crate::io::spikes::EventFormat;
 use crate::io::spikes::events::event::{Event, Sink};
 use crate::io::spikes::events::{nir_data, read};
 use crate::io::text::{MOST_ARRAY, read_bytes};
-use crate::report::inspect::{Findings, Rows, number};
+use crate::report::inspect::{Findings, FindingsTable, number};
 
 /// A row each: an array, or a text.
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
 /// Characters of a text that are shown.
 const MOST_TEXT: usize = 60;
-/// Rows of a table; files may hold a group for each of very many nodes.
+/// FindingsTable of a table; files may hold a group for each of very many nodes.
 const MOST_ROWS: usize = 1 << 12;
 /// Numbers of a checkpoint that are looked at for their range: many tensors may share one storage.
 const MOST_NUMBERS: usize = 1 << 28;
@@ -34,7 +34,7 @@ pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
     let bytes = read_bytes(path, MOST_ARRAY)?;
     let in_file = |problem: Diagnostic| problem.or_in_file(path);
     let kind = foreign::kind_of(&bytes);
-    let importable = import_of(&foreign::from_bytes(path, bytes.clone(), &Options::default()));
+    let importable = import_summary(&foreign::from_bytes(path, bytes.clone(), &Options::default()));
     let mut rows = Vec::new();
     let kind = match kind {
         Kind::Hdf5 => {
@@ -82,11 +82,11 @@ pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
 fn found(kind: &'static str, importable: Option<String>, rows: Vec<Vec<Value>>) -> Findings {
     let mut facts = vec![("array_count", json!(rows.iter().filter(|row| !row[1].is_null()).count()))];
     facts.extend(importable.map(|importable| ("import", json!(importable))));
-    Findings { kind, facts, tables: vec![Rows { key: "arrays", columns: COLUMNS, rows }] }
+    Findings { kind, facts, tables: vec![FindingsTable { key: "arrays", columns: COLUMNS, rows }] }
 }
 
 /// Whether a file becomes a model as it is, in words.
-fn import_of(imported: &Result<Imported, Diagnostic>) -> String {
+fn import_summary(imported: &Result<Imported, Diagnostic>) -> String {
     match imported {
         Ok(Imported { model, .. }) => format!(
             "as it is: {} populations, {} projections, timestep {} ms",

@@ -1,15 +1,15 @@
 //! What the files of hardware say: targets, chips, presets of constants, baselines, scenarios.
 //!
-//! Comes in: parsed files. Goes out: facts and tables, each constant with unit, source and status.
+//! Input: parsed files. Output: facts and tables, each constant with unit, source and status.
 
 use serde_json::{Value, json};
 
 use crate::cost::baseline::Baseline;
 use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::target::{Chip, Constants, Target};
-use crate::report::inspect::{Findings, Rows};
+use crate::report::inspect::{Findings, FindingsTable};
 
-fn limits_table(chip: &Chip) -> Rows {
+fn limits_table(chip: &Chip) -> FindingsTable {
     let row = |(name, value): (String, Value)| {
         let origin = chip.limit_sources.iter().find(|entry| entry.limit.value == name);
         let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
@@ -19,10 +19,10 @@ fn limits_table(chip: &Chip) -> Rows {
         Value::Object(map) => map.into_iter().map(row).collect(),
         _ => Vec::new(),
     };
-    Rows { key: "limits", columns: &["limit", "value", "status", "source"], rows }
+    FindingsTable { key: "limits", columns: &["limit", "value", "status", "source"], rows }
 }
 
-fn constants_table(presets: &[Constants]) -> Rows {
+fn constants_table(presets: &[Constants]) -> FindingsTable {
     let mut rows = Vec::new();
     for preset in presets {
         let mut add = |name: String, constant: &crate::desc::target::Constant| {
@@ -42,7 +42,7 @@ fn constants_table(presets: &[Constants]) -> Rows {
             add(format!("barrier, {} tiles", entry.tiles), &entry.time);
         }
     }
-    Rows { key: "constants", columns: &["preset", "name", "value", "unit", "status", "source"], rows }
+    FindingsTable { key: "constants", columns: &["preset", "name", "value", "unit", "status", "source"], rows }
 }
 
 fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {
@@ -56,7 +56,7 @@ fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {
     ]
 }
 
-pub(super) fn of_target(target: &Target) -> Findings {
+pub(super) fn target_findings(target: &Target) -> Findings {
     let mut facts = vec![
         ("name", json!(target.name())),
         ("chip", json!(target.chip().name)),
@@ -68,18 +68,18 @@ pub(super) fn of_target(target: &Target) -> Findings {
     Findings { kind: "target", facts, tables: vec![constants_table(target.constants()), limits_table(target.chip())] }
 }
 
-pub(super) fn of_chip(chip: &Chip) -> Findings {
+pub(super) fn chip_findings(chip: &Chip) -> Findings {
     let mut facts = vec![("name", json!(chip.name))];
     facts.extend(chip_facts(chip));
     Findings { kind: "chip", facts, tables: vec![limits_table(chip)] }
 }
 
-pub(super) fn of_constants(constants: &Constants) -> Findings {
+pub(super) fn constants_findings(constants: &Constants) -> Findings {
     let facts = vec![("name", json!(constants.name)), ("notes", json!(constants.notes))];
     Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
 }
 
-pub(super) fn of_scenario(scenario: &ScenarioFile) -> Findings {
+pub(super) fn scenario_findings(scenario: &ScenarioFile) -> Findings {
     let cores = scenario.deployment.value;
     let measured: Vec<&str> = scenario.measured.iter().map(|table| table.value.as_str()).collect();
     Findings {
@@ -103,7 +103,7 @@ pub(super) fn of_scenario(scenario: &ScenarioFile) -> Findings {
     }
 }
 
-pub(super) fn of_baseline(baseline: &Baseline) -> Findings {
+pub(super) fn baseline_findings(baseline: &Baseline) -> Findings {
     let file = baseline.file();
     let on = &file.measured_on;
     let rows = file.rows.iter().map(|row| {
@@ -125,7 +125,7 @@ pub(super) fn of_baseline(baseline: &Baseline) -> Findings {
             ("source", json!(file.source)),
             ("notes", json!(file.notes)),
         ],
-        tables: vec![Rows {
+        tables: vec![FindingsTable {
             key: "rows",
             columns: &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
             rows: rows.collect(),

@@ -1,6 +1,6 @@
 //! `nsim inspect FILE`: what a file holds.
 //!
-//! Comes in: a file, a folder, or the name of something shipped. Goes out: its kind, what it says about itself, and tables
+//! Input: a file, a folder, or the name of something shipped. Output: its kind, what it says about itself, and tables
 //! of its parts. Nothing is compiled: a model that is inspected may still be refused by `nsim map`.
 
 mod foreign;
@@ -12,8 +12,8 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use self::hardware::{of_baseline, of_chip, of_constants, of_scenario, of_target};
-use self::network::of_network;
+use self::hardware::{baseline_findings, chip_findings, constants_findings, scenario_findings, target_findings};
+use self::network::network_findings;
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -26,7 +26,7 @@ use crate::io::published::scenario;
 use crate::io::shipped::{self, Origin};
 use crate::io::spikes::{self, SpikeFormat, manifest};
 use crate::io::{model, npy, safetensors, target, text};
-use crate::report::inspect::{Findings, Rows, number};
+use crate::report::inspect::{Findings, FindingsTable, number};
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -82,7 +82,7 @@ fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
         }
     }
     if let Ok(baseline) = Baseline::shipped(name) {
-        return Ok(of_baseline(&baseline));
+        return Ok(baseline_findings(&baseline));
     }
     let mut names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
     names.extend(SHIPPED.iter().map(|(name, _)| name));
@@ -94,14 +94,14 @@ fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
 
 fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnostic> {
     match root_name(source.text()) {
-        "Network" => Ok(of_network(&model::network(source, origin)?)),
-        "Target" => Ok(of_target(&target::target(&source, origin)?)),
-        "Chip" => Ok(of_chip(&target::parse_chip(&source)?)),
-        "Constants" => Ok(of_constants(&target::parse_constants(&source)?)),
-        "Baseline" => Ok(of_baseline(&Baseline::parse(&source)?)),
-        "Scenario" => Ok(of_scenario(&scenario::scenario(&source)?)),
-        "Mapping" => Ok(of_mapping(&parse(&source, "mapping.syntax")?)),
-        "DataSet" => Ok(of_dataset(&manifest::from_source(source)?)),
+        "Network" => Ok(network_findings(&model::network(source, origin)?)),
+        "Target" => Ok(target_findings(&target::target(&source, origin)?)),
+        "Chip" => Ok(chip_findings(&target::parse_chip(&source)?)),
+        "Constants" => Ok(constants_findings(&target::parse_constants(&source)?)),
+        "Baseline" => Ok(baseline_findings(&Baseline::parse(&source)?)),
+        "Scenario" => Ok(scenario_findings(&scenario::scenario(&source)?)),
+        "Mapping" => Ok(mapping_findings(&parse(&source, "mapping.syntax")?)),
+        "DataSet" => Ok(dataset_findings(&manifest::from_source(source)?)),
         other => Err(Diagnostic::new(
             "inspect.kind",
             if other.is_empty() {
@@ -117,7 +117,7 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
     }
 }
 
-fn of_mapping(mapping: &MappingFile) -> Findings {
+fn mapping_findings(mapping: &MappingFile) -> Findings {
     let rows = mapping
         .cores
         .iter()
@@ -150,10 +150,11 @@ fn of_mapping(mapping: &MappingFile) -> Findings {
             json!(chips.len()),
         ]
     });
-    let boxes = Rows { key: "layers", columns: &["population", "box", "cores", "chips"], rows: boxed.collect() };
+    let boxes =
+        FindingsTable { key: "layers", columns: &["population", "box", "cores", "chips"], rows: boxed.collect() };
     let chips: BTreeSet<u32> =
         mapping.cores.iter().map(|core| core.chip).chain(mapping.places().map(|(chip, _)| chip)).collect();
-    let listed = Rows { key: "cores", columns: &["chip", "x", "y", "core", "compartments", "holds"], rows };
+    let listed = FindingsTable { key: "cores", columns: &["chip", "x", "y", "core", "compartments", "holds"], rows };
     Findings {
         kind: "mapping",
         facts: vec![
@@ -179,7 +180,7 @@ fn of_pruning(pruned: &PrunedFile) -> Value {
     }
 }
 
-fn labels_table(labels: impl Iterator<Item = Option<u32>>, names: &[String]) -> Rows {
+fn labels_table(labels: impl Iterator<Item = Option<u32>>, names: &[String]) -> FindingsTable {
     let mut counts: BTreeMap<Option<u32>, u64> = BTreeMap::new();
     for label in labels {
         *counts.entry(label).or_default() += 1;
@@ -191,10 +192,10 @@ fn labels_table(labels: impl Iterator<Item = Option<u32>>, names: &[String]) -> 
             vec![json!(label), json!(name), json!(count)]
         })
         .collect();
-    Rows { key: "labels", columns: &["label", "class", "samples"], rows }
+    FindingsTable { key: "labels", columns: &["label", "class", "samples"], rows }
 }
 
-fn of_dataset(manifest: &spikes::Manifest) -> Findings {
+fn dataset_findings(manifest: &spikes::Manifest) -> Findings {
     let set = manifest.set();
     let folds: Vec<usize> = set.folds.iter().map(|fold| fold.value.len()).collect();
     Findings {
@@ -216,7 +217,7 @@ fn of_dataset(manifest: &spikes::Manifest) -> Findings {
 }
 
 /// Least, greatest, and how many are not zero.
-fn range_of(tensor: &Tensor) -> (Option<f64>, Option<f64>, usize) {
+fn value_range(tensor: &Tensor) -> (Option<f64>, Option<f64>, usize) {
     let numbers = || (0..tensor.len()).map(|index| tensor.real(index));
     (numbers().reduce(f64::min), numbers().reduce(f64::max), numbers().filter(|&x| x != 0.0).count())
 }
@@ -224,7 +225,7 @@ fn range_of(tensor: &Tensor) -> (Option<f64>, Option<f64>, usize) {
 fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {
     let array = npy::open(path)?;
     let (dtype, tensor) = (array.dtype(), array.tensor()?);
-    let (least, greatest, non_zero) = range_of(&tensor);
+    let (least, greatest, non_zero) = value_range(&tensor);
     let density = (!tensor.is_empty()).then(|| non_zero as f64 / tensor.len() as f64);
     Ok(Findings {
         kind: "npy",
@@ -247,7 +248,7 @@ fn inspect_safetensors(path: &Path) -> Result<Findings, Diagnostic> {
     Ok(Findings {
         kind: "safetensors",
         facts: vec![("tensor_count", json!(entries.len()))],
-        tables: vec![Rows { key: "tensors", columns: &["key", "dtype", "shape"], rows }],
+        tables: vec![FindingsTable { key: "tensors", columns: &["key", "dtype", "shape"], rows }],
     })
 }
 

@@ -1,12 +1,12 @@
 //! What a model file says: its populations, and how many synapses its projections make.
 //!
-//! Comes in: a parsed network. Goes out: facts and tables. Synapses are counted from shapes, without making any; what
+//! Input: a parsed network. Output: facts and tables. Synapses are counted from shapes, without making any; what
 //! would take too long to count stays unknown.
 
 use serde_json::{Value, json};
 
 use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
-use crate::report::inspect::{Findings, Rows};
+use crate::report::inspect::{Findings, FindingsTable};
 
 fn units_of(shape: &[u64]) -> Option<u64> {
     shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
@@ -68,7 +68,7 @@ fn synapses(network: &Network, projection: &ProjectionDesc) -> Option<u64> {
     }
 }
 
-pub(super) fn of_network(network: &Network) -> Findings {
+pub(super) fn network_findings(network: &Network) -> Findings {
     let file = network.file();
     let populations = file
         .populations
@@ -136,8 +136,16 @@ pub(super) fn of_network(network: &Network) -> Findings {
             ("provenance", json!(file.provenance)),
         ],
         tables: vec![
-            Rows { key: "populations", columns: &["name", "kind", "shape", "units", "parameters"], rows: populations },
-            Rows { key: "projections", columns: &["from", "to", "kind", "synapses", "delay"], rows: projections },
+            FindingsTable {
+                key: "populations",
+                columns: &["name", "kind", "shape", "units", "parameters"],
+                rows: populations,
+            },
+            FindingsTable {
+                key: "projections",
+                columns: &["from", "to", "kind", "synapses", "delay"],
+                rows: projections,
+            },
         ],
     }
 }

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use super::step::{rounded, significant};
 use crate::bench::Environment;
-use crate::bench::mapping::Mapped;
+use crate::bench::mapping::MeasuredMapping;
 use crate::compile::{Objective, Strategy};
 
 /// Everything that the report says.
@@ -14,7 +14,7 @@ pub struct MapReport<'a> {
     /// Where it was measured.
     pub environment: &'a Environment,
     /// The rows, network by network.
-    pub rows: &'a [Mapped],
+    pub rows: &'a [MeasuredMapping],
 }
 
 /// The least part that a network counts in a mean of ratios, so that one that fits a tile does not make it zero.
@@ -22,7 +22,7 @@ const LEAST_RATIO: f64 = 0.05;
 
 /// How the placed mappings of a strategy compare with unplaced sequential ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Comparison {
+pub struct AgainstSequential {
     /// Networks whose spikes cross a link at all when placed sequentially.
     pub networks: usize,
     /// Geometric mean of multicast hops over those of sequential.
@@ -39,11 +39,11 @@ fn of_step(value: f64, simulated: bool) -> String {
 impl MapReport<'_> {
     /// The placed mappings of a strategy and an objective against unplaced sequential ones.
     #[must_use]
-    pub fn against_sequential(&self, strategy: Strategy, objective: Objective) -> Comparison {
+    pub fn against_sequential(&self, strategy: Strategy, objective: Objective) -> AgainstSequential {
         let (mut sum, mut networks, mut worse) = (0.0, 0, 0);
         let plain = self.rows.iter().filter(|row| row.strategy == Strategy::Sequential && !row.placed);
         for before in plain {
-            let of = |row: &&Mapped| {
+            let of = |row: &&MeasuredMapping| {
                 row.network == before.network && row.strategy == strategy && row.objective == objective && row.placed
             };
             let Some(after) = self.rows.iter().find(of) else { continue };
@@ -54,13 +54,13 @@ impl MapReport<'_> {
                 networks += 1;
             }
         }
-        Comparison { networks, hops_multicast: (sum / networks.max(1) as f64).exp(), worse }
+        AgainstSequential { networks, hops_multicast: (sum / networks.max(1) as f64).exp(), worse }
     }
 
     /// `nsim.bench/1`.
     #[must_use]
     pub fn json(&self) -> Value {
-        let row = |row: &Mapped| {
+        let row = |row: &MeasuredMapping| {
             json!({
                 "network": row.network,
                 "strategy": row.strategy.name(),
@@ -150,7 +150,8 @@ impl MapReport<'_> {
         table.column_iter_mut().skip(4).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
         let mut text = format!("{}\n\n{table}\n\n", self.environment);
         for strategy in [Strategy::Greedy, Strategy::Multilevel] {
-            let Comparison { networks, hops_multicast, worse } = self.against_sequential(strategy, Objective::Cores);
+            let AgainstSequential { networks, hops_multicast, worse } =
+                self.against_sequential(strategy, Objective::Cores);
             let name = strategy.name();
             text += &format!(
                 "{name}, placed: {hops_multicast:.2} of the multicast hops of unplaced sequential (geometric mean of \
@@ -166,7 +167,7 @@ mod tests {
     use super::*;
     use crate::compile::explore::traffic::Traffic;
 
-    fn row(network: &'static str, strategy: Strategy, placed: bool, cores: u32, hops: f64) -> Mapped {
+    fn row(network: &'static str, strategy: Strategy, placed: bool, cores: u32, hops: f64) -> MeasuredMapping {
         let traffic = Traffic {
             cut_spikes_per_step: 1.0,
             hops_per_step: hops,
@@ -175,7 +176,7 @@ mod tests {
             max_link_load: 0.0,
             max_chip_link_load: 0.0,
         };
-        Mapped {
+        MeasuredMapping {
             network,
             strategy,
             placed,

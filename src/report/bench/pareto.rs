@@ -4,7 +4,7 @@ use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::bench::Environment;
-use crate::bench::pareto::Row;
+use crate::bench::pareto::VariantRow;
 use crate::report::charts::plot::{self, Axis, Series};
 
 /// Everything that the report says.
@@ -21,7 +21,7 @@ pub struct ParetoReport<'a> {
     /// Where it was measured.
     pub environment: &'a Environment,
     /// The variants.
-    pub rows: &'a [Row],
+    pub rows: &'a [VariantRow],
 }
 
 fn rounded(x: f64) -> f64 {
@@ -41,7 +41,7 @@ const HEAD: [&str; 9] = [
 ];
 
 impl ParetoReport<'_> {
-    fn cells(row: &Row) -> [String; 9] {
+    fn cells(row: &VariantRow) -> [String; 9] {
         let or_none = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.4}"));
         [
             row.variant.name(),
@@ -59,7 +59,7 @@ impl ParetoReport<'_> {
     /// `nsim.bench/1`.
     #[must_use]
     pub fn json(&self) -> Value {
-        let row = |row: &Row| {
+        let row = |row: &VariantRow| {
             json!({
                 "variant": row.variant.name(),
                 "us_per_timestep": rounded(row.us_per_timestep),
@@ -145,7 +145,7 @@ impl ParetoReport<'_> {
     pub fn svg(&self) -> String {
         // Nothing is exactly at the reference on an axis of factors: what is nearer than this is drawn here.
         const NEAREST: f64 = 1e-4;
-        let point = |row: &Row| (row.us_per_timestep, (1.0 - row.coincidence).max(NEAREST), row.variant.name());
+        let point = |row: &VariantRow| (row.us_per_timestep, (1.0 - row.coincidence).max(NEAREST), row.variant.name());
         let pick = |on_front: bool| self.rows.iter().filter(|row| row.on_front == on_front).map(point).collect();
         let series = [
             Series::Points { name: "on the front".to_string(), points: pick(true), joined: true },
@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn json_has_the_keys_of_the_contract() {
-        let row = Row {
+        let row = VariantRow {
             variant: Variant::Fast { skip: true },
             us_per_timestep: 1.5,
             spread: 0.1,

@@ -3,7 +3,7 @@
 use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use crate::bench::{Environment, Measured};
+use crate::bench::{Environment, StepTiming};
 
 /// A row of `nsim bench step`.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,7 +15,7 @@ pub struct StepRow {
     /// Whether what is at rest was left out.
     pub skip: bool,
     /// What was measured.
-    pub measured: Measured,
+    pub measured: StepTiming,
     /// Bytes of the machine, state and flattened tables, divided by synapses; the program that was mapped is not counted.
     pub bytes_per_synapse: f64,
     /// Milliseconds that the sums by core (messages, hops) take, once a run: the machine notes who spiked and multiplies
@@ -154,7 +154,7 @@ mod tests {
 
     fn report(check: impl Fn(StepReport)) {
         let totals = Totals { synaptic_events: 4_000, spikes: 10, ..Totals::default() };
-        let measured = Measured { us_per_timestep: 1.25, fastest: 1.2, spread: 0.02, repeats: 5, steps: 2, totals };
+        let measured = StepTiming { us_per_timestep: 1.25, fastest: 1.2, spread: 0.02, repeats: 5, steps: 2, totals };
         let row =
             |skip| StepRow { network: "vtsnn-1pct", threads: 1, skip, measured, bytes_per_synapse: 7.5, sums_ms: 0.1 };
         check(StepReport { environment: &Environment::here(), rows: &[row(true), row(false)] });

@@ -1,6 +1,6 @@
 //! Charts as SVG: lines with bands, scattered points with a front, bars.
 //!
-//! Comes in: named series of finite numbers. Goes out: one SVG text, the same for the same numbers. Written by hand: the
+//! Input: named series of finite numbers. Output: one SVG text, the same for the same numbers. Written by hand: the
 //! three charts that results need are a few rectangles, lines and words. Colours are those of Okabe and Ito ("Color
 //! universal design", 2008), told apart by people who see fewer; series differ in dashes or marks too.
 
@@ -54,7 +54,7 @@ pub enum Series {
     Points {
         /// Their name in the legend.
         name: String,
-        /// x, y, and the word.
+        /// x, y, and the text.
         points: Vec<(f64, f64, String)>,
         /// Whether steps join them, as for a front on which less is better.
         joined: bool,
@@ -74,11 +74,11 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
             r##"<line x1="{at:.1}" y1="{TOP}" x2="{at:.1}" y2="{:.1}" stroke="#ddd"/>"##,
             HEIGHT - BOTTOM
         );
-        word(&mut out, at, HEIGHT - BOTTOM + 18.0, "middle", &label);
+        text_at(&mut out, at, HEIGHT - BOTTOM + 18.0, "middle", &label);
     }
     for (at, label) in up.ticks() {
         _ = writeln!(out, r##"<line x1="{LEFT}" y1="{at:.1}" x2="{:.1}" y2="{at:.1}" stroke="#ddd"/>"##, WIDTH - RIGHT);
-        word(&mut out, LEFT - 8.0, at + 4.0, "end", &label);
+        text_at(&mut out, LEFT - 8.0, at + 4.0, "end", &label);
     }
     for (index, one) in series.iter().enumerate() {
         let (colour, dash) = (COLOURS[index % COLOURS.len()], DASHES[index % DASHES.len()]);
@@ -160,7 +160,7 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
     let mut out = frame(title, "", &y.label);
     for (at, label) in up.ticks() {
         _ = writeln!(out, r##"<line x1="{LEFT}" y1="{at:.1}" x2="{:.1}" y2="{at:.1}" stroke="#ddd"/>"##, WIDTH - RIGHT);
-        word(&mut out, LEFT - 8.0, at + 4.0, "end", &label);
+        text_at(&mut out, LEFT - 8.0, at + 4.0, "end", &label);
     }
     let ground = up.place(0.0).unwrap_or(HEIGHT - BOTTOM);
     let group = (WIDTH - RIGHT - LEFT) / categories.len().max(1) as f64;
@@ -304,7 +304,7 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
-pub(super) fn word(out: &mut String, x: f64, y: f64, anchor: &str, text: &str) {
+pub(super) fn text_at(out: &mut String, x: f64, y: f64, anchor: &str, text: &str) {
     _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}">{}</text>"#, escaped(text));
 }
 
@@ -316,7 +316,7 @@ pub(super) fn legend(out: &mut String, index: usize, colour: &str, name: &str) {
     let y = TOP + 8.0 + 18.0 * index as f64;
     let x = WIDTH - RIGHT + 14.0;
     _ = writeln!(out, r#"<rect x="{x:.1}" y="{:.1}" width="12" height="10" fill="{colour}"/>"#, y - 9.0);
-    word(out, x + 18.0, y, "start", name);
+    text_at(out, x + 18.0, y, "start", name);
 }
 
 pub(super) fn frame(title: &str, x: &str, y: &str) -> String {
@@ -325,7 +325,7 @@ pub(super) fn frame(title: &str, x: &str, y: &str) -> String {
          font-size=\"12\">\n<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"white\"/>\n"
     );
     _ = writeln!(out, r#"<text x="{LEFT}" y="22" font-size="15" font-weight="bold">{}</text>"#, escaped(title));
-    word(&mut out, (LEFT + WIDTH - RIGHT) / 2.0, HEIGHT - 14.0, "middle", x);
+    text_at(&mut out, (LEFT + WIDTH - RIGHT) / 2.0, HEIGHT - 14.0, "middle", x);
     let middle = (TOP + HEIGHT - BOTTOM) / 2.0;
     _ = writeln!(
         out,

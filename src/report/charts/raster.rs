@@ -1,11 +1,13 @@
 //! A recording as SVG: a dot for each spike, step by channel, one panel a sense.
 //!
-//! Comes in: the spikes of each sense and when what decides the class begins. Goes out: one SVG text, the same for the
+//! Input: the spikes of each sense and when what decides the class begins. Output: one SVG text, the same for the
 //! same spikes. Dots of one kind are one path, so that ten thousand of them stay a file of some hundred kilobytes.
 
 use std::fmt::Write as _;
 
-use crate::report::charts::plot::{Axis, BOTTOM, COLOURS, HEIGHT, LEFT, RIGHT, Scale, TOP, WIDTH, frame, legend, word};
+use crate::report::charts::plot::{
+    Axis, BOTTOM, COLOURS, HEIGHT, LEFT, RIGHT, Scale, TOP, WIDTH, frame, legend, text_at,
+};
 
 /// The spikes of one sense.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,8 +66,8 @@ impl Raster {
                 r#"<text x="18" y="{middle:.1}" text-anchor="middle" transform="rotate(-90 18 {middle:.1})">{}</text>"#,
                 panel.label
             );
-            word(&mut out, LEFT - 8.0, top + 10.0, "end", "0");
-            word(&mut out, LEFT - 8.0, top + height, "end", &panel.channels.saturating_sub(1).to_string());
+            text_at(&mut out, LEFT - 8.0, top + 10.0, "end", "0");
+            text_at(&mut out, LEFT - 8.0, top + height, "end", &panel.channels.saturating_sub(1).to_string());
             for (name, spikes) in &panel.kinds {
                 let colour = COLOURS[kinds % COLOURS.len()];
                 let mut path = String::new();
@@ -81,7 +83,7 @@ impl Raster {
             top += height + GAP;
         }
         for (x, label) in across.ticks() {
-            word(&mut out, x, HEIGHT - BOTTOM + 18.0, "middle", &label);
+            text_at(&mut out, x, HEIGHT - BOTTOM + 18.0, "middle", &label);
         }
         if let Some(onset) = self.onset_ms {
             let x = at(onset);
@@ -91,7 +93,7 @@ impl Raster {
                 TOP - 8.0,
                 HEIGHT - BOTTOM
             );
-            word(&mut out, x, TOP - 10.0, "middle", &format!("onset {onset:.0} ms"));
+            text_at(&mut out, x, TOP - 10.0, "middle", &format!("onset {onset:.0} ms"));
         }
         out + "</svg>\n"
     }
