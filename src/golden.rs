@@ -82,6 +82,9 @@ pub struct Golden {
     /// What the spike of each compartment carried, if it spiked; the latest step first.
     compartment_history: VecDeque<Vec<Option<i64>>>,
     spikes: Vec<CompartmentId>,
+    /// What they carry, if the network has graded spikes.
+    payloads: Vec<i32>,
+    graded: bool,
     totals: Totals,
     overflow: Overflow,
 }
@@ -123,6 +126,8 @@ impl Golden {
             channel_history: VecDeque::new(),
             compartment_history: VecDeque::new(),
             spikes: Vec::new(),
+            payloads: Vec::new(),
+            graded: network.populations().iter().any(|population| population.payload.is_some()),
             totals: Totals::default(),
             overflow: Overflow::default(),
         }
@@ -223,6 +228,7 @@ impl Engine for Golden {
         self.channel_history.clear();
         self.compartment_history.clear();
         self.spikes.clear();
+        self.payloads.clear();
         self.totals = Totals::default();
         self.overflow = Overflow::default();
     }
@@ -245,12 +251,18 @@ impl Engine for Golden {
             self.compartment_history[0][id.index()] = Some(self.compartments[id].payload);
         }
         self.totals.spikes += spikes.len() as u64;
+        let carried = spikes.iter().filter(|_| self.graded).map(|&id| narrow(self.compartments[id].payload));
+        self.payloads = carried.collect();
         self.spikes = spikes;
         self.done += 1;
     }
 
     fn spikes(&self) -> &[CompartmentId] {
         &self.spikes
+    }
+
+    fn payloads(&self) -> &[i32] {
+        &self.payloads
     }
 
     fn u(&self, compartment: CompartmentId) -> i32 {

@@ -2,6 +2,7 @@
 //!
 //! Nothing here knows of networks or cores. Every other module may use it; it uses none of them.
 
+pub mod csr;
 pub mod diagnostic;
 pub mod fixed;
 pub mod folds;

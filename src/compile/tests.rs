@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use crate::base::csr::Csr;
 use crate::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
 use crate::base::rng;
@@ -21,7 +22,7 @@ use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::resource::{Limits, Packing, PerResource, Pool, Resource};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{Partition, seats};
-use crate::ir::program::{AxonTarget, Lists, Parts, Program, Stored, Synapse};
+use crate::ir::program::{AxonTarget, Parts, Program, Stored, Synapse};
 use crate::ir::quantised::{Connectivity, Neuron, Quantised, Reset, Units};
 
 fn compiled(network: Quantised, limits: Limits) -> Compiled {
@@ -284,10 +285,10 @@ fn resynapse(parts: &mut Parts, core: u32, change: impl FnOnce(&mut Vec<Vec<Syna
     relist(&mut image.inputs.lists, change);
 }
 
-fn relist<T: Copy>(lists: &mut Lists<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
+fn relist<T: Copy>(lists: &mut Csr<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
     let mut all: Vec<Vec<T>> = lists.iter().map(<[T]>::to_vec).collect();
     change(&mut all);
-    *lists = Lists::default();
+    *lists = Csr::default();
     all.into_iter().for_each(|list| lists.push(list));
 }
 

@@ -12,13 +12,14 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
+use crate::base::csr::Csr;
 use crate::base::id::{CoreId, Id};
 use crate::base::units::Picoseconds;
 use crate::cost::constants::CostTable;
 use crate::cost::model::{StepTime, core_time, route_time, times};
 use crate::ir::activity::StepActivity;
 use crate::ir::placement::Route;
-use crate::ir::program::{CoreImage, Lists, Program};
+use crate::ir::program::{CoreImage, Program};
 
 /// A model of the mesh.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
@@ -69,9 +70,9 @@ pub struct MessageRoutes {
     tiles: Vec<(u32, u32)>,
     cores: usize,
     /// By channel.
-    inputs: Lists<Message>,
+    inputs: Csr<Message>,
     /// By compartment.
-    spikes: Lists<Message>,
+    spikes: Csr<Message>,
     /// Core, slot, and number of compartments of that core, by compartment.
     seats: Vec<(CoreId, u32, u32)>,
     chips_x: u32,
@@ -95,11 +96,11 @@ impl MessageRoutes {
             let (events_dense, events_sparse) = events(&cores[target.core], target.axon);
             Message { core: target.core, events_dense, events_sparse }
         };
-        let mut inputs = Lists::default();
+        let mut inputs = Csr::default();
         for list in program.parts().channels.iter() {
             inputs.push(list.iter().map(message));
         }
-        let mut spikes = Lists::default();
+        let mut spikes = Csr::default();
         let mut seats = Vec::with_capacity(program.seats().len());
         for seat in program.seats() {
             let image = &cores[seat.core];
@@ -445,7 +446,7 @@ pub(crate) mod tests {
     /// MessageRoutes on one chip of 8 by 4 tiles, with 10 compartments a core; lists of (receiving core, dense synapses).
     fn routes(tiles: &[(u32, u32)], inputs: &[&[(u32, u32)]], spikes: &[&[(u32, u32)]]) -> MessageRoutes {
         let lists = |from: &[&[(u32, u32)]]| {
-            let mut lists = Lists::default();
+            let mut lists = Csr::default();
             for list in from {
                 lists.push(list.iter().map(|&(core, events_dense)| Message {
                     core: CoreId(core),

@@ -156,7 +156,7 @@ impl HopCounts {
         }
     }
 
-    /// Adds the way of so many messages.
+    /// Adds the route of so many messages.
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.local += u64::from(route.links() == 0) * times;
         self.east_west += u64::from(route.east_west) * times;
@@ -181,7 +181,7 @@ pub struct StepActivity {
     pub cores: IdVec<CoreId, CoreCounts>,
     /// Links crossed by all messages sent in this step.
     pub hops: HopCounts,
-    /// The longest way of a message sent in this step, by links, then by links north or south.
+    /// The longest route of a message sent in this step, by links, then by links north or south.
     pub longest: Route,
     /// Input spikes.
     pub spikes_in: u64,
@@ -189,7 +189,7 @@ pub struct StepActivity {
     pub messages_from_inputs: u64,
     /// Spikes of the output population.
     pub spikes_out: u64,
-    /// The input channels that spiked, for what follows messages one by one.
+    /// The input channels that spiked, for models that trace single messages.
     pub channels: Vec<ChannelId>,
     /// The compartments that fired, each once, in any order.
     pub fired: Vec<CompartmentId>,
@@ -230,7 +230,7 @@ impl StepActivity {
         self.spikes_out += other.spikes_out;
     }
 
-    /// Notes the way of so many messages.
+    /// Adds the route of so many messages.
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.hops.add_routes(route, times);
         self.longest = self.longest.max(route);

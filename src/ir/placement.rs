@@ -1,4 +1,4 @@
-//! Logical cores on physical ones, and the ways of messages between them.
+//! Logical cores on physical ones, and the routes of messages between them.
 //!
 //! Chips stand on a rectangular board and tiles on a rectangular mesh; a message goes east or west first, then north or
 //! south (dimension order, as Loihi's mesh does: Davies et al. 2018). True of every [`Placement`]: one to one, inside the
@@ -74,7 +74,7 @@ impl Mesh {
         (chip_x * self.width + site.x, chip_y * self.height + site.y)
     }
 
-    /// The way of a message from one core to another.
+    /// The route of a message from one core to another.
     #[must_use]
     pub fn route(&self, from: Site, to: Site) -> Route {
         let ((fx, fy), (tx, ty)) = (self.tile(from), self.tile(to));
@@ -86,7 +86,7 @@ impl Mesh {
         }
     }
 
-    /// The way of an input spike: it enters at the corner of its target's chip.
+    /// The route of an input spike: it enters at the corner of its target's chip.
     #[must_use]
     pub fn route_from_corner(&self, to: Site) -> Route {
         Route { east_west: to.x, north_south: to.y, chip: 0 }
@@ -124,7 +124,7 @@ impl Route {
         self.east_west + self.north_south
     }
 
-    /// The longer of two ways: by links, then links between chips, then links north or south.
+    /// The longer of two routes: by links, then links between chips, then links north or south.
     #[must_use]
     pub fn max(self, other: Route) -> Route {
         let key = |r: Route| (r.links(), r.chip, r.north_south);
@@ -143,7 +143,7 @@ pub enum PlacementError {
         /// Its place.
         site: Site,
     },
-    /// On top of another.
+    /// Another core is there.
     #[error("{first} and {second} are placed on the same physical core")]
     Shared {
         /// One of them.
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_count_links_and_chip_borders() {
+    fn routes_count_links_and_chip_borders() {
         let from = Site { chip: 0, x: 7, y: 3, core: 0 };
         let to = Site { chip: 3, x: 0, y: 1, core: 2 };
         assert_eq!(MESH.route(from, to), Route { east_west: 1, north_south: 2, chip: 2 });

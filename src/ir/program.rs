@@ -12,130 +12,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
+use crate::base::csr::Csr;
 use crate::base::fixed::{Delay, Payload};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::partition::Seat;
 use crate::ir::placement::{Mesh, Site};
 use crate::ir::quantised::{Neuron, Reset, SynapseFormat};
-
-/// Lists of items, one list for each index, in one allocation.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Lists<T> {
-    first: Vec<u32>,
-    items: Vec<T>,
-}
-
-impl<T> Default for Lists<T> {
-    fn default() -> Self {
-        Lists { first: vec![0], items: Vec::new() }
-    }
-}
-
-impl<T> Lists<T> {
-    /// Appends a list.
-    ///
-    /// # Panics
-    /// When all lists together reach 2^32 items; the limits of a core and of a network exclude it.
-    pub fn push(&mut self, list: impl IntoIterator<Item = T>) {
-        self.extend_last(list);
-        self.end();
-    }
-
-    /// No list yet, with room for so many lists and items.
-    #[must_use]
-    pub fn with_capacity(lists: usize, items: usize) -> Self {
-        let mut first = Vec::with_capacity(lists + 1);
-        first.push(0);
-        Lists { first, items: Vec::with_capacity(items) }
-    }
-
-    /// Lists of these lengths, of the same item.
-    ///
-    /// # Panics
-    /// As [`Lists::push`].
-    #[must_use]
-    pub fn from_counts(counts: &[u32], item: T) -> Self
-    where
-        T: Clone,
-    {
-        let mut first = Vec::with_capacity(counts.len() + 1);
-        let mut sum = 0u32;
-        first.push(0);
-        for &count in counts {
-            sum = sum.checked_add(count).expect("fewer than 2^32 items");
-            first.push(sum);
-        }
-        Lists { first, items: vec![item; sum as usize] }
-    }
-
-    /// Appends items to a list that is not ended yet.
-    pub fn extend_last(&mut self, items: impl IntoIterator<Item = T>) {
-        self.items.extend(items);
-    }
-
-    /// Ends the list that [`Lists::extend_last`] appended to.
-    ///
-    /// # Panics
-    /// As [`Lists::push`].
-    pub fn end(&mut self) {
-        self.first.push(u32::try_from(self.items.len()).expect("fewer than 2^32 items"));
-    }
-
-    /// Number of lists.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.first.len() - 1
-    }
-
-    /// Whether there is no list.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// One list.
-    #[inline]
-    #[must_use]
-    pub fn get(&self, index: usize) -> &[T] {
-        &self.items[self.first[index] as usize..self.first[index + 1] as usize]
-    }
-
-    /// One list, to be changed in place.
-    #[inline]
-    #[must_use]
-    pub fn get_mut(&mut self, index: usize) -> &mut [T] {
-        &mut self.items[self.first[index] as usize..self.first[index + 1] as usize]
-    }
-
-    /// Where each list begins among all items, and where the last ends.
-    #[must_use]
-    pub fn firsts(&self) -> &[u32] {
-        &self.first
-    }
-
-    /// All items of all lists.
-    #[must_use]
-    pub fn items(&self) -> &[T] {
-        &self.items
-    }
-
-    /// All items of all lists, to be changed in place.
-    pub fn items_mut(&mut self) -> &mut [T] {
-        &mut self.items
-    }
-
-    /// The lists in order.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = &[T]> {
-        (0..self.len()).map(|i| self.get(i))
-    }
-
-    /// Makes the lists as small as they are.
-    pub fn shrink_to_fit(&mut self) {
-        self.first.shrink_to_fit();
-        self.items.shrink_to_fit();
-    }
-}
 
 /// An input axon of a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -172,7 +55,7 @@ pub struct CoreFormat {
     pub skip_bits: Option<u8>,
 }
 
-/// A core's entry for several sources, told apart by the atom that their messages carry: the channels at one position of
+/// A core's entry for several sources, distinguished by the atom that their messages carry: the channels at one position of
 /// a population. Population axons that are given the same table store it once, each with another base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PopulationAxon {
@@ -222,7 +105,7 @@ impl<'a> Selected<'a> {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Stored {
     /// The lists: the tables of population axons, then those of discrete axons.
-    pub lists: Lists<Synapse>,
+    pub lists: Csr<Synapse>,
     /// Population axons; few, or none.
     pub populations: Vec<PopulationAxon>,
     /// Input axons up to the last that is a member of a population axon; those after it are discrete and have the last
@@ -235,17 +118,13 @@ pub struct Stored {
 impl Stored {
     /// Lists of discrete axons.
     #[must_use]
-    pub fn discrete(lists: Lists<Synapse>) -> Self {
+    pub fn discrete(lists: Csr<Synapse>) -> Self {
         Stored { plain: lists.len() as u32, lists, ..Stored::default() }
     }
 
     /// Lists of a core with population axons, one input axon for each source that reaches it.
     #[must_use]
-    pub fn with_populations(
-        lists: Lists<Synapse>,
-        populations: Vec<PopulationAxon>,
-        mut axons: Vec<InputAxon>,
-    ) -> Self {
+    pub fn with_populations(lists: Csr<Synapse>, populations: Vec<PopulationAxon>, mut axons: Vec<InputAxon>) -> Self {
         let discrete = |(back, axon): &(usize, &InputAxon)| match **axon {
             InputAxon::Discrete { list } => list as usize + back + 1 == lists.len(),
             InputAxon::Member { .. } => false,
@@ -385,7 +264,7 @@ pub struct CoreImage {
     /// Input axons and the synapses that they select.
     pub inputs: Stored,
     /// Messages that a spike sends, by slot, in ascending order of cores.
-    pub axons_out: Lists<AxonTarget>,
+    pub axons_out: Csr<AxonTarget>,
 }
 
 /// Consecutive sources whose spikes all carry the same integer. Sources are numbered channels first, then compartments.
@@ -405,7 +284,7 @@ pub struct Parts {
     /// Core images.
     pub cores: IdVec<CoreId, CoreImage>,
     /// Messages that an input spike sends, by channel, in ascending order of cores.
-    pub channels: Lists<AxonTarget>,
+    pub channels: Csr<AxonTarget>,
     /// Where each compartment of the network sits.
     pub seats: IdVec<CompartmentId, Seat>,
     /// First compartment and number of compartments of each population; `None` for inputs.
@@ -493,7 +372,7 @@ impl Program {
         let core =
             |marks: &Marks, core| parts.not_closed(CoreId::new(core), marks).map(|what| (CoreId::new(core), what));
         if (0..parts.cores.len()).into_par_iter().any(|index| core(&marks, index).is_some()) {
-            // Of two that share an input axon the second is told, which threads may not decide.
+            // Of two that share an input axon the second is reported, whatever the threads do.
             let marks = Marks::new(&parts);
             if let Some((core, what)) = (0..parts.cores.len()).find_map(|index| core(&marks, index)) {
                 return wrong(core, what);
@@ -527,7 +406,7 @@ impl Program {
         &self.parts
     }
 
-    /// The parts, to be changed and checked again; tests mutate programs this way.
+    /// The parts, to be changed and checked again, as tests of mutated programs do.
     #[must_use]
     pub fn into_parts(self) -> Parts {
         self.parts

@@ -1,6 +1,6 @@
-//! What goes into a run and what comes out: input spikes by step, and how any engine shows a step.
+//! Input spikes of a sample, spikes with what they carry, and the interface of an engine.
 
-use crate::base::id::{ChannelId, CompartmentId};
+use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::ir::activity::{Overflow, Totals};
 
 /// Spikes of one sample on the channels of a network, grouped by step.
@@ -133,11 +133,62 @@ pub struct Stimulus {
     pub seed: Option<u64>,
 }
 
+/// A spike on its way to its synapses.
+pub trait Spike: Copy {
+    /// What it carries: nothing, or an integer.
+    type Payload: Copy;
+    /// Whether it carries nothing.
+    const BINARY: bool;
+    /// The index of its source.
+    fn source(self) -> usize;
+    /// What it carries.
+    fn payload(self) -> Self::Payload;
+}
+
+/// A binary spike is the id of its source.
+impl<I: Id> Spike for I {
+    type Payload = ();
+    const BINARY: bool = true;
+
+    #[inline(always)]
+    fn source(self) -> usize {
+        self.index()
+    }
+
+    #[inline(always)]
+    fn payload(self) {}
+}
+
+/// A spike that carries an integer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GradedSpike<I> {
+    /// Its source.
+    pub id: I,
+    /// What it carries.
+    pub payload: i32,
+}
+
+impl<I: Id> Spike for GradedSpike<I> {
+    type Payload = i32;
+    const BINARY: bool = false;
+
+    #[inline(always)]
+    fn source(self) -> usize {
+        self.id.index()
+    }
+
+    #[inline(always)]
+    fn payload(self) -> i32 {
+        self.payload
+    }
+}
+
 /// An engine after a step: what probes, digests and comparisons read. `fast` and `golden` are chosen at run time.
 pub trait Engine {
     /// Clears state, spikes in flight and everything counted; the coming sample has this many steps.
     fn begin(&mut self, steps: u32);
-    /// One timestep with these input channels spiking (ascending, each once).
+    /// One timestep with these input channels spiking (ascending, each once). Their spikes carry what the network says of their
+    /// population.
     fn step(&mut self, channels: &[ChannelId]);
     /// Passes over this many steps without input, if nothing at all would happen in them: then every register is and stays
     /// zero, and counts are as if they had been computed. Otherwise does nothing and returns false. With 0 it only says whether
@@ -149,7 +200,12 @@ pub trait Engine {
     /// Compartments that spiked in the last step, each once, in any order: putting them into one costs time that most who
     /// ask need not spend.
     fn spikes(&self) -> &[CompartmentId];
-    /// The same, ascending.
+    /// What each of [`Engine::spikes`] carries, in that order, 1 for a binary spike. Empty if all spikes of the network are binary,
+    /// and in engines of real numbers.
+    fn payloads(&self) -> &[i32] {
+        &[]
+    }
+    /// The spikes, ascending.
     fn ascending_spikes(&self) -> Vec<CompartmentId> {
         let mut spikes = self.spikes().to_vec();
         spikes.sort_unstable();

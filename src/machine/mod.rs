@@ -1,18 +1,12 @@
 //! The machine: a `Program` run timestep by timestep in the chip's integers.
 //!
-//! An [`Image`] is the program flattened, which a run only reads; a [`Machine`] is the state of one run over it. Phases of
-//! step t, on every share of the lanes:
+//! Input: an [`Image`], which is a program laid out for the processor, and input spikes. Output: spikes, registers, and the counts
+//! of the mapped program. A [`Machine`] is the state of one run. Energy and time are computed from the counts (`cost`).
 //!
-//! - *Deliver(t)* adds what the input spikes of step t and the compartment spikes of step t - 1 reach to the sums of the
-//!   steps in which it arrives: step t + delay field for both.
-//! - *Update(t)* takes the sums of step t through the compartments and collects who spiked.
-//! - *Exchange(t)* puts all shares' spikes into one list, in ascending order where rows are found so.
-//!
-//! Deliver(t) precedes Update(t) on the same share; Update(t) on every share precedes Exchange(t): that is the barrier;
-//! Exchange(t) precedes Deliver(t + 1). Sums are wide and addition commutes, so the number of shares and threads cannot
-//! change a result. Counts are the mapped program's (`tally`), computed from who spiked.
-//!
-//! What it leaves out on purpose: energy and time, which `cost` computes from the counts, and names.
+//! - `layout/`: a program as an image: compartments in lanes, synapses in dense blocks and lists.
+//! - `deliver/`: spikes into the delay ring.
+//! - `update/`: compartments, sixteen at a time.
+//! - `count/`: what spikes cause on the chip.
 
 mod bits;
 pub mod count;
@@ -22,15 +16,17 @@ pub mod update;
 
 use rayon::prelude::*;
 
-use crate::base::id::{ChannelId, CompartmentId, Id};
+use crate::base::id::{ChannelId, CompartmentId};
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
 use crate::ir::spikes::Engine;
-use crate::machine::bits::{FORESEEN, write_ones};
-use crate::machine::update::lanes::{Lanes, Order, Step};
+use crate::machine::count::spike_counts::SpikeCounts;
+use crate::machine::count::tally;
+use crate::machine::deliver::exchange;
+pub use crate::machine::layout::image::{Image, ImageError};
+use crate::machine::update::state::{ShardState, Step, StepInput};
 use crate::neuron;
-pub use layout::image::{Image, ImageError};
 
-/// How to run, which never changes what comes out.
+/// How to run. No setting changes a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
     /// Leave out compartments at rest.
@@ -45,38 +41,34 @@ impl Default for Settings {
     }
 }
 
-/// Events a granule from which on every granule is visited, instead of noting each arrival: noting costs about as much as
-/// adding, visiting a granule at rest about as much as a few dozen additions.
-const CROWDED: u64 = 8;
+/// From so many events a skip block on, a step visits every skip block: marking an arrival costs about as much as adding it, and
+/// visiting a skip block at rest as much as a few dozen additions.
+const VISIT_ALL_FROM: u64 = 8;
 
 /// The state of a run over an image.
 #[derive(Debug)]
 pub struct Machine<'i> {
     image: &'i Image<'i>,
-    shares: Vec<Lanes>,
+    shards: Vec<ShardState>,
     settings: Settings,
     arch: pulp::Arch,
-    /// The step that comes next, and how many the sample has.
+    /// The next step, and the steps of the sample.
     step: u32,
     steps: u32,
+    /// Spikes of the last step, and what they carry; empty if all spikes are binary.
     spikes: Vec<CompartmentId>,
+    payloads: Vec<i32>,
+    /// Those of the step before, while they are delivered.
     carried: Vec<CompartmentId>,
-    /// A bit for each compartment, clear between steps: for sorting spikes.
+    carried_payloads: Vec<i32>,
+    /// Scratch memory for sorting.
     marks: Vec<u64>,
-    /// Synaptic events of the last step, whose number says how much the coming one will have to deliver.
+    /// Synaptic events that the last step counted; the next will have about as many.
     last_events: u64,
-    /// Of the sample, without the events of spikes that are still to be delivered, and without `lacking`.
+    /// Of the sample, without events of undelivered spikes and without the residual.
     totals: Totals,
     last: StepActivity,
-    /// Spikes of each channel since the activity was last taken; compartments' are noted with their lanes.
-    fired: Vec<u32>,
-    /// What the sample's synaptic events lack beside what `fired` says with the image's `excess`.
-    lacking: i64,
-    /// Of all spikes those so near a sample's end that a delivery could fall after it: the source's number and the
-    /// steps that its deliveries reach.
-    late: Vec<(u32, u32)>,
-    /// Steps since the activity was last taken.
-    run_steps: u64,
+    counts: SpikeCounts,
 }
 
 impl<'i> Machine<'i> {
@@ -86,21 +78,20 @@ impl<'i> Machine<'i> {
         let slots = image.longest_delay as usize + 1;
         Machine {
             image,
-            shares: image.shares.iter().map(|share| Lanes::new(image, share, slots)).collect(),
+            shards: image.shards.iter().map(|shard| ShardState::new(image, shard, slots)).collect(),
             settings,
             arch: pulp::Arch::new(),
             step: 0,
             steps: 0,
             spikes: Vec::new(),
+            payloads: Vec::new(),
             carried: Vec::new(),
+            carried_payloads: Vec::new(),
             marks: Vec::new(),
             last_events: 0,
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
-            fired: vec![0; image.channels as usize],
-            lacking: 0,
-            late: Vec::new(),
-            run_steps: 0,
+            counts: SpikeCounts::new(image.channels),
         }
     }
 
@@ -112,165 +103,143 @@ impl<'i> Machine<'i> {
 
     /// What all steps did since this was last asked, over any number of samples.
     pub fn take_activity(&mut self) -> Activity {
-        let (program, tally) = (self.image.program(), &self.image.tally);
-        let mut fired = self.take_fired();
-        for &(source, _) in &self.late {
-            fired[source as usize] -= 1;
-        }
-        let mut sum = tally.sum(&fired);
-        for same in self.late.chunk_by(|a, b| a.1 == b.1) {
-            tally.add_spikes(same.iter().map(|late| late.0), |_| 1, same[0].1, &mut sum);
-        }
-        self.late.clear();
-        tally.add_visits(self.run_steps, &mut sum);
-        for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
-            for (count, block) in lanes.take_active(share).into_iter().zip(&share.blocks) {
-                sum.cores[block.core].active += count;
-            }
-        }
-        let mut activity = Activity::new(program.cores().len());
-        activity.add_sum(&sum, std::mem::take(&mut self.run_steps));
-        activity
+        self.counts.take_activity(self.image, &mut self.shards, self.arch)
     }
 
     /// Compartment updates of the sample so far that were left out because the compartment was at rest.
     #[must_use]
     pub fn skipped_updates(&self) -> u64 {
-        let computed: u64 = self.shares.iter().map(|lanes| lanes.visited).sum();
+        let computed: u64 = self.shards.iter().map(|state| state.visited).sum();
         self.totals.compartment_updates - computed
     }
 
     /// Whether nothing will happen until the next input spike.
     #[must_use]
     pub fn at_rest(&self) -> bool {
-        self.spikes.is_empty() && self.shares.iter().zip(&self.image.shares).all(|(lanes, share)| lanes.at_rest(share))
+        self.spikes.is_empty() && self.shards.iter().zip(&self.image.shards).all(|(state, shard)| state.at_rest(shard))
     }
 
     /// Bytes of memory that the state holds; the image's are its own.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.shares.iter().map(Lanes::bytes).sum::<usize>() + 4 * self.fired.len()
+        self.shards.iter().map(ShardState::bytes).sum::<usize>() + self.counts.bytes()
     }
 
-    /// Spikes of each source since this was last asked.
-    fn take_fired(&mut self) -> Vec<u32> {
-        self.lacking += self.excess();
-        let mut fired: Vec<u32> = self.fired.iter_mut().map(std::mem::take).collect();
-        fired.resize(self.image.sources(), 0);
-        for (lanes, share) in self.shares.iter_mut().zip(&self.image.shares) {
-            for (&name, count) in share.names.iter().zip(&mut lanes.fired).filter(|(_, count)| **count > 0) {
-                fired[self.image.channels as usize + name.index()] += std::mem::take(count);
-            }
-        }
-        fired
+    fn lane(&self, compartment: CompartmentId) -> (&ShardState, usize) {
+        let (shard, lane) = self.image.lane(compartment);
+        (&self.shards[shard], lane)
     }
 
-    /// Synaptic events that steps did not count, or will not, of all spikes since the activity was last taken.
-    fn excess(&self) -> i64 {
-        let (image, product) = (self.image, |(&excess, &fired): (&i32, &u32)| i64::from(excess) * i64::from(fired));
-        if image.excess.is_empty() {
-            return 0;
-        }
-        let (of_channels, of_compartments) = image.excess.split_at(image.channels as usize);
-        let of_share = |(lanes, share): (&Lanes, &layout::image::Share)| {
-            let excess = share.names.iter().map(|name| &of_compartments[name.index()]);
-            excess.zip(&lanes.fired).map(product).sum::<i64>()
-        };
-        // Without the processor's widest vectors it would take two microseconds a sample.
-        let of_channels = self.arch.dispatch(
-            #[inline(always)]
-            || of_channels.iter().zip(&self.fired).map(product).sum::<i64>(),
-        );
-        of_channels + self.shares.iter().zip(&image.shares).map(of_share).sum::<i64>()
-    }
-
-    /// Notes spikes whose deliveries may take `reach` steps, fewer than the longest delay needs.
-    #[cold]
-    fn note_late(&mut self, sources: impl Iterator<Item = u32>, reach: u32) {
-        self.late.extend(sources.map(|source| (source, reach)));
-    }
-
-    fn lane(&self, compartment: CompartmentId) -> (&Lanes, usize) {
-        let (share, lane) = self.image.lane(compartment);
-        (&self.shares[share], lane)
-    }
-}
-
-impl Engine for Machine<'_> {
-    fn begin(&mut self, steps: u32) {
-        self.shares.iter_mut().for_each(Lanes::clear);
-        (self.step, self.steps) = (0, steps);
-        self.spikes.clear();
-        self.last_events = 0;
-        self.lacking = -self.excess();
-        self.totals = Totals::default();
-        self.last.clear();
-    }
-
-    fn step(&mut self, channels: &[ChannelId]) {
+    /// Deliver and Update of every shard.
+    fn deliver_and_update(&mut self, channels: &[ChannelId], left: u32) {
         let image = self.image;
-        let left = self.steps.saturating_sub(self.step);
         std::mem::swap(&mut self.spikes, &mut self.carried);
-        if !image.heard_in_rows {
-            let fired = self.fired.as_mut_slice();
-            for channel in channels {
-                fired[channel.index()] += 1;
-            }
-        }
-        if left <= image.longest_delay {
-            self.note_late(channels.iter().map(|channel| channel.0), left);
-        }
-        let everywhere = self.last_events >= CROWDED * image.granules as u64;
-        let order = &Order {
+        std::mem::swap(&mut self.payloads, &mut self.carried_payloads);
+        let input = &StepInput {
             step: self.step,
             left,
             channels,
             carried: &self.carried,
-            everywhere,
+            carried_payloads: &self.carried_payloads,
+            visit_all: self.last_events >= VISIT_ALL_FROM * image.skip_blocks as u64,
             skip: self.settings.skip,
             list_active: self.settings.per_step,
         };
         let arch = self.arch;
-        let heard = if image.heard_in_rows { self.fired.as_mut_slice() } else { &mut [] };
-        match (self.shares.as_mut_slice(), image.shares.as_slice()) {
-            ([lanes], [share]) => Step { lanes, image, share, order, heard }.run(arch),
-            (lanes, shares) => lanes
+        let channel_counts = if image.delivery_counts_channels { self.counts.channels.as_mut_slice() } else { &mut [] };
+        match (self.shards.as_mut_slice(), image.shards.as_slice()) {
+            ([state], [shard]) => Step { state, image, shard, input, channel_counts }.run(arch),
+            (states, shards) => states
                 .par_iter_mut()
-                .zip(shares)
-                .for_each(|(lanes, share)| Step { lanes, image, share, order, heard: &mut [] }.run(arch)),
+                .zip(shards)
+                .for_each(|(state, shard)| Step { state, image, shard, input, channel_counts: &mut [] }.run(arch)),
         }
+    }
+
+    /// Exchange: the spikes of all shards in one list.
+    fn exchange(&mut self) {
+        let image = self.image;
         self.spikes.clear();
-        self.last_events = 0;
-        for lanes in &mut self.shares {
-            match image.shares.len() {
-                1 => std::mem::swap(&mut self.spikes, &mut lanes.spikes),
-                _ => self.spikes.extend_from_slice(&lanes.spikes),
+        self.payloads.clear();
+        for state in &mut self.shards {
+            match image.shards.len() {
+                1 => std::mem::swap(&mut self.spikes, &mut state.spikes),
+                _ => self.spikes.extend_from_slice(&state.spikes),
             }
-            self.totals.active_updates += lanes.active_now;
-            self.last_events += lanes.events_now;
+            self.payloads.extend_from_slice(&state.payloads);
         }
-        if image.ordering {
-            sort(&mut self.spikes, &mut self.marks, image.compartments());
+        match (image.sorts_spikes, image.payloads.is_empty()) {
+            (true, true) => exchange::sort(&mut self.spikes, &mut self.marks, image.compartments()),
+            (true, false) => exchange::sort_graded(&mut self.spikes, &mut self.payloads),
+            (false, _) => {}
+        }
+    }
+
+    /// Counts of the step.
+    fn count(&mut self, channels: &[ChannelId], left: u32) {
+        let image = self.image;
+        if !image.delivery_counts_channels {
+            let counts = self.counts.channels.as_mut_slice();
+            for channel in channels {
+                counts[channel.0 as usize] += 1;
+            }
+        }
+        if left <= image.longest_delay {
+            self.counts.note_late(channels.iter().map(|channel| channel.0), left);
+        }
+        if left <= image.longest_delay + 1 {
+            let sources = self.spikes.iter().map(|spike| image.channels + spike.0);
+            self.counts.note_late(sources, left.saturating_sub(1));
+        }
+        self.last_events = 0;
+        for state in &self.shards {
+            self.totals.active_updates += state.active_now;
+            self.last_events += state.events_now;
         }
         self.totals.spikes_in += channels.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
         self.totals.compartment_updates += image.compartments() as u64;
         self.totals.synaptic_events += self.last_events;
-        if left <= image.longest_delay + 1 {
-            let spikes = std::mem::take(&mut self.spikes);
-            self.note_late(spikes.iter().map(|spike| image.channels + spike.0), left.saturating_sub(1));
-            self.spikes = spikes;
-        }
         if self.settings.per_step {
             self.last.clear();
             image.tally.add_visits(1, &mut self.last);
-            for lanes in &self.shares {
-                count::tally::add_active(&lanes.active, &mut self.last);
+            for state in &self.shards {
+                tally::add_active(&state.active, &mut self.last);
             }
             image.tally.add_step(channels, &self.spikes, left, &mut self.last);
         }
+        self.counts.steps += 1;
+    }
+}
+
+impl Engine for Machine<'_> {
+    fn begin(&mut self, steps: u32) {
+        self.shards.iter_mut().for_each(ShardState::clear);
+        (self.step, self.steps) = (0, steps);
+        self.spikes.clear();
+        self.payloads.clear();
+        self.last_events = 0;
+        self.counts.begin(self.image, &self.shards, self.arch);
+        self.totals = Totals::default();
+        self.last.clear();
+    }
+
+    // Phases of step t, on every shard:
+    //
+    // - Deliver(t) adds what the input spikes of step t and the compartment spikes of step t - 1 reach to the sums of the step in
+    //   which it arrives: step t + delay field for both.
+    // - Update(t) takes the sums of step t through the compartments and collects who spiked.
+    // - Exchange(t) puts the spikes of all shards into one list.
+    //
+    // Deliver(t) precedes Update(t) on the same shard; Update(t) on every shard precedes Exchange(t): that is the barrier;
+    // Exchange(t) precedes Deliver(t + 1). Sums are exact and narrowed once, so neither order nor number of shards and threads can
+    // change a result.
+    fn step(&mut self, channels: &[ChannelId]) {
+        let left = self.steps.saturating_sub(self.step);
+        self.deliver_and_update(channels, left);
+        self.exchange();
+        self.count(channels, left);
         self.step += 1;
-        self.run_steps += 1;
     }
 
     fn rest(&mut self, steps: u32) -> bool {
@@ -278,7 +247,7 @@ impl Engine for Machine<'_> {
             return false;
         }
         self.step += steps;
-        self.run_steps += u64::from(steps);
+        self.counts.steps += u64::from(steps);
         self.totals.compartment_updates += u64::from(steps) * self.image.compartments() as u64;
         if self.settings.per_step {
             self.last.clear();
@@ -291,60 +260,43 @@ impl Engine for Machine<'_> {
         &self.spikes
     }
 
+    fn payloads(&self) -> &[i32] {
+        &self.payloads
+    }
+
     fn u(&self, compartment: CompartmentId) -> i32 {
-        let (lanes, lane) = self.lane(compartment);
-        lanes.registers(lane).u
+        let (state, lane) = self.lane(compartment);
+        state.registers(lane).u
     }
 
     fn v(&self, compartment: CompartmentId) -> i32 {
-        let (lanes, lane) = self.lane(compartment);
-        lanes.registers(lane).v
+        let (state, lane) = self.lane(compartment);
+        state.registers(lane).v
     }
 
     fn v_register(&self, compartment: CompartmentId) -> i32 {
-        let (lanes, lane) = self.lane(compartment);
-        let registers = lanes.registers(lane);
+        let (state, lane) = self.lane(compartment);
+        let registers = state.registers(lane);
         let neuron = self.image.neuron(compartment);
-        neuron::voltage_register(&neuron, self.image.semantics, &registers, lanes.has_spiked(lane))
+        neuron::voltage_register(&neuron, self.image.semantics, &registers, state.has_spiked(lane))
     }
 
     fn totals(&self) -> Totals {
-        // A spike's events are its own step's, and are added up where they are delivered, a step later.
+        // Events belong to the step of their spike, and are counted when they are delivered, a step later.
         let left = self.steps.saturating_sub(self.step);
         let sources = self.spikes.iter().map(|spike| self.image.channels + spike.0);
         let pending = self.image.tally.events_within(sources.clone(), left);
-        let undelivered: i64 =
-            sources.filter_map(|source| self.image.excess.get(source as usize)).map(|&excess| i64::from(excess)).sum();
-        let lacking = self.lacking + self.excess() - undelivered;
-        let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(lacking);
+        let undelivered: i64 = sources.map(|source| self.image.residual.get(source)).sum();
+        let residual = self.counts.sample_residual(self.image, &self.shards, self.arch) - undelivered;
+        let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(residual);
         Totals { synaptic_events, ..self.totals }
     }
 
     fn overflow(&self) -> Overflow {
         let mut sum = Overflow::default();
-        for lanes in &self.shares {
-            sum.merge(&lanes.overflow);
+        for state in &self.shards {
+            sum.merge(&state.overflow);
         }
         sum
     }
-}
-
-/// Sorts different ids below `count`: by marking them and reading the marks in order where that is less work, which is from
-/// about an eighth of the words of marks on. Marks are all clear before and after.
-fn sort(ids: &mut Vec<CompartmentId>, marks: &mut Vec<u64>, count: usize) {
-    let words = count.div_ceil(64);
-    if ids.len() * 8 < words {
-        ids.sort_unstable();
-        return;
-    }
-    marks.resize(words, 0);
-    for id in ids.iter() {
-        marks[id.index() / 64] |= 1 << (id.0 % 64);
-    }
-    let (total, mut end) = (ids.len(), 0);
-    ids.resize(total + FORESEEN, CompartmentId(0));
-    for (first, marks) in (0u32..).step_by(64).zip(marks) {
-        end = write_ones(ids, end, std::mem::take(marks), |bit| CompartmentId(first.wrapping_add(bit)));
-    }
-    ids.truncate(total);
 }

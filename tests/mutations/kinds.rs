@@ -1,5 +1,6 @@
 //! The kinds of mutations: each changes one thing of a program, drawn at random, and says who should notice first.
 
+use nsim::base::csr::Csr;
 use nsim::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
     WeightBits, WeightExponent,
@@ -7,7 +8,7 @@ use nsim::base::fixed::{
 use nsim::base::id::{CompartmentId, CoreId, Id, PopulationId};
 use nsim::compile::check::verify::Violation;
 use nsim::desc::network::{Semantics, ThresholdTest};
-use nsim::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Synapse};
+use nsim::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Synapse};
 use nsim::ir::quantised::{Neuron, Reset};
 
 use crate::common::random::Draw;
@@ -455,10 +456,10 @@ pub const KINDS: &[(&str, Kind)] = &[
 ];
 
 /// Changes lists, which may then have other lengths.
-fn edit<T: Copy>(lists: &mut Lists<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
+fn edit<T: Copy>(lists: &mut Csr<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
     let mut all: Vec<Vec<T>> = lists.iter().map(<[T]>::to_vec).collect();
     change(&mut all);
-    *lists = Lists::default();
+    *lists = Csr::default();
     all.into_iter().for_each(|list| lists.push(list));
 }
 
@@ -531,7 +532,7 @@ fn messages<'a>(
     parts: &'a mut Parts,
     draw: &mut Draw,
     fits: impl Fn(&[AxonTarget]) -> bool,
-) -> Option<(&'a mut Lists<AxonTarget>, usize)> {
+) -> Option<(&'a mut Csr<AxonTarget>, usize)> {
     let from_core = core(parts, draw, |image| image.axons_out.iter().any(&fits)).filter(|_| draw.chance(50));
     let lists = match from_core {
         Some(core) => &mut parts.cores[core].axons_out,

@@ -12,6 +12,7 @@
 
 use rayon::prelude::*;
 
+use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id};
 use crate::compile::resources::axon_sharing::Places;
@@ -24,8 +25,7 @@ use crate::desc::resource::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::program::{
-    AxonTarget, Compartment, CoreFormat, CoreImage, Graded, InputAxon, Lists, Parts, PopulationAxon, Program, Stored,
-    Synapse,
+    AxonTarget, Compartment, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon, Program, Stored, Synapse,
 };
 use crate::ir::quantised::{Population, Quantised, Units};
 
@@ -136,7 +136,7 @@ impl<'a> Tables<'a> {
             ids: held.clone(),
             formats,
             inputs,
-            axons_out: Lists::default(),
+            axons_out: Csr::default(),
         };
         Ok((image, sources))
     }
@@ -176,7 +176,7 @@ struct Writer<'a> {
     known: Vec<CoreFormat>,
     /// The last group's make-up and the number of its format.
     last: Option<((u16, Group), u8)>,
-    lists: Lists<Synapse>,
+    lists: Csr<Synapse>,
 }
 
 impl Writer<'_> {
@@ -223,7 +223,7 @@ fn write_lists(
     stored: &StoredLists,
     limits: &Limits,
 ) -> Option<Written> {
-    let (runs, lists) = (stored.stores_runs(limits), Lists::with_capacity(0, keys.len()));
+    let (runs, lists) = (stored.stores_runs(limits), Csr::with_capacity(0, keys.len()));
     let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
     let shared: Vec<_> = stored.shared(limits).filter(|&(_, places)| places > 0).collect();
     let sources: Vec<u32> = by_core::lists(keys).map(|list| list[0].source()).collect();
@@ -264,9 +264,9 @@ fn write_lists(
 
 /// Messages by source.
 struct Messages {
-    channels: Lists<AxonTarget>,
+    channels: Csr<AxonTarget>,
     /// In pieces of [`PIECE`] compartments.
-    compartments: Vec<Lists<AxonTarget>>,
+    compartments: Vec<Csr<AxonTarget>>,
 }
 
 /// Sorts what cores know, the sources of their input axons, by source.
@@ -291,7 +291,7 @@ fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages 
         for (of_core, part) in sources.iter().zip(parts()) {
             of_core[part].iter().for_each(|source| counts[(source - from) as usize] += 1);
         }
-        let mut lists = Lists::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
+        let mut lists = Csr::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
         for (core, (of_core, part)) in sources.iter().zip(parts()).enumerate() {
             for (axon, &source) in part.clone().zip(&of_core[part]) {
                 // Counts are now those of the messages left to write; cores ascend, so lists do.
@@ -303,10 +303,10 @@ fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages 
         }
         lists
     };
-    let mut of_pieces: Vec<Lists<AxonTarget>> = (0..starts.len() - 1).into_par_iter().map(of_piece).collect();
+    let mut of_pieces: Vec<Csr<AxonTarget>> = (0..starts.len() - 1).into_par_iter().map(of_piece).collect();
     let of_compartments = of_pieces.split_off(channels.div_ceil(PIECE) as usize);
-    let mut of_channels = Lists::default();
-    of_pieces.iter().flat_map(Lists::iter).for_each(|list| of_channels.push(list.iter().copied()));
+    let mut of_channels = Csr::default();
+    of_pieces.iter().flat_map(Csr::iter).for_each(|list| of_channels.push(list.iter().copied()));
     of_channels.shrink_to_fit();
     Messages { channels: of_channels, compartments: of_compartments }
 }

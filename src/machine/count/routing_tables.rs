@@ -1,33 +1,31 @@
-//! Messages followed to their synapses, many at a time.
+//! Routing tables: from the messages of a spike to the synapses that they select.
 //!
-//! Comes in: a [`Program`] and messages. Goes out: for each the synapses that its axon selects, in the order of messages.
+//! Input: a [`Program`] and sources of spikes. Output: for each of their messages the list of synapses that its axon selects, in
+//! the order of messages.
 //!
-//! Where every synapse is a message of its own, each leads to another core, axon and list, so that following them one after
-//! the other would wait for memory three times a synapse. So messages are taken some at a time, and each step of the way is
-//! asked for on behalf of all of them before the first of them takes it. What it leaves out on purpose: what is done with the
-//! synapses (`gather`, `tally`).
+//! Why: where every synapse is a message of its own, each look-up goes to another core, axon and list, three cache misses a
+//! synapse. So messages are resolved in batches: each table is prefetched for the whole batch before it is read.
 
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, Program, Stored, Synapse};
 use crate::machine::deliver::prefetch::prefetch;
 
-/// Messages that are followed at a time: many times those that a core of the processor can wait for at once, few enough for
-/// what was asked for to be still in its first-level cache.
-const MESSAGES: usize = 128;
+/// Messages in a batch: more than a processor core has outstanding misses, few enough for the first-level cache.
+const BATCH: usize = 128;
 
-/// A core, as far as a message's way leads through it: no more than a line of the cache.
+/// The tables of a core that a message passes, in one cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 struct Core<'p> {
     firsts: &'p [u32],
     synapses: &'p [Synapse],
     formats: &'p [CoreFormat],
-    /// Where input axons do not simply have the list of their number.
+    /// `None` where input axon i selects list i.
     inputs: Option<&'p Stored>,
 }
 
 impl<'p> Core<'p> {
-    fn of(image: &'p CoreImage) -> Self {
+    fn new(image: &'p CoreImage) -> Self {
         let inputs = &image.inputs;
         Core {
             firsts: inputs.lists.firsts(),
@@ -38,21 +36,21 @@ impl<'p> Core<'p> {
     }
 }
 
-/// A message on its way.
+/// A message that is being resolved.
 #[derive(Debug)]
-struct Sent {
+struct Message {
     source: u32,
     target: AxonTarget,
-    /// The list that it selects.
+    /// The list that its axon selects.
     list: usize,
-    /// The first of the list's synapses.
+    /// Index of the list's first synapse.
     at: usize,
-    /// How many there are.
+    /// Synapses of the list.
     count: usize,
     base: u16,
 }
 
-/// Where a message led to.
+/// The list that a message selects.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Selected<'p> {
     /// The source's number.
@@ -69,17 +67,17 @@ pub(crate) struct Selected<'p> {
     pub stored: &'p [Synapse],
 }
 
-/// The ways of messages.
+/// The routing tables of a program.
 #[derive(Debug)]
-pub(crate) struct Ways<'p> {
+pub(crate) struct RoutingTables<'p> {
     program: &'p Program,
     cores: Vec<Core<'p>>,
 }
 
-impl<'p> Ways<'p> {
-    /// Of a program.
+impl<'p> RoutingTables<'p> {
+    /// The tables of a program.
     pub fn new(program: &'p Program) -> Self {
-        Ways { program, cores: program.cores().iter().map(Core::of).collect() }
+        RoutingTables { program, cores: program.cores().iter().map(Core::new).collect() }
     }
 
     /// Bytes of memory that they hold.
@@ -98,38 +96,38 @@ impl<'p> Ways<'p> {
         }
     }
 
-    /// Calls with where each message of these sources leads to.
-    pub fn follow(&self, sources: impl Iterator<Item = u32>, mut each: impl FnMut(Selected<'p>)) {
-        let mut sent = Vec::with_capacity(MESSAGES);
+    /// Calls `each` with the list that each message of these sources selects.
+    pub fn resolve(&self, sources: impl Iterator<Item = u32>, mut each: impl FnMut(Selected<'p>)) {
+        let mut messages = Vec::with_capacity(BATCH);
         for source in sources {
             for &target in self.messages(source) {
-                sent.push(Sent { source, target, list: 0, at: 0, count: 0, base: 0 });
-                if sent.len() == MESSAGES {
-                    self.lead(&mut sent, &mut each);
+                messages.push(Message { source, target, list: 0, at: 0, count: 0, base: 0 });
+                if messages.len() == BATCH {
+                    self.resolve_batch(&mut messages, &mut each);
                 }
             }
         }
-        self.lead(&mut sent, &mut each);
+        self.resolve_batch(&mut messages, &mut each);
     }
 
-    /// Leads messages to their synapses, all of them step by step; none are left.
-    fn lead(&self, sent: &mut Vec<Sent>, each: &mut impl FnMut(Selected<'p>)) {
-        for message in sent.iter() {
+    /// Resolves and removes all messages.
+    fn resolve_batch(&self, messages: &mut Vec<Message>, each: &mut impl FnMut(Selected<'p>)) {
+        for message in messages.iter() {
             prefetch(&self.cores, message.target.core.index());
         }
-        for message in sent.iter_mut() {
+        for message in messages.iter_mut() {
             let (core, axon) = (&self.cores[message.target.core.index()], usize::from(message.target.axon));
             (message.list, message.base) = core.inputs.map_or((axon, 0), |inputs| inputs.selected(axon));
             prefetch(core.firsts, message.list);
             prefetch(core.formats, 0);
         }
-        for message in sent.iter_mut() {
+        for message in messages.iter_mut() {
             let core = &self.cores[message.target.core.index()];
             let (first, end) = (core.firsts[message.list], core.firsts[message.list + 1]);
             (message.at, message.count) = (first as usize, (end - first) as usize);
             prefetch(core.synapses, message.at);
         }
-        for Sent { source, target, list, at, count, base } in sent.drain(..) {
+        for Message { source, target, list, at, count, base } in messages.drain(..) {
             let core = &self.cores[target.core.index()];
             let (formats, stored) = (core.formats, &core.synapses[at..at + count]);
             each(Selected { source, core: target.core, list, formats, base, stored });

@@ -1,12 +1,12 @@
 //! Counts of the mapped program, from who spiked when.
 //!
-//! Every count but those of the compartments themselves is a sum over spikes of what the program's tables say one spike
-//! of that source costs. So the machine only notes who spiked; this module multiplies. Work that a spike causes (its
-//! messages, hops, synaptic events) is attributed to the step of the spike, inputs' to the step they enter: the cores of
-//! the chip receive it before the barrier that ends that step.
+//! Input: spikes by source. Output: messages, hops and synaptic events by core, from the program's tables. Every spike of a source
+//! causes the same, so the machine only counts spikes and this module multiplies. What a spike causes belongs to the step of the
+//! spike, or for inputs to the step that they enter: the cores receive it before the barrier that ends that step. A payload
+//! changes no count.
 //!
-//! How many synapses of a list are dense and how many sparse is the same for every spike that selects it, so a [`Tally`]
-//! knows it beforehand. Only near a sample's end, where deliveries fall after it, are synapses counted one by one.
+//! How many synapses of a list are dense is known beforehand. Only near a sample's end, where deliveries fall after it, are
+//! synapses counted one by one.
 
 use rayon::prelude::*;
 
@@ -14,7 +14,7 @@ use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use crate::ir::activity::StepActivity;
 use crate::ir::placement::Site;
 use crate::ir::program::{CoreFormat, CoreImage, Program, Synapse};
-use crate::machine::count::routing_tables::{Selected, Ways};
+use crate::machine::count::routing_tables::{RoutingTables, Selected};
 
 /// The longest delay field of a program's synapses.
 #[must_use]
@@ -23,72 +23,72 @@ pub fn longest_delay(program: &Program) -> u32 {
     synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
 }
 
-/// Whether lists of this format carry no index, as their targets follow each other.
+/// Whether lists of this format carry no index: their targets are consecutive.
 fn is_dense(format: &CoreFormat) -> bool {
     format.index_bits.is_none()
 }
 
-/// Which synapses a core's lists hold.
+/// The kinds of synapses in a core's lists.
 #[derive(Debug)]
-enum Held {
-    /// Dense ones alone.
+enum ListKinds {
+    /// Only dense ones.
     Dense,
-    /// Sparse ones alone.
+    /// Only sparse ones.
     Sparse,
-    /// Of both kinds: how many of each stored list are dense.
+    /// Both: the number of dense ones of each stored list.
     Both(Vec<u32>),
-    /// Of both kinds, in lists so short that a table of them would be as large as they are.
+    /// Both, in lists so short that numbers would take as much memory as they do.
     Short,
 }
 
-/// Synapses of a list, in the mean, from which on how many are dense is written down.
-const WORTH_NOTING: usize = 4;
+/// The fewest synapses of a list, on average, for which the number of dense ones is stored.
+const STORED_FROM: usize = 4;
 
-impl Held {
-    fn of(image: &CoreImage) -> Self {
+impl ListKinds {
+    fn new(image: &CoreImage) -> Self {
         let lists = &image.inputs.lists;
         match (image.formats.iter().any(is_dense), image.formats.iter().all(is_dense)) {
-            (_, true) => Held::Dense,
-            (false, false) => Held::Sparse,
-            (true, false) if lists.items().len() < WORTH_NOTING * lists.len() => Held::Short,
+            (_, true) => ListKinds::Dense,
+            (false, false) => ListKinds::Sparse,
+            (true, false) if lists.items().len() < STORED_FROM * lists.len() => ListKinds::Short,
             (true, false) => {
                 let dense: Vec<bool> = image.formats.iter().map(is_dense).collect();
                 let of = |list: &[_]| list.iter().filter(|s: &&Synapse| dense[usize::from(s.format)]).count() as u32;
-                Held::Both(lists.iter().map(of).collect())
+                ListKinds::Both(lists.iter().map(of).collect())
             }
         }
     }
 
-    /// Of a stored list of so many synapses: (dense, sparse), where it is known.
+    /// (dense, sparse) of a stored list of so many synapses, if known.
     #[inline]
-    fn of_list(&self, list: usize, synapses: u64) -> Option<(u64, u64)> {
+    fn split(&self, list: usize, synapses: u64) -> Option<(u64, u64)> {
         let dense = match self {
-            Held::Dense => synapses,
-            Held::Sparse => 0,
-            Held::Both(dense) => u64::from(dense[list]),
-            Held::Short => return None,
+            ListKinds::Dense => synapses,
+            ListKinds::Sparse => 0,
+            ListKinds::Both(dense) => u64::from(dense[list]),
+            ListKinds::Short => return None,
         };
         Some((dense, synapses - dense))
     }
 }
 
-/// What a spike of each source costs.
+/// What a spike of each source causes.
 #[derive(Debug)]
 pub struct Tally<'p> {
     program: &'p Program,
     longest_delay: u32,
-    held: IdVec<CoreId, Held>,
+    kinds: IdVec<CoreId, ListKinds>,
     sites: IdVec<CoreId, Site>,
-    ways: Ways<'p>,
+    tables: RoutingTables<'p>,
 }
 
 impl<'p> Tally<'p> {
-    /// Looks through a program.
+    /// The counts of a program.
     #[must_use]
     pub fn new(program: &'p Program) -> Self {
-        let held = program.cores().iter().map(Held::of).collect();
+        let kinds = program.cores().iter().map(ListKinds::new).collect();
         let sites = program.cores().iter().map(|image| image.site).collect();
-        Tally { program, longest_delay: longest_delay(program), held, sites, ways: Ways::new(program) }
+        Tally { program, longest_delay: longest_delay(program), kinds, sites, tables: RoutingTables::new(program) }
     }
 
     /// The longest delay field.
@@ -100,9 +100,9 @@ impl<'p> Tally<'p> {
     /// Bytes of memory that it holds, the program not included.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        let of = |held: &Held| if let Held::Both(dense) = held { size_of_val(dense.as_slice()) } else { 0 };
-        let held: usize = self.held.iter().map(|held| size_of::<Held>() + of(held)).sum();
-        held + size_of::<Site>() * self.sites.len() + self.ways.bytes()
+        let of = |kinds: &ListKinds| if let ListKinds::Both(dense) = kinds { size_of_val(dense.as_slice()) } else { 0 };
+        let kinds: usize = self.kinds.iter().map(|kinds| size_of::<ListKinds>() + of(kinds)).sum();
+        kinds + size_of::<Site>() * self.sites.len() + self.tables.bytes()
     }
 
     /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
@@ -114,7 +114,7 @@ impl<'p> Tally<'p> {
         formats: &[CoreFormat],
         reach: u32,
     ) -> (u64, u64) {
-        let known = if reach > self.longest_delay { self.held[core].of_list(list, stored.len() as u64) } else { None };
+        let known = if reach > self.longest_delay { self.kinds[core].split(list, stored.len() as u64) } else { None };
         known.unwrap_or_else(|| counted(stored, formats, reach))
     }
 
@@ -129,14 +129,14 @@ impl<'p> Tally<'p> {
     #[must_use]
     pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
         let mut sum = 0;
-        self.ways.follow(sources, |Selected { core, list, stored, formats, .. }| {
+        self.tables.resolve(sources, |Selected { core, list, stored, formats, .. }| {
             let (dense, sparse) = self.events((core, list), stored, formats, reach);
             sum += dense + sparse;
         });
         sum
     }
 
-    /// Adds what spikes of these sources cause, so many of each, counting synapses whose delay field is below `reach`.
+    /// Adds what spikes of these sources cause, `times` of each, counting synapses whose delay field is below `reach`.
     pub fn add_spikes(
         &self,
         sources: impl Iterator<Item = u32> + Clone,
@@ -145,7 +145,7 @@ impl<'p> Tally<'p> {
         sum: &mut StepActivity,
     ) {
         for source in sources.clone() {
-            let (sent, times) = (self.ways.messages(source).len() as u64, times(source));
+            let (sent, times) = (self.tables.messages(source).len() as u64, times(source));
             match self.core_of(source) {
                 None => {
                     sum.spikes_in += times;
@@ -158,7 +158,7 @@ impl<'p> Tally<'p> {
             }
         }
         let (mesh, mut last) = (self.program.mesh(), None);
-        self.ways.follow(sources, |Selected { source, core, list, stored, formats, .. }| {
+        self.tables.resolve(sources, |Selected { source, core, list, stored, formats, .. }| {
             let (from, times) = match last {
                 Some((of, from, times)) if of == source => (from, times),
                 _ => {
@@ -177,11 +177,11 @@ impl<'p> Tally<'p> {
         });
     }
 
-    /// What so many spikes of each source cause, by the sources' numbers, of whose deliveries none falls after a sample's end.
+    /// What so many spikes of each source cause if no delivery falls after a sample's end.
     #[must_use]
     pub fn sum(&self, fired: &[u32]) -> StepActivity {
         let cores = self.sites.len();
-        // Each thread has counts of its own, as many as there are cores: they have to be worth it.
+        // Each thread has counts for all cores, so it takes at least as many sources.
         let size = fired.len().div_ceil(rayon::current_num_threads()).max(cores).max(1);
         let of_part = |(part, some): (usize, &[u32])| {
             let mut sum = StepActivity::new(cores);
@@ -199,8 +199,7 @@ impl<'p> Tally<'p> {
         sum
     }
 
-    /// Adds one step's spikes: inputs, whose deliveries reach until `left` steps from this one are gone, and compartments,
-    /// which deliver a step later.
+    /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one less.
     pub fn add_step(&self, channels: &[ChannelId], spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
         let (first, size) = self.program.output();
         step.channels.extend_from_slice(channels);
@@ -211,7 +210,7 @@ impl<'p> Tally<'p> {
         self.add_spikes(spikes.iter().map(|spike| before + spike.0), |_| 1, left.saturating_sub(1), step);
     }
 
-    /// Adds every core's compartments, visited in so many steps.
+    /// Adds the visits to all compartments in so many steps.
     pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
         for (counts, image) in sum.cores.iter_mut().zip(self.program.cores()) {
             counts.visited += image.compartments.len() as u64 * steps;

@@ -1,45 +1,47 @@
-//! What is in flight: sums by lane and step of arrival, and the delivery of spikes into them.
+//! The delay ring: sums of arrivals by step and lane, and the delivery of spikes into them.
 //!
-//! Comes in: who spiked, panels and lists of what they reach. Goes out: sums of weights in units of 64, the granules that they
-//! lie in, and over how many synapses they came. What the sums do to a compartment is not its matter (`lanes`).
+//! Input: spikes, and the dense blocks and lists of their synapses. Output: sums of weights in units of 64, the skip blocks that
+//! they lie in, and the number of synaptic events.
 
-use crate::base::id::Id;
+use crate::ir::spikes::Spike;
 use crate::machine::bits::ones;
-use crate::machine::layout::dense_blocks::{Panel, Panels, Row};
-use crate::machine::layout::image::{GRANULE, Reach};
-use crate::machine::layout::lists::{ADDRESSED, Synapses, Table};
+use crate::machine::deliver::accumulate::Accumulate;
+use crate::machine::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
+use crate::machine::layout::fan_out::FanOut;
+use crate::machine::layout::lists::{ADDRESSED, ListForm, ListTable};
+use crate::machine::layout::shard::SKIP_BLOCK;
 use crate::machine::layout::store::Aligned;
 use crate::machine::update::kernel::{LANES, Sum};
 
-/// What arrives in the coming steps, a slot each.
+/// Arrivals of the coming steps, a slot each.
 #[derive(Debug)]
-pub(crate) struct Ring<S> {
-    /// Lanes of the share.
+pub(crate) struct DelayRing<S> {
+    /// Lanes of the shard.
     lanes: usize,
-    /// Sums in units of 64, by lane; small lists may name more lanes than there are.
+    /// Sums in units of 64, by lane.
     pub sums: Vec<Aligned<S>>,
-    /// Granules with arrivals, a bit each.
+    /// Skip blocks with arrivals, a bit each.
     pub arrivals: Vec<Vec<u64>>,
-    /// Memory to work in.
+    /// Scratch memory.
     queue: Vec<u32>,
 }
 
-impl<S: Sum> Ring<S> {
-    /// Nothing in flight for so many lanes, with so many words of granules and slots; `small` where a table's lists are.
-    pub fn new(lanes: usize, small: bool, words: usize, slots: usize) -> Self {
-        // What lies beyond the lanes is never written, so it is memory by name only.
-        let sums = if small { lanes.max(ADDRESSED) } else { lanes };
+impl<S: Sum> DelayRing<S> {
+    /// An empty ring of so many lanes, slots, and words of skip blocks; `compact` if a list of the shard is.
+    pub fn new(lanes: usize, compact: bool, words: usize, slots: usize) -> Self {
+        // What lies beyond the lanes is untouched pages, which the OS never commits.
+        let sums = if compact { lanes.max(ADDRESSED) } else { lanes };
         let sums = (0..slots).map(|_| Aligned::new(sums)).collect();
-        Ring { lanes, sums, arrivals: vec![vec![0; words]; slots], queue: Vec::new() }
+        DelayRing { lanes, sums, arrivals: vec![vec![0; words]; slots], queue: Vec::new() }
     }
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        let of = |words: &Vec<u64>| size_of::<S>() * self.lanes + size_of_val(words.as_slice());
-        self.arrivals.iter().map(of).sum::<usize>() + 4 * self.queue.capacity()
+        let slot_bytes = |words: &Vec<u64>| size_of::<S>() * self.lanes + size_of_val(words.as_slice());
+        self.arrivals.iter().map(slot_bytes).sum::<usize>() + 4 * self.queue.capacity()
     }
 
-    /// Nothing in flight.
+    /// Empties the ring.
     pub fn clear(&mut self) {
         for (sums, arrivals) in self.sums.iter_mut().zip(&mut self.arrivals) {
             sums[..self.lanes].fill(S::default());
@@ -47,11 +49,11 @@ impl<S: Sum> Ring<S> {
         }
     }
 
-    /// Notes arrivals at the first `granules` in every slot.
-    pub fn note_all(&mut self, granules: usize) {
+    /// Marks the first skip blocks as having arrivals, in every slot.
+    pub fn mark_all(&mut self, skip_blocks: usize) {
         for words in &mut self.arrivals {
             for (index, word) in words.iter_mut().enumerate() {
-                *word = ones(granules.saturating_sub(index * 64));
+                *word = ones(skip_blocks.saturating_sub(index * 64));
             }
         }
     }
@@ -63,204 +65,221 @@ impl<S: Sum> Ring<S> {
         if slot >= self.sums.len() { slot - self.sums.len() } else { slot }
     }
 
-    /// Delivers what spikes of one kind, ascending where there are rows, reach, and notes where; returns the synapses over which
-    /// it arrives within `left` steps. Spikes that reach narrow rows are counted in `heard` by source, unless that is empty.
+    /// Marks the skip blocks of a range of lanes.
     #[inline(always)]
-    pub fn deliver<const NOTE: bool, I: Id>(
+    fn mark(&mut self, slot: usize, range: &LaneRange) {
+        let target = range.target as usize;
+        let last = target + range.chunks as usize * LANES - 1;
+        for skip_block in target / SKIP_BLOCK..=last / SKIP_BLOCK {
+            self.arrivals[slot][skip_block / 64] |= 1 << (skip_block % 64);
+        }
+    }
+
+    /// Delivers spikes of channels or of compartments, ascending if there are dense blocks, and with `MARK` marks where they
+    /// arrive. Returns the synaptic events that fall within `left` steps. Spikes that fan_out narrow dense blocks are counted in
+    /// `counts` by source, unless it is empty.
+    #[inline(always)]
+    pub fn deliver<const MARK: bool, P: Spike>(
         &mut self,
-        reached: &[Reach],
-        (ids, heard): (&[I], &mut [u32]),
+        fan_outs: &[FanOut],
+        (spikes, counts): (&[P], &mut [u32]),
         cursor: usize,
         left: u32,
-    ) -> u64 {
+    ) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
         let mut events = 0;
-        for reach in reached {
-            let slot = self.slot(cursor, reach.delay);
+        for fan_out in fan_outs {
+            let slot = self.slot(cursor, fan_out.delay);
             let mut synapses = 0;
-            if !reach.panels.panels.is_empty() {
-                synapses += self.deliver_panels::<NOTE, I>(&reach.panels, (ids, &mut *heard), slot);
+            if !fan_out.dense.blocks.is_empty() {
+                synapses += self.deliver_dense::<MARK, P>(&fan_out.dense, (spikes, &mut *counts), slot);
             }
-            if let Some(table) = &reach.table {
-                synapses += self.deliver_lists::<NOTE, I>(table, ids, slot);
+            if let Some(lists) = &fan_out.lists {
+                synapses += self.deliver_lists::<MARK, P>(lists, spikes, slot);
             }
-            events += if u32::from(reach.delay) < left { synapses } else { 0 };
+            events += if u32::from(fan_out.delay) < left { synapses } else { 0 };
         }
         events
     }
 
     #[inline(always)]
-    fn deliver_panels<const NOTE: bool, I: Id>(
+    fn deliver_dense<const MARK: bool, P: Spike>(
         &mut self,
-        panels: &Panels,
-        (ids, heard): (&[I], &mut [u32]),
+        dense: &DenseBlocks,
+        (spikes, counts): (&[P], &mut [u32]),
         slot: usize,
-    ) -> u64 {
-        let weights = panels.weights();
-        let (mut events, mut panels, mut rest) = (0, panels.panels.as_slice(), ids);
+    ) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
+        let weights = dense.weights();
+        let (mut events, mut blocks, mut rest) = (0, dense.blocks.as_slice(), spikes);
         while let Some(next) = rest.first() {
-            let passed = first_at_least(panels, |panel| panel.end as usize > next.index());
-            panels = &panels[passed..];
-            let Some(panel) = panels.first() else { break };
-            rest = &rest[before(rest, panel.first)..];
-            if let Some(row) = panel.narrow() {
-                let spikes = (rest, heard.get_mut(panel.first as usize..panel.end as usize).unwrap_or_default());
-                let passed = match row.chunks {
-                    1 => self.pass::<I, 1>(panel, row, weights, spikes, slot),
-                    2 => self.pass::<I, 2>(panel, row, weights, spikes, slot),
-                    3 => self.pass::<I, 3>(panel, row, weights, spikes, slot),
-                    _ => self.pass::<I, 4>(panel, row, weights, spikes, slot),
+            let passed = first_at_least(blocks, |block| block.end as usize > next.source());
+            blocks = &blocks[passed..];
+            let Some(block) = blocks.first() else { break };
+            rest = &rest[before(rest, block.first)..];
+            if let Some(range) = block.narrow() {
+                let counts = counts.get_mut(block.first as usize..block.end as usize).unwrap_or_default();
+                let delivered = match range.chunks {
+                    1 => self.deliver_narrow::<P, 1>(block, range, weights, (rest, counts), slot),
+                    2 => self.deliver_narrow::<P, 2>(block, range, weights, (rest, counts), slot),
+                    3 => self.deliver_narrow::<P, 3>(block, range, weights, (rest, counts), slot),
+                    _ => self.deliver_narrow::<P, 4>(block, range, weights, (rest, counts), slot),
                 };
-                let (spiking, after) = rest.split_at(passed);
+                let (spiking, after) = rest.split_at(delivered);
                 rest = after;
-                if NOTE && !spiking.is_empty() {
-                    self.note(slot, row);
+                if MARK && !spiking.is_empty() {
+                    self.mark(slot, range);
                 }
-                events += panel.synapses(spiking);
+                events += block.synapses(spiking);
                 continue;
             }
-            let (spiking, after) = rest.split_at(before(rest, panel.end));
+            let (spiking, after) = rest.split_at(before(rest, block.end));
             rest = after;
             if !spiking.is_empty() {
-                events += self.deliver_panel::<NOTE, I>(panel, weights, spiking, slot);
+                events += self.deliver_wide::<MARK, P>(block, weights, spiking, slot);
             }
         }
         events
     }
 
-    /// Adds the weights of a panel's sources, a few chunks of lanes at a time, which stay in registers meanwhile: going
-    /// through memory for each source would wait for the store before.
+    /// Delivers spikes of a dense block's sources, a few chunks of lanes at a time: their sums stay in registers, where going
+    /// through memory would make each source wait for the store before it.
     #[inline(always)]
-    fn deliver_panel<const NOTE: bool, I: Id>(
+    fn deliver_wide<const MARK: bool, P: Spike>(
         &mut self,
-        panel: &Panel,
+        block: &DenseBlock,
         weights: &[[i16; LANES]],
-        ids: &[I],
+        spikes: &[P],
         slot: usize,
-    ) -> u64 {
-        let sources = || ids.iter().map(|id| id.index() - panel.first as usize);
-        let mut chunk = panel.weights;
-        for row in &panel.rows {
-            if NOTE {
-                self.note(slot, row);
+    ) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
+        let mut chunk = block.weights;
+        for range in &block.ranges {
+            if MARK {
+                self.mark(slot, range);
             }
-            let count = row.chunks as usize;
-            let target = row.target as usize;
+            let count = range.chunks as usize;
+            let target = range.target as usize;
             let (sums, _) = self.sums[slot][target..target + count * LANES].as_chunks_mut::<LANES>();
             let weights = &weights[chunk..];
             let (fours, ones) = sums.as_chunks_mut::<4>();
             for (index, sums) in fours.iter_mut().enumerate() {
-                add(sums, weights, sources().map(|s| s * panel.stride + 4 * index));
+                add_spikes(sums, weights, spikes, |source| (source - block.first as usize) * block.stride + 4 * index);
             }
-            let left_of = 4 * fours.len();
+            let rest = 4 * fours.len();
             for (index, sums) in ones.iter_mut().enumerate() {
-                add(std::array::from_mut(sums), weights, sources().map(|s| s * panel.stride + left_of + index));
+                let place = |source| (source - block.first as usize) * block.stride + rest + index;
+                add_spikes(std::array::from_mut(sums), weights, spikes, place);
             }
             chunk += count;
         }
-        panel.synapses(ids)
+        block.synapses(spikes)
     }
 
-    /// Adds the weights of a panel's sources that has one row of so many chunks, as long as sources are the panel's; returns
-    /// how many were. None is looked for beforehand: where they end is seen as each is looked up. Each is counted in `heard`,
-    /// unless that is empty.
+    /// Delivers spikes of the sources of a dense block with one range of so many chunks, up to the first spike of another
+    /// source; returns how many. Looking up each source's weights finds the end without a search beforehand.
     #[inline(always)]
-    fn pass<I: Id, const N: usize>(
+    fn deliver_narrow<P: Spike, const N: usize>(
         &mut self,
-        panel: &Panel,
-        row: &Row,
+        block: &DenseBlock,
+        range: &LaneRange,
         weights: &[[i16; LANES]],
-        (ids, heard): (&[I], &mut [u32]),
+        (spikes, counts): (&[P], &mut [u32]),
         slot: usize,
-    ) -> usize {
-        let sources = (panel.end - panel.first) as usize;
-        let weights = weights[panel.weights..panel.weights + sources * N].as_chunks::<N>().0;
-        let (sums, _) = self.sums[slot][row.target as usize..].as_chunks_mut::<LANES>();
+    ) -> usize
+    where
+        S: Accumulate<P::Payload>,
+    {
+        let sources = (block.end - block.first) as usize;
+        let weights = weights[block.weights..block.weights + sources * N].as_chunks::<N>().0;
+        let (sums, _) = self.sums[slot][range.target as usize..].as_chunks_mut::<LANES>();
         let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
-        let (mut kept, mut passed) = (*sums, 0);
-        for id in ids {
-            let source = id.index() - panel.first as usize;
+        let (mut kept, mut delivered) = (*sums, 0);
+        for spike in spikes {
+            let source = spike.source() - block.first as usize;
             let Some(weights) = weights.get(source) else { break };
-            plus(&mut kept, weights);
-            if let Some(count) = heard.get_mut(source) {
+            add_weights(&mut kept, weights, spike.payload());
+            if let Some(count) = counts.get_mut(source) {
                 *count += 1;
             }
-            passed += 1;
+            delivered += 1;
         }
         *sums = kept;
-        passed
-    }
-
-    /// Notes that something arrives at a row's granules.
-    #[inline(always)]
-    fn note(&mut self, slot: usize, row: &Row) {
-        let target = row.target as usize;
-        let last = target + row.chunks as usize * LANES - 1;
-        for granule in target / GRANULE..=last / GRANULE {
-            self.arrivals[slot][granule / 64] |= 1 << (granule % 64);
-        }
+        delivered
     }
 
     #[inline(always)]
-    fn deliver_lists<const NOTE: bool, I: Id>(&mut self, table: &Table, ids: &[I], slot: usize) -> u64 {
-        let Ring { sums, arrivals, queue, .. } = self;
+    fn deliver_lists<const MARK: bool, P: Spike>(&mut self, table: &ListTable, spikes: &[P], slot: usize) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
+        let DelayRing { sums, arrivals, queue, .. } = self;
         let (sums, arrivals) = (&mut *sums[slot], arrivals[slot].as_mut_slice());
+        let places = &table.places;
         match &table.synapses {
-            Synapses::Fours(groups) => groups.deliver(&table.places, ids, queue, add_small::<NOTE, S>(sums, arrivals)),
-            Synapses::Eights(groups) => groups.deliver(&table.places, ids, queue, add_small::<NOTE, S>(sums, arrivals)),
-            Synapses::Sixteens(groups) => {
-                groups.deliver(&table.places, ids, queue, add_small::<NOTE, S>(sums, arrivals))
-            }
-            Synapses::Packed(groups) => groups.deliver(&table.places, ids, queue, add_to::<NOTE, S>(sums, arrivals)),
-            Synapses::Apart(lists) => lists.deliver(&table.places, ids, add_to::<NOTE, S>(sums, arrivals)),
+            ListForm::Fours(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, arrivals)),
+            ListForm::Eights(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, arrivals)),
+            ListForm::Sixteens(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, arrivals)),
+            ListForm::Packed(runs) => runs.deliver(places, spikes, queue, add_to::<MARK, S, _>(sums, arrivals)),
+            ListForm::Split(lists) => lists.deliver(places, spikes, add_to::<MARK, S, _>(sums, arrivals)),
         }
     }
 }
 
-/// Adds to sums, and notes where.
+/// Adds to a sum, and marks its skip block.
 #[inline(always)]
-fn add_to<const NOTE: bool, S: Sum>(sums: &mut [S], arrivals: &mut [u64]) -> impl FnMut(usize, i16) {
-    |target, weight| {
-        sums[target] = sums[target].plus(weight);
-        note::<NOTE>(arrivals, target);
+fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(sums: &mut [S], arrivals: &mut [u64]) -> impl FnMut(usize, i16, Y) {
+    |target, weight, payload| {
+        sums[target] = sums[target].accumulate(weight, payload);
+        mark::<MARK>(arrivals, target);
     }
 }
 
-/// The same for lanes of 16 bits: there are as many sums as these can name, so that none has to be looked at.
+/// The same for lanes of 16 bits: there is a sum for each, so that no bound is checked.
 #[inline(always)]
-fn add_small<const NOTE: bool, S: Sum>(sums: &mut [S], arrivals: &mut [u64]) -> impl FnMut(usize, i16) {
-    let sums: &mut [S; ADDRESSED] = sums.first_chunk_mut().expect("small lists have all sums they can name");
-    move |target, weight| {
-        sums[target] = sums[target].plus(weight);
-        note::<NOTE>(arrivals, target);
+fn add_compact<const MARK: bool, S: Accumulate<Y>, Y>(
+    sums: &mut [S],
+    arrivals: &mut [u64],
+) -> impl FnMut(usize, i16, Y) {
+    let sums: &mut [S; ADDRESSED] = sums.first_chunk_mut().expect("compact lists have all sums that they can address");
+    move |target, weight, payload| {
+        sums[target] = sums[target].accumulate(weight, payload);
+        mark::<MARK>(arrivals, target);
     }
 }
 
-/// Notes that something arrives at a lane's granule, if that is wanted.
+/// Marks the skip block of a lane, if that is wanted.
 #[inline(always)]
-fn note<const NOTE: bool>(arrivals: &mut [u64], target: usize) {
-    if NOTE {
-        let granule = target / GRANULE;
-        arrivals[granule / 64] |= 1 << (granule % 64);
+fn mark<const MARK: bool>(arrivals: &mut [u64], target: usize) {
+    if MARK {
+        let skip_block = target / SKIP_BLOCK;
+        arrivals[skip_block / 64] |= 1 << (skip_block % 64);
     }
 }
 
-/// Spikes so few that they are counted faster than searched.
+/// Up to so many spikes are counted faster than searched.
 const COUNTED: usize = 64;
 
-/// How many of these, ascending, come before a source; often it is none or all.
+/// How many of these spikes, ascending, come before a source; often none or all.
 #[inline(always)]
-fn before<I: Id>(ids: &[I], source: u32) -> usize {
-    let is = |id: &I| (id.index() as u32) < source;
-    match (ids.first().is_some_and(is), ids.last().is_some_and(is)) {
+fn before<P: Spike>(spikes: &[P], source: u32) -> usize {
+    let is = |spike: &P| (spike.source() as u32) < source;
+    match (spikes.first().is_some_and(is), spikes.last().is_some_and(is)) {
         (false, _) => 0,
-        (true, true) => ids.len(),
-        // Counting all of a few needs no decisions.
-        (true, false) if ids.len() <= COUNTED => ids.iter().map(|id| usize::from(is(id))).sum(),
-        (true, false) => ids.partition_point(is),
+        (true, true) => spikes.len(),
+        // Counting has no branches.
+        (true, false) if spikes.len() <= COUNTED => spikes.iter().map(|spike| usize::from(is(spike))).sum(),
+        (true, false) => spikes.partition_point(is),
     }
 }
 
-/// How many do not yet hold what all from some place on do; near places are looked at first.
+/// How many items come before those that hold; near ones are looked at first.
 #[inline(always)]
 fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
     match items.iter().take(4).position(&holds) {
@@ -269,17 +288,18 @@ fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
     }
 }
 
-/// Adds the chunks of weights that begin at each place to as many chunks of sums.
+/// Adds chunks of weights, which begin at a place for each source, to as many chunks of sums.
 #[inline(always)]
-fn add<S: Sum, const N: usize>(
+fn add_spikes<S: Accumulate<P::Payload>, P: Spike, const N: usize>(
     sums: &mut [[S; LANES]; N],
     weights: &[[i16; LANES]],
-    places: impl Iterator<Item = usize>,
+    spikes: &[P],
+    place: impl Fn(usize) -> usize,
 ) {
     let mut kept = *sums;
-    for place in places {
-        if let Some(weights) = weights[place..].first_chunk() {
-            plus(&mut kept, weights);
+    for spike in spikes {
+        if let Some(weights) = weights[place(spike.source())..].first_chunk() {
+            add_weights(&mut kept, weights, spike.payload());
         }
     }
     *sums = kept;
@@ -287,10 +307,14 @@ fn add<S: Sum, const N: usize>(
 
 /// Adds chunks of weights to as many chunks of sums.
 #[inline(always)]
-fn plus<S: Sum, const N: usize>(sums: &mut [[S; LANES]; N], weights: &[[i16; LANES]; N]) {
+fn add_weights<S: Accumulate<Y>, Y: Copy, const N: usize>(
+    sums: &mut [[S; LANES]; N],
+    weights: &[[i16; LANES]; N],
+    payload: Y,
+) {
     for chunk in 0..N {
         for lane in 0..LANES {
-            sums[chunk][lane] = sums[chunk][lane].plus(weights[chunk][lane]);
+            sums[chunk][lane] = sums[chunk][lane].accumulate(weights[chunk][lane], payload);
         }
     }
 }
@@ -298,73 +322,73 @@ fn plus<S: Sum, const N: usize>(sums: &mut [[S; LANES]; N], weights: &[[i16; LAN
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::base::id::ChannelId;
+    use crate::base::id::{ChannelId, Id};
     use crate::base::rng;
-    use crate::machine::layout::lists::{Draft, Reached};
+    use crate::machine::layout::lists::{LaneWeight, ListBuilder};
 
-    fn flattened(sources: &[Vec<Reached>], lanes: usize) -> Reach {
-        let mut draft = Draft::new(lanes);
-        sources.iter().for_each(|synapses| draft.append(&[synapses.len() as u32], synapses));
-        Reach::new(1, draft, lanes).unwrap().unwrap()
+    fn flattened(sources: &[Vec<LaneWeight>], lanes: usize) -> FanOut {
+        let mut builder = ListBuilder::new(lanes);
+        sources.iter().for_each(|synapses| builder.append(&[synapses.len() as u32], synapses));
+        FanOut::new(1, builder, lanes).unwrap().unwrap()
     }
 
-    /// Sums, noted granules and numbers of synapses are those of adding one synapse after the other.
-    fn compare<S: Sum>(lanes: usize, synapses: u64, width: u64) -> Reach {
+    /// Sums, marked skip blocks and numbers of synapses are those of adding one synapse after the other.
+    fn compare<S: Sum>(lanes: usize, synapses: u64, width: u64) -> FanOut {
         let of = |source: u64, index| {
             let lane = (source * 17 + rng::below(width, 1, source, index)) % lanes as u64;
             (lane as u32, rng::below(255, 2, source, index) as i16 - 127)
         };
-        let sources: Vec<Vec<Reached>> =
+        let sources: Vec<Vec<LaneWeight>> =
             (0..300).map(|source| (0..synapses).map(|index| of(source, index)).collect()).collect();
-        let reach = flattened(&sources, lanes);
-        let small = reach.table.as_ref().is_some_and(|table| table.synapses.small());
+        let fan_out = flattened(&sources, lanes);
+        let compact = fan_out.lists.as_ref().is_some_and(|table| table.synapses.is_compact());
         for every in [1, 3, 50] {
             let ids: Vec<ChannelId> = (0..300).step_by(every).map(ChannelId::new).collect();
-            let (mut sums, mut noted) = (vec![0; lanes], vec![0u64; lanes.div_ceil(64 * GRANULE)]);
+            let (mut sums, mut marked) = (vec![0; lanes], vec![0u64; lanes.div_ceil(64 * SKIP_BLOCK)]);
             for &(lane, weight) in ids.iter().flat_map(|id| &sources[id.index()]) {
                 sums[lane as usize] += i32::from(weight);
-                noted[lane as usize / GRANULE / 64] |= 1 << (lane as usize / GRANULE % 64);
+                marked[lane as usize / SKIP_BLOCK / 64] |= 1 << (lane as usize / SKIP_BLOCK % 64);
             }
-            let mut rings = [(); 2].map(|()| Ring::<S>::new(lanes, small, noted.len(), 2));
-            let [quiet, noting] = &mut rings;
-            let reach = std::slice::from_ref(&reach);
+            let mut rings = [(); 2].map(|()| DelayRing::<S>::new(lanes, compact, marked.len(), 2));
+            let [quiet, marking] = &mut rings;
+            let fan_out = std::slice::from_ref(&fan_out);
             let events = ids.len() as u64 * synapses;
-            let mut heard = vec![0; 300];
-            assert_eq!(quiet.deliver::<false, _>(reach, (&ids, &mut heard), 1, 2), events);
+            let mut counts = vec![0; 300];
+            assert_eq!(quiet.deliver::<false, _>(fan_out, (&ids, &mut counts), 1, 2), events);
             let is_counted = |source: usize| {
-                let holds = |panel: &Panel| panel.first as usize <= source && source < panel.end as usize;
+                let holds = |block: &DenseBlock| block.first as usize <= source && source < block.end as usize;
                 source.is_multiple_of(every)
-                    && reach[0].panels.panels.iter().any(|panel| holds(panel) && panel.narrow().is_some())
+                    && fan_out[0].dense.blocks.iter().any(|block| holds(block) && block.narrow().is_some())
             };
-            assert!(heard.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
+            assert!(counts.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
             // What arrives after the last step is no event.
-            assert_eq!(noting.deliver::<true, _>(reach, (&ids, &mut []), 1, 1), 0);
+            assert_eq!(marking.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 1), 0);
             for ring in &rings {
                 assert!(ring.sums[0][..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
                 assert!(ring.sums[1].iter().all(|sum| sum.value() == 0));
             }
-            // A row notes all of its lanes.
-            let missed = noted.iter().zip(&rings[1].arrivals[0]).any(|(&expected, &noted)| expected & !noted != 0);
-            assert!(!missed && (rings[1].arrivals[0] == noted || reach[0].table.is_none()));
+            // A dense block marks all of its lanes.
+            let missed = marked.iter().zip(&rings[1].arrivals[0]).any(|(&expected, &marked)| expected & !marked != 0);
+            assert!(!missed && (rings[1].arrivals[0] == marked || fan_out[0].lists.is_none()));
         }
-        reach
+        fan_out
     }
 
     #[test]
-    fn whatever_the_form_all_arrives() {
-        let rows = compare::<i32>(1_024, 64, 100);
-        assert!(rows.table.is_none() && !rows.panels.panels.is_empty());
+    fn all_forms_deliver_the_same() {
+        let blocks = compare::<i32>(1_024, 64, 100);
+        assert!(blocks.lists.is_none() && !blocks.dense.blocks.is_empty());
         let whole = compare::<i16>(8_192, 70, 8_192);
-        assert!(whole.panels.panels.is_empty() && whole.table.is_some());
+        assert!(whole.dense.blocks.is_empty() && whole.lists.is_some());
         for wide in [compare::<i32>(16_384, 70, 16_384), compare::<i32>(70_016, 70, 70_000)] {
-            assert!(wide.table.is_some());
+            assert!(wide.lists.is_some());
         }
-        // Rows of one chunk to four, and one that is no longer narrow.
+        // Blocks of one chunk to four, and one that is no longer narrow.
         for chunks in 1..=5 {
             let lanes = chunks * LANES as u32;
-            let rows = compare::<i16>(lanes as usize, 30, lanes.into());
-            assert!(rows.table.is_none());
-            assert!(rows.panels.panels.iter().all(|panel| panel.rows == [Row { target: 0, chunks }]));
+            let blocks = compare::<i16>(lanes as usize, 30, lanes.into());
+            assert!(blocks.lists.is_none());
+            assert!(blocks.dense.blocks.iter().all(|block| block.ranges == [LaneRange { target: 0, chunks }]));
         }
     }
 }

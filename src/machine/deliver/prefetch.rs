@@ -1,12 +1,11 @@
-//! Asking for memory before it is needed.
+//! Prefetching of cache lines.
 //!
-//! Sources of spikes lie anywhere in tables that no cache holds, so a step would wait for each of their lists in turn.
-//! What it does is invisible but for the time: it reads nothing and writes nothing.
+//! Spikes read lists all over tables that fit no cache: without prefetch a step waits for each in turn. Only time depends on it.
 
-/// Bytes of a line of the cache, on every processor this is built for that knows the instruction below.
+/// Bytes of a cache line, on every processor with the instruction below.
 pub(crate) const LINE: usize = 64;
 
-/// Asks for the line that holds an element; any index will do.
+/// Prefetches the line that holds an element; any index is allowed.
 #[inline(always)]
 pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
     #[cfg(all(target_arch = "x86_64", not(miri)))]
@@ -16,7 +15,7 @@ pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
         // SAFETY: PREFETCHT0 is a hint: it accesses no memory as far as the program can tell, and does nothing for an address
         // that is not mapped (Intel SDM vol. 2B, PREFETCHh). The address is computed without `add`, so it need not be within
         // the slice. The instruction belongs to SSE, which every x86-64 has.
-        #[expect(unsafe_code, reason = "there is no safe way to ask for a line")]
+        #[expect(unsafe_code, reason = "there is no safe prefetch")]
         unsafe {
             _mm_prefetch::<_MM_HINT_T0>(at.cast());
         }
@@ -30,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_index_will_do() {
+    fn any_index_is_allowed() {
         let data = vec![1u32; 100];
         for index in [0, 99, 100, usize::MAX / 8, usize::MAX] {
             prefetch(&data, index);

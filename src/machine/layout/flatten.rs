@@ -1,75 +1,74 @@
-//! What each source of spikes reaches, gathered from the cores' tables.
+//! The synapses of each source, collected from the cores' tables and flattened to lanes and weights.
 //!
-//! Comes in: a [`Program`], and the lane of each slot of each core. Goes out: for each share of the lanes and each delay a
-//! [`Draft`], source after source: the synapses in the order of the source's messages and their lists. Threads take
-//! consecutive sources each, and what they bring is put together in the order of sources. What it leaves out on purpose: which
-//! synapses stand in rows (`plan`).
+//! Input: a [`Program`], and the lane of each compartment. Output: a [`ListBuilder`] for each shard and delay, source after source,
+//! synapses in the order of the source's messages and their lists. Threads take consecutive sources; their results are joined in
+//! the order of sources.
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::base::fixed::WEIGHT_SHIFT;
 use crate::base::id::Id;
-use crate::ir::program::Program;
-use crate::machine::count::routing_tables::Ways;
-use crate::machine::layout::image::units;
-use crate::machine::layout::lists::{Draft, Reached};
+use crate::ir::program::{CoreFormat, Program, Synapse};
+use crate::machine::count::routing_tables::RoutingTables;
+use crate::machine::layout::lists::{LaneWeight, ListBuilder};
 
 /// Sources that a thread takes at a time.
 const PIECE: u32 = 1_024;
-/// Pieces a thread that are gathered before they are put together: what bounds the memory that they take.
+/// Pieces of each thread that are joined at a time: this bounds their memory.
 const PIECES: usize = 4;
 
-/// What consecutive sources reach on one share over synapses of one delay.
+/// Synapses of consecutive sources, of one shard and delay.
 #[derive(Debug)]
 struct Piece {
     /// Synapses of each source.
     counts: Vec<u32>,
-    /// Of one source after the other.
-    reached: Vec<Reached>,
+    /// The synapses, source after source.
+    synapses: Vec<LaneWeight>,
 }
 
-/// The way from sources to lanes.
+/// Flattens the tables of a program.
 #[derive(Debug)]
-pub(crate) struct Gatherer<'a> {
-    ways: Ways<'a>,
-    /// Place of the lane of each core's first slot.
+pub(crate) struct Flattener<'a> {
+    tables: RoutingTables<'a>,
+    /// Index in `lanes` of each core's first slot.
     slots: Vec<u32>,
-    /// The lane of each slot, over all shares, core after core.
+    /// The lane of each slot, over all shards, core after core.
     lanes: Vec<u32>,
-    /// First lane of each share, over all.
+    /// First lane of each shard, over all.
     bases: &'a [u32],
     /// Delay fields, ascending.
     delays: &'a [u8],
 }
 
-impl<'a> Gatherer<'a> {
-    /// With the lane of each compartment over all shares, the first lane of each share, and all delay fields, ascending.
+impl<'a> Flattener<'a> {
+    /// For the lane of each compartment over all shards, the first lane of each shard, and all delay fields, ascending.
     pub fn new(program: &'a Program, lane_of: &[u32], bases: &'a [u32], delays: &'a [u8]) -> Self {
         let (mut slots, mut lanes) = (Vec::new(), Vec::with_capacity(lane_of.len()));
         for image in program.cores() {
             slots.push(lanes.len() as u32);
             lanes.extend(image.ids.iter().map(|id| lane_of[id.index()]));
         }
-        Gatherer { ways: Ways::new(program), slots, lanes, bases, delays }
+        Flattener { tables: RoutingTables::new(program), slots, lanes, bases, delays }
     }
 
-    /// What these sources reach, by share and then by delay; the shares have so many lanes. Sources are numbered channels
+    /// The synapses of these sources, by shard, then by delay; the shards have so many lanes. Sources are numbered channels
     /// first.
-    pub fn gather(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Draft> {
-        let drafts = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| Draft::new(lanes)));
-        let mut drafts: Vec<Draft> = drafts.collect();
+    pub fn flatten(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<ListBuilder> {
+        let builders = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| ListBuilder::new(lanes)));
+        let mut builders: Vec<ListBuilder> = builders.collect();
         let pieces: Vec<u32> = sources.clone().step_by(PIECE as usize).collect();
         for some in pieces.chunks(PIECES * rayon::current_num_threads()) {
             let piece = |&first: &u32| self.piece(first..sources.end.min(first.saturating_add(PIECE)));
             let pieces: Vec<Vec<Piece>> = some.par_iter().map(piece).collect();
-            drafts.par_iter_mut().enumerate().for_each(|(place, draft)| {
+            builders.par_iter_mut().enumerate().for_each(|(place, builder)| {
                 for piece in pieces.iter().map(|piece| &piece[place]) {
-                    draft.append(&piece.counts, &piece.reached);
+                    builder.append(&piece.counts, &piece.synapses);
                 }
             });
         }
-        drafts
+        builders
     }
 
     fn piece(&self, sources: Range<u32>) -> Vec<Piece> {
@@ -77,25 +76,32 @@ impl<'a> Gatherer<'a> {
         for (place, &delay) in self.delays.iter().enumerate() {
             place_of[usize::from(delay)] = place;
         }
-        let empty = || Piece { counts: vec![0; sources.len()], reached: Vec::new() };
+        let empty = || Piece { counts: vec![0; sources.len()], synapses: Vec::new() };
         let mut pieces: Vec<Piece> = (0..self.bases.len() * self.delays.len()).map(|_| empty()).collect();
-        self.ways.follow(sources.clone(), |selected| {
+        self.tables.resolve(sources.clone(), |selected| {
             let slots = self.slots[selected.core.index()] as usize + usize::from(selected.base);
             for synapse in selected.stored {
                 let lane = self.lanes[slots + usize::from(synapse.slot)];
-                let share = self.bases.partition_point(|&base| base <= lane) - 1;
-                let piece = &mut pieces[share * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
+                let shard = self.bases.partition_point(|&base| base <= lane) - 1;
+                let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
                 piece.counts[(selected.source - sources.start) as usize] += 1;
-                piece.reached.push((lane - self.bases[share], units(selected.formats, synapse) as i16));
+                piece.synapses.push((lane - self.bases[shard], scaled_units(selected.formats, synapse) as i16));
             }
         });
         pieces
     }
 }
 
+/// A synapse's weight in units of 64, which fits 16 bits: |w| <= 256 and the exponent is at most 7.
+#[inline]
+pub(crate) fn scaled_units(formats: &[CoreFormat], synapse: &Synapse) -> i32 {
+    formats[usize::from(synapse.format)].synapse.scaled(synapse.weight) >> WEIGHT_SHIFT
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::csr::Csr;
     use crate::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
     use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
     use crate::base::rng;
@@ -103,7 +109,7 @@ mod tests {
     use crate::ir::partition::Seat;
     use crate::ir::placement::{Mesh, Site};
     use crate::ir::program::{
-        AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Lists, Parts, PopulationAxon, Stored, Synapse,
+        AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Stored, Synapse,
     };
     use crate::ir::quantised::{Neuron, SynapseFormat};
     use crate::machine::layout::image::Image;
@@ -123,10 +129,10 @@ mod tests {
     fn program(seed: u64) -> Program {
         let draw = |below, what, index| rng::below(below, seed, what, index);
         let compartments = CORES * SLOTS;
-        // 7 and the number of compartments share no factor, so each is named once.
+        // 7 and the number of compartments shard no factor, so each is named once.
         let id = |core, slot| CompartmentId((((core * SLOTS + slot) * 7 + seed) % compartments) as u32);
         let sources = CHANNELS + compartments;
-        let mut lists = vec![Lists::default(); CORES as usize];
+        let mut lists = vec![Csr::default(); CORES as usize];
         let mut axons = vec![0u16; CORES as usize];
         let mut selected: Vec<InputAxon> = Vec::new();
         let synapse = |source, core, index, slots| {
@@ -167,7 +173,7 @@ mod tests {
         let mut cores = Vec::new();
         for (core, lists) in (0..).zip(lists) {
             let ids: Vec<CompartmentId> = (0..SLOTS).map(|slot| id(core, slot)).collect();
-            let mut axons_out = Lists::default();
+            let mut axons_out = Csr::default();
             for (slot, id) in (0..).zip(&ids) {
                 seats[id.index()] = Seat { core: CoreId(core as u32), slot };
                 axons_out.push(sent[CHANNELS as usize + id.index()].iter().copied());
@@ -186,7 +192,7 @@ mod tests {
                 axons_out,
             });
         }
-        let mut channels = Lists::default();
+        let mut channels = Csr::default();
         sent[..CHANNELS as usize].iter().for_each(|messages| channels.push(messages.iter().copied()));
         Program::new(Parts {
             mesh: Mesh { chips_x: 1, chips_y: 1, width: 16, height: 1, cores_per_tile: 1, cores_per_chip: 16 },
@@ -204,7 +210,7 @@ mod tests {
     }
 
     /// The obvious walk: source by source, message by message, synapse by synapse.
-    fn walked(image: &Image, source: u32, share: usize, delay: u8) -> Vec<Reached> {
+    fn walked(image: &Image, source: u32, shard: usize, delay: u8) -> Vec<LaneWeight> {
         let program = image.program();
         let messages = match source.checked_sub(program.channels()) {
             None => program.channel(ChannelId(source)),
@@ -213,44 +219,44 @@ mod tests {
                 program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
             }
         };
-        let mut reached = Vec::new();
+        let mut synapses = Vec::new();
         for message in messages {
             let core = &program.cores()[message.core];
             for synapse in core.inputs.get(usize::from(message.axon)).synapses() {
                 let place = image.lane(core.ids[usize::from(synapse.slot)]);
-                if synapse.delay.get() == delay && place.0 == share {
+                if synapse.delay.get() == delay && place.0 == shard {
                     let exponent = core.formats[usize::from(synapse.format)].synapse.exponent.get();
-                    reached.push((place.1 as u32, synapse.weight << exponent));
+                    synapses.push((place.1 as u32, synapse.weight << exponent));
                 }
             }
         }
-        reached
+        synapses
     }
 
     #[test]
-    fn what_is_gathered_is_what_messages_lead_to() {
-        for (seed, shares) in [(1, 1), (2, 3)] {
+    fn flattened_synapses_are_those_that_messages_select() {
+        for (seed, shards) in [(1, 1), (2, 3)] {
             let program = program(seed);
-            let image = Image::new(&program, shares).unwrap();
-            assert_eq!(image.shares.len(), shares);
-            let lanes: Vec<usize> = image.shares.iter().map(|share| share.lanes).collect();
+            let image = Image::new(&program, shards).unwrap();
+            assert_eq!(image.shards.len(), shards);
+            let lanes: Vec<usize> = image.shards.iter().map(|shard| shard.lanes).collect();
             let delays = [0, 3, 17];
-            let gatherer = Gatherer::new(&program, &image.lanes, &image.bases, &delays);
+            let flattener = Flattener::new(&program, &image.lanes, &image.bases, &delays);
             let split = program.channels();
             for sources in [0..split, split..split + program.compartments()] {
-                let drafts = gatherer.gather(sources.clone(), &lanes);
-                assert_eq!(drafts.len(), shares * delays.len());
+                let builders = flattener.flatten(sources.clone(), &lanes);
+                assert_eq!(builders.len(), shards * delays.len());
                 let mut synapses = 0;
-                for (place, mut draft) in drafts.into_iter().enumerate() {
-                    let (share, delay) = (place / delays.len(), delays[place % delays.len()]);
+                for (place, mut builder) in builders.into_iter().enumerate() {
+                    let (shard, delay) = (place / delays.len(), delays[place % delays.len()]);
                     let mut lists = vec![Vec::new(); sources.len()];
-                    draft.retain(|source, lane, weight| {
+                    builder.retain(|source, lane, weight| {
                         lists[source as usize].push((lane, weight));
                         true
                     });
                     for (list, source) in lists.into_iter().zip(sources.clone()) {
                         synapses += list.len();
-                        assert_eq!(list, walked(&image, source, share, delay), "{source} {share} {delay}");
+                        assert_eq!(list, walked(&image, source, shard, delay), "{source} {shard} {delay}");
                     }
                 }
                 assert!(synapses > sources.len());

@@ -1,12 +1,11 @@
-//! The choice between rows and lists: which of a source's synapses stand lane beside lane, with zeros where there is none,
-//! and which are listed one by one.
+//! The planner: which synapses go to dense blocks, and which to lists.
 //!
-//! Comes in: which lanes each source reaches over synapses of one delay, source after source. Goes out: the panels to be
-//! ([`Planned`]). The choice is by an estimate of what delivery costs, in time and in memory. A chunk of sixteen lanes is added
-//! in less time than a synapse from a list, so rows with many zeros still gain; but a chunk takes the memory of ten synapses,
-//! so in a network that no cache holds rows with many zeros lose.
+//! Input: the lanes that each source reaches over one delay, source after source. Output: the dense blocks to make
+//! ([`PlannedBlock`]). The choice minimises an estimate of the time and memory of delivery. A chunk of sixteen lanes is added in
+//! less time than one listed synapse, so blocks pay even with many zeros. But a chunk takes the memory of ten synapses, so blocks
+//! with many zeros do not pay in networks that fit no cache.
 
-use crate::machine::layout::padded_runs::{Form, Packing};
+use crate::machine::layout::padded_runs::{Packing, RunForm};
 use crate::machine::update::kernel::LANES;
 
 /// Bytes of a synapse in a list.
@@ -15,40 +14,40 @@ const LISTED: usize = Packing::SYNAPSE;
 const CHUNK_BYTES: usize = 2 * LANES;
 /// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a synapse.
 const DENSE: u32 = 5;
-/// Bytes of weights that may be mostly zeros: half of a core's second-level cache, in which a chunk costs next to nothing.
+/// Bytes of weights that may be mostly zeros: half of a second-level cache.
 const CACHED: usize = 1 << 20;
-/// What delivery costs, in tenths of a nanosecond: a chunk of a row, by `vtsnn-5pct`.
+/// Cost of delivery in tenths of a nanosecond: a chunk of a dense block, measured with `vtsnn-5pct`.
 const CHUNK_COST: usize = 4;
-/// A synapse of a list, by `random-32k`.
+/// A synapse of a list, measured with `random-32k`.
 const SYNAPSE_COST: usize = 6;
 /// Looking up a list.
 const LIST_COST: usize = 40;
-/// Finding a panel.
-const PANEL_COST: usize = 50;
-/// Beginning a row of it: taking sums into registers and back.
-const ROW_COST: usize = 40;
-/// Steps in which each source spikes about once: sources of a panel that spike together find it together.
+/// Finding a dense block.
+const BLOCK_COST: usize = 50;
+/// Beginning a lane range of it: loading sums into registers and storing them.
+const RANGE_COST: usize = 40;
+/// Steps in which each source spikes about once: sources of a block that spike together find it once.
 const STEPS: usize = 20;
-/// Chunks of zeros for a source, growing, that may be laid out to have a panel less; up to what finding it costs. Those that
-/// are alike join before those that are less so.
-const ZEROS: [usize; 5] = [1, 3, 6, 12, (PANEL_COST + ROW_COST) / CHUNK_COST];
+/// Chunks of zeros a source that may be added to join two blocks, by round: similar blocks join first. The last is worth what a
+/// block costs.
+const ZEROS: [usize; 5] = [1, 3, 6, 12, (BLOCK_COST + RANGE_COST) / CHUNK_COST];
 
-/// Sources that are to be a panel.
+/// Consecutive sources that become a dense block.
 #[derive(Debug)]
-pub(crate) struct Planned {
+pub(crate) struct PlannedBlock {
     /// The first source.
     pub first: u32,
     /// The first source after it.
     pub end: u32,
     /// Its chunks, ascending.
     pub chunks: Vec<u32>,
-    /// Chunks of its sources, summed: without the zeros that a source has for the others' sake.
+    /// Chunks of its sources, summed, without those that hold only zeros.
     own: usize,
-    /// Synapses that they hold.
+    /// Synapses in them.
     synapses: usize,
 }
 
-impl Planned {
+impl PlannedBlock {
     /// How many sources.
     pub fn sources(&self) -> usize {
         (self.end - self.first) as usize
@@ -59,15 +58,15 @@ impl Planned {
         self.sources() * self.chunks.len()
     }
 
-    /// What it costs when each source spikes once.
+    /// Cost when each source spikes once.
     fn cost(&self) -> usize {
-        let rows = self.chunks.chunk_by(|a, b| a + 1 == *b).count();
-        self.size() * CHUNK_COST + self.sources().min(STEPS) * (PANEL_COST + rows * ROW_COST)
+        let ranges = self.chunks.chunk_by(|a, b| a + 1 == *b).count();
+        self.size() * CHUNK_COST + self.sources().min(STEPS) * (BLOCK_COST + ranges * RANGE_COST)
     }
 
-    /// Takes the next in, if that needs few zeros; says how many it took, or gives the next back. Zeros may be half of all,
-    /// and as many as are `spare` besides.
-    fn join(&mut self, next: Planned, zeros: usize, spare: usize) -> Result<usize, Planned> {
+    /// Joins the next block if that adds few zeros; returns the chunks of zeros added, or the next block. Zeros may be half of
+    /// all chunks, and `spare` more.
+    fn join(&mut self, next: PlannedBlock, zeros: usize, spare: usize) -> Result<usize, PlannedBlock> {
         let sources = (next.end - self.first) as usize;
         let others = || next.chunks.iter().filter(|chunk| self.chunks.binary_search(chunk).is_err());
         let size = (self.chunks.len() + others().count()) * sources;
@@ -83,23 +82,23 @@ impl Planned {
     }
 }
 
-/// One way to choose.
+/// One way to divide the synapses.
 #[derive(Debug)]
-struct Choice {
-    /// The fewest synapses of a chunk that belongs into a row.
+struct Candidate {
+    /// The fewest synapses of a chunk that goes to a block.
     least: u32,
-    panels: Vec<Planned>,
-    /// Chunks of all panels.
+    blocks: Vec<PlannedBlock>,
+    /// Chunks of all dense blocks.
     size: usize,
-    /// Synapses that are left.
+    /// Synapses left to the lists.
     listed: usize,
-    /// The present source's chunks.
+    /// Chunks of the current source.
     chunks: Vec<u32>,
 }
 
-impl Choice {
+impl Candidate {
     fn new(least: u32) -> Self {
-        Choice { least, panels: Vec::new(), size: 0, listed: 0, chunks: Vec::new() }
+        Candidate { least, blocks: Vec::new(), size: 0, listed: 0, chunks: Vec::new() }
     }
 
     fn take(&mut self, source: u32, touched: &[u32], counts: &[u32]) {
@@ -119,7 +118,7 @@ impl Choice {
         }
         self.chunks.sort_unstable();
         self.size += self.chunks.len();
-        if let Some(last) = self.panels.last_mut()
+        if let Some(last) = self.blocks.last_mut()
             && last.end == source
             && last.chunks == self.chunks
         {
@@ -128,14 +127,14 @@ impl Choice {
             return;
         }
         let (chunks, own) = (self.chunks.clone(), self.chunks.len());
-        self.panels.push(Planned { first: source, end: source + 1, chunks, own, synapses });
+        self.blocks.push(PlannedBlock { first: source, end: source + 1, chunks, own, synapses });
     }
 
-    /// Joins neighbours where zeros cost less than panels.
+    /// Joins neighbours where zeros cost less than another block.
     fn join(&mut self) {
         for zeros in ZEROS {
-            let mut joined: Vec<Planned> = Vec::with_capacity(self.panels.len());
-            for mut next in self.panels.drain(..) {
+            let mut joined: Vec<PlannedBlock> = Vec::with_capacity(self.blocks.len());
+            for mut next in self.blocks.drain(..) {
                 if let Some(last) = joined.last_mut() {
                     let spare = (CACHED / CHUNK_BYTES).saturating_sub(self.size);
                     match last.join(next, zeros, spare) {
@@ -148,62 +147,62 @@ impl Choice {
                 }
                 joined.push(next);
             }
-            self.panels = joined;
+            self.blocks = joined;
         }
     }
 
-    /// Bytes of all weights in rows.
+    /// Bytes of the weights of all blocks.
     fn bytes(&self) -> usize {
         CHUNK_BYTES * self.size
     }
 
-    /// Leaves those panels to the lists that cost more than lists would.
+    /// Drops the blocks that cost more than lists would.
     fn drop_losses(&mut self) {
         let (listed, size) = (&mut self.listed, &mut self.size);
-        self.panels.retain(|panel| {
-            let keep = panel.cost() <= panel.synapses * SYNAPSE_COST + panel.sources() * LIST_COST;
-            *listed += if keep { 0 } else { panel.synapses };
-            *size -= if keep { 0 } else { panel.size() };
+        self.blocks.retain(|block| {
+            let keep = block.cost() <= block.synapses * SYNAPSE_COST + block.sources() * LIST_COST;
+            *listed += if keep { 0 } else { block.synapses };
+            *size -= if keep { 0 } else { block.size() };
             keep
         });
     }
 
-    /// What all costs when each source spikes once.
+    /// Cost when each source spikes once.
     fn cost(&self, sources: usize) -> usize {
         let lists = if self.listed > 0 { self.listed * SYNAPSE_COST + sources * LIST_COST } else { 0 };
-        self.panels.iter().map(Planned::cost).sum::<usize>() + lists
+        self.blocks.iter().map(PlannedBlock::cost).sum::<usize>() + lists
     }
 }
 
-/// The choice between rows and lists for what the sources of one kind reach over synapses of one delay.
+/// Divides the synapses of the sources of one kind, of one delay.
 #[derive(Debug)]
-pub(crate) struct Plan {
-    /// The present source's synapses by chunk; zeros between sources.
+pub(crate) struct Planner {
+    /// Synapses of the current source by chunk; zeros between sources.
     counts: Vec<u32>,
     /// Chunks with any.
     touched: Vec<u32>,
     synapses: usize,
     sources: usize,
-    /// Rows alone, as long as it is not too large.
-    rows: Option<Choice>,
-    /// Rows where they are dense.
-    both: Choice,
+    /// Everything in blocks, while that is not too large.
+    dense_only: Option<Candidate>,
+    /// Blocks where chunks are dense, lists elsewhere.
+    mixed: Candidate,
 }
 
-impl Plan {
-    /// Nothing yet, of a share with so many lanes.
+impl Planner {
+    /// A planner for a shard with so many lanes.
     pub fn new(lanes: usize) -> Self {
-        Plan {
+        Planner {
             counts: vec![0; lanes.div_ceil(LANES)],
             touched: Vec::new(),
             synapses: 0,
             sources: 0,
-            rows: Some(Choice::new(1)),
-            both: Choice::new(DENSE),
+            dense_only: Some(Candidate::new(1)),
+            mixed: Candidate::new(DENSE),
         }
     }
 
-    /// Looks at the lanes that a source reaches, one a synapse; sources come in ascending order.
+    /// Takes the lanes that a source reaches, one a synapse; sources come in ascending order.
     pub fn take(&mut self, source: u32, synapses: &[u32]) {
         for &lane in synapses {
             let chunk = lane / LANES as u32;
@@ -215,13 +214,13 @@ impl Plan {
         }
         self.synapses += synapses.len();
         self.sources += usize::from(!synapses.is_empty());
-        self.both.take(source, &self.touched, &self.counts);
+        self.mixed.take(source, &self.touched, &self.counts);
         let most = self.most();
-        if let Some(rows) = &mut self.rows {
-            rows.take(source, &self.touched, &self.counts);
-            // Dense rows may follow, but not so many that what came before is few.
-            if rows.bytes() > 4 * most {
-                self.rows = None;
+        if let Some(candidate) = &mut self.dense_only {
+            candidate.take(source, &self.touched, &self.counts);
+            // It cannot become small enough any more.
+            if candidate.bytes() > 4 * most {
+                self.dense_only = None;
             }
         }
         for chunk in self.touched.drain(..) {
@@ -229,29 +228,29 @@ impl Plan {
         }
     }
 
-    /// The most bytes that rows alone may take: what the cache holds, or no more than lists.
+    /// The most bytes that blocks alone may take: what fits the cache, or no more than lists.
     fn most(&self) -> usize {
         CACHED.max(LISTED * self.synapses)
     }
 
-    /// The panels, ascending: those that cost least.
-    pub fn choose(mut self) -> Vec<Planned> {
-        self.both.join();
-        self.both.drop_losses();
-        let (most, whole) = (self.most(), self.both.cost(self.sources));
-        let rows = self.rows.take().filter(|rows| rows.bytes() <= most).map(|mut rows| {
-            rows.join();
-            rows
+    /// The blocks of the cheapest candidate, ascending.
+    pub fn choose(mut self) -> Vec<PlannedBlock> {
+        self.mixed.join();
+        self.mixed.drop_losses();
+        let (most, cost) = (self.most(), self.mixed.cost(self.sources));
+        let dense_only = self.dense_only.take().filter(|candidate| candidate.bytes() <= most).map(|mut candidate| {
+            candidate.join();
+            candidate
         });
-        let cheaper = |rows: &Choice| rows.bytes() <= most && rows.cost(self.sources) <= whole;
-        let chosen = rows.filter(cheaper).unwrap_or(self.both);
+        let cheaper = |candidate: &Candidate| candidate.bytes() <= most && candidate.cost(self.sources) <= cost;
+        let chosen = dense_only.filter(cheaper).unwrap_or(self.mixed);
         tracing::debug!(
-            "{} synapses: {} listed, {} panels of {} bytes",
+            "{} synapses: {} listed, {} dense blocks of {} bytes",
             self.synapses,
             chosen.listed,
-            chosen.panels.len(),
+            chosen.blocks.len(),
             chosen.bytes()
         );
-        chosen.panels
+        chosen.blocks
     }
 }

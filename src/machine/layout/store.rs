@@ -1,10 +1,8 @@
-//! Memory laid out for the caches: bytes that are read in random order (lists of synapses), and numbers that are read as
-//! vectors.
+//! Zeroed buffers, aligned for the caches.
 //!
-//! Comes in: how many. Goes out: as many, zeros, to be filled once. A list that a spike reaches lies in no cache, so what its
-//! place costs is paid for every spike: large stores are asked of the operating system in pages of 2 MiB, of which the
-//! processor can remember where all are, and begin where a line of the cache does. Either is a wish: nothing but time depends
-//! on it. What it leaves out on purpose: what the bytes mean.
+//! Input: a size. Output: a zeroed buffer. [`Store`] is for bytes that are read in random order (lists of synapses): large ones
+//! are mapped in pages of 2 MiB, so that the TLB holds them all. [`Aligned`] is for numbers that are read as vectors. Both begin
+//! at a cache line. Alignment and page size are best effort: only time depends on them.
 
 use std::ops::{Deref, DerefMut, Range};
 
@@ -12,22 +10,22 @@ use memmap2::MmapMut;
 
 use crate::machine::deliver::prefetch::LINE;
 
-/// Bytes from which on large pages can be had.
+/// Size of a large page.
 const LARGE: usize = 2 << 20;
 
-/// Bytes, fixed in number.
+/// A buffer of bytes.
 #[derive(Debug)]
 pub(crate) enum Store {
-    /// Few of them, or where no map can be had.
+    /// A small buffer, or no mapping was possible.
     Heap(Vec<u8>),
-    /// Whole pages.
+    /// A mapping of whole pages.
     Pages(MmapMut),
 }
 
 impl Store {
-    /// So many zeros.
+    /// A buffer of zeros.
     pub fn new(size: usize) -> Self {
-        // Miri knows no advice about memory.
+        // Miri does not support madvise.
         if size < LARGE || cfg!(miri) {
             return Store::Heap(vec![0; size]);
         }
@@ -55,7 +53,7 @@ impl Store {
         }
     }
 
-    /// The bytes, to be filled.
+    /// The bytes, to be written.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
         match self {
             Store::Heap(bytes) => bytes,
@@ -64,7 +62,7 @@ impl Store {
     }
 }
 
-/// Numbers that begin where a line of the cache does: a vector of 64 bytes is then one line and not parts of two.
+/// Numbers that begin at a cache line, so that a vector of 64 bytes is one line and not parts of two.
 #[derive(Debug)]
 pub(crate) struct Aligned<T> {
     items: Vec<T>,
@@ -76,7 +74,6 @@ impl<T: Copy + Default> Aligned<T> {
     pub fn new(count: usize) -> Self {
         let spare = LINE / size_of::<T>();
         let items = vec![T::default(); count + spare];
-        // As with pages, a wish.
         let from = items.as_ptr().align_offset(LINE).min(spare);
         Aligned { items, range: from..from + count }
     }
@@ -109,7 +106,7 @@ mod tests {
             assert_eq!(numbers.len(), count);
             numbers.iter_mut().for_each(|number| *number = 7);
             assert!(numbers.iter().all(|&number| number == 7));
-            // Miri need not place memory where it is wished.
+            // Miri need not align.
             assert!(cfg!(miri) || numbers.as_ptr().addr().is_multiple_of(LINE));
         }
     }

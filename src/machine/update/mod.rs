@@ -1,6 +1,6 @@
-//! Compartments updated, sixteen at a time.
+//! The update of compartments, sixteen at a time.
 
 pub mod kernel;
-pub(crate) mod lanes;
+pub(crate) mod state;
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod vectors;

@@ -1,0 +1,181 @@
+//! Compressed sparse rows: a list of items for each row, in one allocation.
+//!
+//! Input: rows of items, one after the other, or (row, item) pairs in any order. Output: slices by row.
+//! Invariants: the offsets begin at 0, do not fall, and end at the number of items, which is below 2^32.
+//! Errors: [`NotClosed`] for offsets that break an invariant.
+
+/// Offsets that do not divide the items into rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the offsets of rows do not divide their items")]
+pub struct NotClosed;
+
+/// Rows of items.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Csr<T> {
+    first: Vec<u32>,
+    items: Vec<T>,
+}
+
+impl<T> Default for Csr<T> {
+    fn default() -> Self {
+        Csr { first: vec![0], items: Vec::new() }
+    }
+}
+
+impl<T> Csr<T> {
+    /// Rows from their offsets, one more than rows, and their items.
+    ///
+    /// # Errors
+    /// [`NotClosed`] if an invariant does not hold.
+    pub fn new(first: Vec<u32>, items: Vec<T>) -> Result<Self, NotClosed> {
+        let ends = first.first() == Some(&0) && first.last().map(|&end| end as usize) == Some(items.len());
+        if ends && first.is_sorted() { Ok(Csr { first, items }) } else { Err(NotClosed) }
+    }
+
+    /// No row yet, with room for so many rows and items.
+    #[must_use]
+    pub fn with_capacity(rows: usize, items: usize) -> Self {
+        let mut first = Vec::with_capacity(rows + 1);
+        first.push(0);
+        Csr { first, items: Vec::with_capacity(items) }
+    }
+
+    /// Rows of these lengths, of the same item.
+    ///
+    /// # Panics
+    /// As [`Csr::push`].
+    #[must_use]
+    pub fn from_counts(counts: &[u32], item: T) -> Self
+    where
+        T: Clone,
+    {
+        let mut first = Vec::with_capacity(counts.len() + 1);
+        let mut sum = 0u32;
+        first.push(0);
+        for &count in counts {
+            sum = sum.checked_add(count).expect("fewer than 2^32 items");
+            first.push(sum);
+        }
+        Csr { first, items: vec![item; sum as usize] }
+    }
+
+    /// So many rows from (row, item) pairs in any order; the items of a row keep theirs. `visit` passes every pair to the function
+    /// that it is given, the same ones in each of two calls.
+    ///
+    /// # Panics
+    /// As [`Csr::push`], and when a row does not exist.
+    #[must_use]
+    pub fn by_row(rows: usize, mut visit: impl FnMut(&mut dyn FnMut(usize, T))) -> Self
+    where
+        T: Clone + Default,
+    {
+        let mut counts = vec![0u32; rows];
+        visit(&mut |row, _| counts[row] += 1);
+        let mut csr = Csr::from_counts(&counts, T::default());
+        let mut next = csr.first.clone();
+        visit(&mut |row, item| {
+            csr.items[next[row] as usize] = item;
+            next[row] += 1;
+        });
+        csr
+    }
+
+    /// Appends a row.
+    ///
+    /// # Panics
+    /// When all rows together reach 2^32 items; the limits of a core and of a network exclude it.
+    pub fn push(&mut self, row: impl IntoIterator<Item = T>) {
+        self.extend_last(row);
+        self.end();
+    }
+
+    /// Appends items to a row that is not ended yet.
+    pub fn extend_last(&mut self, items: impl IntoIterator<Item = T>) {
+        self.items.extend(items);
+    }
+
+    /// Ends the row that [`Csr::extend_last`] appended to.
+    ///
+    /// # Panics
+    /// As [`Csr::push`].
+    pub fn end(&mut self) {
+        self.first.push(u32::try_from(self.items.len()).expect("fewer than 2^32 items"));
+    }
+
+    /// Number of rows.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.first.len() - 1
+    }
+
+    /// Whether there is no row.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// One row.
+    #[inline]
+    #[must_use]
+    pub fn get(&self, row: usize) -> &[T] {
+        &self.items[self.first[row] as usize..self.first[row + 1] as usize]
+    }
+
+    /// One row, to be changed in place.
+    #[inline]
+    #[must_use]
+    pub fn get_mut(&mut self, row: usize) -> &mut [T] {
+        &mut self.items[self.first[row] as usize..self.first[row + 1] as usize]
+    }
+
+    /// Where each row begins among all items, and where the last ends.
+    #[must_use]
+    pub fn firsts(&self) -> &[u32] {
+        &self.first
+    }
+
+    /// The items of all rows.
+    #[must_use]
+    pub fn items(&self) -> &[T] {
+        &self.items
+    }
+
+    /// The items of all rows, to be changed in place.
+    pub fn items_mut(&mut self) -> &mut [T] {
+        &mut self.items
+    }
+
+    /// The rows in order.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &[T]> {
+        (0..self.len()).map(|row| self.get(row))
+    }
+
+    /// Releases memory that is not used.
+    pub fn shrink_to_fit(&mut self) {
+        self.first.shrink_to_fit();
+        self.items.shrink_to_fit();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn offsets_are_checked() {
+        assert_eq!(Csr::new(vec![0, 2, 2, 3], vec!['a', 'b', 'c']).unwrap().get(0), ['a', 'b']);
+        for first in [vec![], vec![0], vec![1, 3], vec![0, 2], vec![0, 4, 3]] {
+            assert_eq!(Csr::new(first, vec!['a', 'b', 'c']), Err(NotClosed));
+        }
+    }
+
+    #[test]
+    fn pairs_in_any_order_make_rows_in_their_order() {
+        let pairs = [(2, 'a'), (0, 'b'), (2, 'c'), (3, 'd'), (0, 'e')];
+        let csr = Csr::by_row(4, |put| pairs.iter().for_each(|&(row, item)| put(row, item)));
+        let mut pushed = Csr::default();
+        [vec!['b', 'e'], vec![], vec!['a', 'c'], vec!['d']].into_iter().for_each(|row| pushed.push(row));
+        assert_eq!(csr, pushed);
+        assert_eq!(csr.iter().map(<[char]>::len).collect::<Vec<_>>(), [2, 0, 2, 1]);
+    }
+}

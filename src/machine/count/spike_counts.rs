@@ -1,0 +1,92 @@
+//! How often each source spiked, and the counts that follow from it.
+//!
+//! Let c(s) be what one spike of source s causes on the chip (`tally`), n(s) how often s spiked since the activity was last
+//! taken, and L the spikes so near a sample's end that some delivery falls after it. With c(s, k) for what a spike causes if its
+//! deliveries reach only k steps,
+//!
+//! ```text
+//! activity = sum over s of (n(s) - spikes of s in L) c(s) + sum over (s, k) in L of c(s, k)
+//! ```
+//!
+//! Why: c is the same for every spike, so a step only counts spikes.
+
+use crate::base::id::Id;
+use crate::ir::activity::Activity;
+use crate::machine::layout::image::Image;
+use crate::machine::update::state::ShardState;
+
+/// Spikes since the activity was last taken. Those of compartments are counted in their shard's state.
+#[derive(Debug)]
+pub(crate) struct SpikeCounts {
+    /// n of each channel.
+    pub channels: Vec<u32>,
+    /// L: sources and the steps that their deliveries reach.
+    late: Vec<(u32, u32)>,
+    /// Timesteps.
+    pub steps: u64,
+    /// The residual of the spikes since `channels` was last cleared that were before this sample; negative once those of this
+    /// sample have been cleared.
+    residual_before: i64,
+}
+
+impl SpikeCounts {
+    /// No spikes of so many channels.
+    pub fn new(channels: u32) -> Self {
+        SpikeCounts { channels: vec![0; channels as usize], late: Vec::new(), steps: 0, residual_before: 0 }
+    }
+
+    /// Begins a sample.
+    pub fn begin(&mut self, image: &Image, shards: &[ShardState], arch: pulp::Arch) {
+        self.residual_before = self.residual(image, shards, arch);
+    }
+
+    /// Notes spikes whose deliveries reach only `reach` more steps.
+    #[cold]
+    pub fn note_late(&mut self, sources: impl Iterator<Item = u32>, reach: u32) {
+        self.late.extend(sources.map(|source| (source, reach)));
+    }
+
+    /// The residual of the sample's synaptic events, those of undelivered spikes included (`residual`).
+    pub fn sample_residual(&self, image: &Image, shards: &[ShardState], arch: pulp::Arch) -> i64 {
+        self.residual(image, shards, arch) - self.residual_before
+    }
+
+    fn residual(&self, image: &Image, shards: &[ShardState], arch: pulp::Arch) -> i64 {
+        let lanes = image.shards.iter().zip(shards).map(|(shard, state)| (&*shard.names, &*state.fired));
+        image.residual.events(arch, &self.channels, lanes)
+    }
+
+    /// What all steps did since this was last asked.
+    pub fn take_activity(&mut self, image: &Image, shards: &mut [ShardState], arch: pulp::Arch) -> Activity {
+        self.residual_before -= self.residual(image, shards, arch);
+        let mut fired: Vec<u32> = self.channels.iter_mut().map(std::mem::take).collect();
+        fired.resize(image.sources(), 0);
+        for (state, shard) in shards.iter_mut().zip(&image.shards) {
+            for (name, count) in shard.names.iter().zip(&mut state.fired).filter(|(_, count)| **count > 0) {
+                fired[self.channels.len() + name.index()] += std::mem::take(count);
+            }
+        }
+        for &(source, _) in &self.late {
+            fired[source as usize] -= 1;
+        }
+        let mut sum = image.tally.sum(&fired);
+        for same in self.late.chunk_by(|a, b| a.1 == b.1) {
+            image.tally.add_spikes(same.iter().map(|late| late.0), |_| 1, same[0].1, &mut sum);
+        }
+        self.late.clear();
+        image.tally.add_visits(self.steps, &mut sum);
+        for (state, shard) in shards.iter_mut().zip(&image.shards) {
+            for (count, block) in state.take_active(shard).into_iter().zip(&shard.blocks) {
+                sum.cores[block.core].active += count;
+            }
+        }
+        let mut activity = Activity::new(image.program().cores().len());
+        activity.add_sum(&sum, std::mem::take(&mut self.steps));
+        activity
+    }
+
+    /// Bytes of memory that it holds.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.channels.as_slice())
+    }
+}

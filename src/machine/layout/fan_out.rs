@@ -1,0 +1,48 @@
+//! The synapses that the sources of one kind reach over one delay, in the form in which they are delivered.
+//!
+//! Input: synapses source after source ([`ListBuilder`]). Output: dense blocks, and lists of the rest.
+//! Errors: more synapses than a list position can index.
+
+use crate::machine::layout::dense_blocks::{BlockWriter, DenseBlock, DenseBlocks};
+use crate::machine::layout::lists::{ListBuilder, ListTable};
+use crate::machine::layout::planner::Planner;
+
+/// Synapses of one delay, from the channels or the compartments, into one shard.
+#[derive(Debug)]
+pub(crate) struct FanOut {
+    /// Delay field.
+    pub delay: u8,
+    /// Synapses in dense blocks.
+    pub dense: DenseBlocks,
+    /// The others.
+    pub lists: Option<ListTable>,
+}
+
+impl FanOut {
+    /// Chooses which of these synapses become dense; `None` when there are none. The shard has so many lanes.
+    ///
+    /// # Errors
+    /// As [`ListBuilder::finish`].
+    pub fn new(delay: u8, mut builder: ListBuilder, lanes: usize) -> Result<Option<Self>, usize> {
+        let mut planner = Planner::new(lanes);
+        builder.each(|source, synapses| planner.take(source, synapses));
+        let mut blocks = BlockWriter::new(planner.choose(), lanes);
+        if !blocks.is_empty() {
+            builder.retain(|source, lane, weight| !blocks.put(source, lane, weight));
+        }
+        let (dense, lists) = (blocks.finish(), builder.finish()?);
+        Ok((lists.is_some() || !dense.blocks.is_empty()).then_some(FanOut { delay, dense, lists }))
+    }
+
+    /// Whether one narrow dense block follows the other, from the first source to the last, and there is nothing else.
+    pub fn is_narrow(&self, sources: u32) -> bool {
+        let adjacent =
+            |end: u32, block: &DenseBlock| Some(block.end).filter(|_| block.first == end && block.narrow().is_some());
+        self.lists.is_none() && self.dense.blocks.iter().try_fold(0, adjacent) == Some(sources)
+    }
+
+    /// Bytes of memory that it holds.
+    pub fn bytes(&self) -> usize {
+        self.dense.bytes() + self.lists.as_ref().map_or(0, ListTable::bytes)
+    }
+}
