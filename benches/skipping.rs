@@ -1,9 +1,9 @@
-//! What each kind of skipping saves, apart from the others, on whole samples: at run time (`--skip`), at map time
-//! (`--prune`), at decision time (`--early-exit`).
+//! What each kind of skipping saves alone, on whole samples: at run time (`--skip`), at map time (`--prune`), at decision time
+//! (`--early-exit`).
 //!
-//! Scenes: recorded tactile samples (where they are: `NSIM_DATA` or `../shared/data`) on the shipped tactile network, slip
-//! scenes on the shipped slip network, and silence on it. Each row runs all samples over and over on one thread; rows take
-//! turns, so that what else the machine does falls on all alike. Prints a table; besides times it has what a time comes from.
+//! Scenes: recorded tactile samples (in `NSIM_DATA` or `../shared/data`) on the shipped tactile network, slip scenes and silence on
+//! the shipped slip network. Each row runs all samples repeatedly on one thread. Rows alternate, so that other load of the machine
+//! affects all alike. Prints a table of times and counts.
 
 // A bench that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -88,7 +88,7 @@ fn rows(scene: &Scene) -> Vec<Row> {
     let fixed = prune(whole, &Plan::fixed()).unwrap();
     let shown = prune(whole, &Plan::for_stimulus(whole, &stimulus)).unwrap();
     let margin = Rule::Margin(8.try_into().unwrap());
-    // Nothing else is skipped where a kind is measured.
+    // Each row skips only its own kind.
     vec![
         row("none", "", whole, false, None),
         row("run time", "--skip on", whole, true, None),
@@ -100,7 +100,7 @@ fn rows(scene: &Scene) -> Vec<Row> {
     ]
 }
 
-/// What a row's samples did: digest, timesteps run, compartments visited, synaptic events.
+/// What the samples of a row did: digest, timesteps run, compartments visited, synaptic events.
 type Did = (String, u64, u64, u64);
 
 fn measure(scene: &Scene) {
@@ -129,7 +129,7 @@ fn measure(scene: &Scene) {
         let steps = sum(|outcome| outcome.steps.into());
         did.push((digest(&outcomes), steps, visited, sum(|outcome| outcome.totals.synaptic_events)));
     }
-    // What takes a few microseconds is timed several times over.
+    // Times of a few microseconds are measured over several repeats.
     let repeats = (20_000 / (did[0].1 as usize).max(1)).max(1);
     for _ in 0..ROUNDS {
         for ((machine, keep), times) in machines.iter_mut().zip(&keeps).zip(&mut times) {

@@ -10,7 +10,7 @@ use common::random::{self, Draw};
 use common::{Net, format, neuron};
 use nsim::base::fixed::{Payload, SignMode};
 use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::compile::{Options, compile_quantised};
+use nsim::compile::{Options, compile};
 use nsim::desc::network::Semantics;
 use nsim::golden::Golden;
 use nsim::io::target::load_target;
@@ -53,7 +53,7 @@ fn assert_machine(network: &Quantised, sample: &Sample, expected: &Shown, what: 
     let mut limits = *chip.limits();
     (limits.compartment_profiles, limits.threshold_profiles, limits.accumulators) = (1024, 1024, 1 << 16);
     (limits.synapse_formats, limits.axons_in) = (64, 1 << 16);
-    let compiled = compile_quantised(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
+    let compiled = compile(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
     let mut activity: Option<Activity> = None;
     for shards in [1, 2, 8] {
         let image = Image::new(&compiled.program, shards).unwrap();
