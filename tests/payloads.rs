@@ -12,6 +12,7 @@ use nsim::base::fixed::{Payload, SignMode};
 use nsim::base::id::{ChannelId, CompartmentId};
 use nsim::compile::{Options, compile};
 use nsim::desc::network::Semantics;
+use nsim::desc::resource::Resource;
 use nsim::golden::Golden;
 use nsim::io::target::load_target;
 use nsim::ir::activity::{Activity, Overflow, Totals};
@@ -50,9 +51,10 @@ fn shown(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Shown {
 /// What the machine shows in all numbers of shards, with skipping on and off, held to `expected`; returns the activity.
 fn assert_machine(network: &Quantised, sample: &Sample, expected: &Shown, what: &str) -> Activity {
     let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = *chip.limits();
-    (limits.compartment_profiles, limits.threshold_profiles, limits.accumulators) = (1024, 1024, 1 << 16);
-    (limits.synapse_formats, limits.axons_in) = (64, 1 << 16);
+    let mut limits = chip.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
+        (1024, 1024, 64);
+    (limits[Resource::Accumulators], limits[Resource::AxonsIn]) = (1 << 16, 1 << 16);
     let compiled = compile(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
     let mut activity: Option<Activity> = None;
     for shards in [1, 2, 8] {
