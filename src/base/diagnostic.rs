@@ -79,6 +79,9 @@ pub enum Place {
     Text(SourceText, Span),
 }
 
+/// What reading an input returns: a value, or what is wrong with the input.
+pub type Result<T, E = Diagnostic> = std::result::Result<T, E>;
+
 /// One problem with an input.
 #[derive(Debug, Clone)]
 pub struct Diagnostic {

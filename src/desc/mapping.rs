@@ -62,7 +62,6 @@ pub struct MappedLayer {
 #[serde(deny_unknown_fields, rename = "Pruned")]
 pub struct PrunedFile {
     /// Where the stimulus came from; nothing when the model was pruned for every stimulus.
-    #[serde(default)]
     pub stimulus: Option<Vec<String>>,
     /// Runs of channels that the stimulus never fires.
     #[serde(default)]

@@ -15,7 +15,7 @@ use super::lists::{Triple, blank, numbers, triples};
 use super::neurons::NeuronKind;
 use super::spanned::{Shape, Spanned, list_at, parse_blanked, parse_shape, raw, refuse, shape_of};
 use super::tensor::{Numbers, Tensor};
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::base::fixed::SignMode;
 
 /// A reference to an array outside the model file, relative to it.
@@ -54,13 +54,7 @@ pub enum Source {
 enum NamedSource {
     Npy(String),
     Safetensors(String, String),
-    Uniform {
-        low: f64,
-        high: f64,
-        #[serde(default)]
-        step: Option<f64>,
-        seed: u64,
-    },
+    Uniform { low: f64, high: f64, step: Option<f64>, seed: u64 },
 }
 
 impl From<NamedSource> for Source {
@@ -328,19 +322,14 @@ macro_rules! projection_desc {
             /// Target population.
             pub to: Spanned<String>,
             /// Weight exponent, default 0.
-            #[serde(default)]
             pub weight_exp: Option<Spanned<i64>>,
             /// Sign mode, default mixed.
-            #[serde(default)]
             pub sign: Option<Spanned<SignMode>>,
             /// Bits of a weight, default 8.
-            #[serde(default)]
             pub weight_bits: Option<Spanned<i64>>,
             /// Delay field, default 0.
-            #[serde(default)]
             pub delay: Option<Spanned<i64>>,
             /// What a real weight of 1 counts in units of the weight mantissa.
-            #[serde(default)]
             pub weight_scale: Option<Spanned<f64>>,
             $($own)*
         }
@@ -384,16 +373,12 @@ projection_desc!(
         /// `[C'][C / groups][kh][kw]`.
         pub weights: Weights,
         /// (y, x), default (1, 1).
-        #[serde(default)]
         pub stride: Option<Spanned<(u64, u64)>>,
         /// (y, x), default (0, 0).
-        #[serde(default)]
         pub padding: Option<Spanned<(u64, u64)>>,
         /// (y, x), default (1, 1).
-        #[serde(default)]
         pub dilation: Option<Spanned<(u64, u64)>>,
         /// Channel groups, default 1.
-        #[serde(default)]
         pub groups: Option<Spanned<u64>>,
     }
 );
@@ -404,10 +389,8 @@ projection_desc!(
         /// Window (y, x).
         pub kernel: Spanned<(u64, u64)>,
         /// (y, x), default: the window.
-        #[serde(default)]
         pub stride: Option<Spanned<(u64, u64)>>,
         /// (y, x), default (0, 0).
-        #[serde(default)]
         pub padding: Option<Spanned<(u64, u64)>>,
         /// The weight of each synapse.
         pub weight: Spanned<f64>,
@@ -547,10 +530,8 @@ pub struct NetworkFile {
     /// The population whose spikes decide.
     pub output: Spanned<String>,
     /// Names of the classes, one for each output compartment.
-    #[serde(default)]
     pub classes: Option<Spanned<Vec<String>>>,
     /// Periodic reset.
-    #[serde(default)]
     pub reset: Option<Spanned<ResetDesc>>,
     /// When a compartment spikes.
     #[serde(default)]
@@ -562,10 +543,8 @@ pub struct NetworkFile {
     #[serde(default)]
     pub weight_rounding: WeightRounding,
     /// The stimulus to use when none is given.
-    #[serde(default)]
     pub scene: Option<String>,
     /// Where the network comes from: data, command, accuracy.
-    #[serde(default)]
     pub provenance: Option<String>,
 }
 
@@ -580,7 +559,7 @@ impl NetworkFile {
     ///
     /// # Errors
     /// `model.syntax` at the place of whatever is malformed.
-    pub fn parse(source: &SourceText) -> Result<Self, Diagnostic> {
+    pub fn parse(source: &SourceText) -> Result<Self> {
         const CODE: &str = "model.syntax";
         match blank(source.text(), &LISTS) {
             Ok(blanked) => parse_blanked(source, &blanked, CODE),
@@ -602,7 +581,7 @@ impl Network {
     ///
     /// # Errors
     /// A diagnostic when an array that the file refers to is not among them.
-    pub fn new(file: NetworkFile, source: SourceText, arrays: BTreeMap<ArrayRef, Tensor>) -> Result<Self, Diagnostic> {
+    pub fn new(file: NetworkFile, source: SourceText, arrays: BTreeMap<ArrayRef, Tensor>) -> Result<Self> {
         for (reference, span) in array_refs(&file) {
             if !arrays.contains_key(reference) {
                 return Err(

@@ -13,7 +13,7 @@ use serde::de::{Deserialize, DeserializeOwned, Deserializer};
 use serde::ser::{Serialize, Serializer};
 
 use super::lists::ListError;
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 
 thread_local! {
     /// Address and length of the text that this thread is parsing.
@@ -181,16 +181,12 @@ pub(crate) fn list_at<T>(span: Span, read: impl FnOnce(&str) -> Result<T, ListEr
 ///
 /// # Errors
 /// A [`Diagnostic`] with the position of whatever is malformed; `code` names it.
-pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T, Diagnostic> {
+pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T> {
     parse_blanked(source, source.text(), code)
 }
 
 /// Parses a text in which the inside of lists may have been blanked out byte for byte; [`list_at`] reads those.
-pub(crate) fn parse_blanked<T: DeserializeOwned>(
-    source: &SourceText,
-    text: &str,
-    code: &'static str,
-) -> Result<T, Diagnostic> {
+pub(crate) fn parse_blanked<T: DeserializeOwned>(source: &SourceText, text: &str, code: &'static str) -> Result<T> {
     let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
     let written = WRITTEN.replace(Some(source.text().clone()));
     INNERMOST.set(None);

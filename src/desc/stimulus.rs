@@ -4,7 +4,7 @@
 
 use std::path::PathBuf;
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// One `--input`.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,7 +39,7 @@ pub struct SceneArg {
 ///
 /// # Errors
 /// `input.scene-syntax` for a pair without `=`.
-pub fn pairs(query: &str) -> Result<Vec<(String, String)>, Diagnostic> {
+pub fn pairs(query: &str) -> Result<Vec<(String, String)>> {
     query
         .split('&')
         .filter(|pair| !pair.is_empty())
@@ -56,7 +56,7 @@ impl SceneArg {
     ///
     /// # Errors
     /// A diagnostic for a parameter without `=`.
-    pub fn parse(text: &str) -> Result<Self, Diagnostic> {
+    pub fn parse(text: &str) -> Result<Self> {
         let (name, query) = text.split_once('?').unwrap_or((text, ""));
         let parameters = pairs(query)?;
         Ok(SceneArg { name: name.to_string(), parameters })
@@ -79,7 +79,7 @@ impl InputArg {
     ///
     /// # Errors
     /// A diagnostic for a malformed scene.
-    pub fn parse(text: &str) -> Result<Self, Diagnostic> {
+    pub fn parse(text: &str) -> Result<Self> {
         let (population, source) = match text.split_once('=') {
             Some((name, rest)) if !name.is_empty() && !name.contains(['/', '?', ':', '.']) => {
                 (Some(name.to_string()), rest)

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::resource::{Limits, Resource};
 use super::spanned::Spanned;
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 
 /// How far a constant can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -276,7 +276,7 @@ macro_rules! constants {
             ///
             /// # Errors
             /// A diagnostic at the first constant that is negative, not finite, above 10^9, or in another unit.
-            pub fn check(&self, source: &SourceText) -> Result<(), Diagnostic> {
+            pub fn check(&self, source: &SourceText) -> Result<()> {
                 $(check_constant(source, stringify!($field), &self.$field, Unit::$unit)?;)*
                 if self.barrier.is_empty() {
                     return Err(Diagnostic::new("target.barrier", "no barrier time is given"));
@@ -301,7 +301,7 @@ macro_rules! constants {
 
 for_each_constant!(constants);
 
-fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Unit) -> Result<(), Diagnostic> {
+fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Unit) -> Result<()> {
     let value = constant.value.value;
     if constant.source.trim().is_empty() {
         return Err(Diagnostic::new("target.source", format!("{name} names no source"))
@@ -381,7 +381,7 @@ impl Chip {
     /// # Errors
     /// A diagnostic when x86 cores are kept busy that the chip does not have, when an output axon takes no slot, or when a
     /// source is given for a limit that does not exist.
-    pub fn check(&self, source: &SourceText) -> Result<(), Diagnostic> {
+    pub fn check(&self, source: &SourceText) -> Result<()> {
         let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));
         if self.x86_cores_in_use > self.x86_cores {
             return Err(wrong(format!(
@@ -447,12 +447,7 @@ impl Target {
     ///
     /// # Errors
     /// A diagnostic when a size is 0 or too large, or no preset is given.
-    pub fn new(
-        file: &TargetFile,
-        source: &SourceText,
-        chip: Chip,
-        constants: Vec<Constants>,
-    ) -> Result<Self, Diagnostic> {
+    pub fn new(file: &TargetFile, source: &SourceText, chip: Chip, constants: Vec<Constants>) -> Result<Self> {
         for (what, side) in [("chips_x", &file.chips_x), ("chips_y", &file.chips_y)] {
             if !(1..=128).contains(&side.value) {
                 return Err(Diagnostic::new("target.size", format!("{what} {} is outside 1..=128", side.value))

@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::spanned::{Spanned, parse};
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Result, SourceText};
 
 /// An input population.
 #[derive(Debug, Clone, Deserialize)]
@@ -28,7 +28,6 @@ pub struct LayerDesc {
     /// Number of neurons.
     pub size: u32,
     /// Its neurons, when they differ from the network's.
-    #[serde(default)]
     pub neuron: Option<NeuronDesc>,
     /// Factor on the learning rate of its weights.
     #[serde(default = "one")]
@@ -232,7 +231,6 @@ pub struct TrainingFile {
     #[serde(default)]
     pub classes: Vec<String>,
     /// The model's own stimulus.
-    #[serde(default)]
     pub scene: Option<String>,
 }
 
@@ -245,7 +243,7 @@ impl TrainingFile {
     ///
     /// # Errors
     /// `train.syntax` with the position.
-    pub fn parse(source: &SourceText) -> Result<Self, Diagnostic> {
+    pub fn parse(source: &SourceText) -> Result<Self> {
         parse(source, "train.syntax")
     }
 }

@@ -8,7 +8,7 @@ use ron::ser::PrettyConfig;
 use serde::Serialize;
 
 use super::text::read_text;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::mapping::MappingFile;
 use crate::desc::spanned::parse;
 
@@ -16,7 +16,7 @@ use crate::desc::spanned::parse;
 ///
 /// # Errors
 /// `mapping.syntax`, `io.*`.
-pub fn load_mapping(path: &Path) -> Result<MappingFile, Diagnostic> {
+pub fn load_mapping(path: &Path) -> Result<MappingFile> {
     parse(&read_text(path)?, "mapping.syntax")
 }
 
@@ -24,7 +24,7 @@ pub fn load_mapping(path: &Path) -> Result<MappingFile, Diagnostic> {
 ///
 /// # Errors
 /// `write.ron`, which does not happen for mappings.
-pub fn mapping_text(mapping: &MappingFile) -> Result<String, Diagnostic> {
+pub fn mapping_text(mapping: &MappingFile) -> Result<String> {
     pretty(mapping, if mapping.layers.is_empty() { 2 } else { 4 })
 }
 
@@ -32,7 +32,7 @@ pub fn mapping_text(mapping: &MappingFile) -> Result<String, Diagnostic> {
 ///
 /// # Errors
 /// `write.ron` when the value's type cannot be written.
-pub fn pretty(value: &impl Serialize, lines: usize) -> Result<String, Diagnostic> {
+pub fn pretty(value: &impl Serialize, lines: usize) -> Result<String> {
     let config = PrettyConfig::new().depth_limit(lines).struct_names(true).new_line("\n").indentor("    ");
     let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
     let mut text = options

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use super::shipped::{self, Origin};
 use super::{foreign, npy, safetensors};
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::desc::network::{ArrayRef, Network, NetworkFile, array_refs};
 use crate::desc::tensor::Tensor;
 
@@ -18,7 +18,7 @@ use crate::desc::tensor::Tensor;
 ///
 /// # Errors
 /// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names them.
-pub fn load_model(argument: &str) -> Result<Network, Diagnostic> {
+pub fn load_model(argument: &str) -> Result<Network> {
     let path = Path::new(argument);
     if shipped::is_path(argument) && foreign::is_foreign(path) {
         return foreign::network(path, &foreign::Options::default());
@@ -31,7 +31,7 @@ pub fn load_model(argument: &str) -> Result<Network, Diagnostic> {
 ///
 /// # Errors
 /// As [`load_model`].
-pub fn network(source: SourceText, origin: Origin) -> Result<Network, Diagnostic> {
+pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
     let file = NetworkFile::parse(&source)?;
     let arrays = read_arrays(&source, origin, array_refs(&file))?;
     Network::new(file, source, arrays)
@@ -41,7 +41,7 @@ fn read_arrays(
     source: &SourceText,
     origin: Origin,
     references: Vec<(&ArrayRef, Span)>,
-) -> Result<BTreeMap<ArrayRef, Tensor>, Diagnostic> {
+) -> Result<BTreeMap<ArrayRef, Tensor>> {
     let mut arrays = BTreeMap::new();
     // A safetensors file often holds every layer: it is read once.
     let mut opened: BTreeMap<&str, safetensors::TensorFile> = BTreeMap::new();
@@ -74,9 +74,9 @@ fn bytes_of<T>(
     source: &SourceText,
     origin: Origin,
     name: &str,
-    open: impl Fn(&Path) -> Result<T, Diagnostic>,
-    from_bytes: impl Fn(&Path, Vec<u8>) -> Result<T, Diagnostic>,
-) -> Result<T, Diagnostic> {
+    open: impl Fn(&Path) -> Result<T>,
+    from_bytes: impl Fn(&Path, Vec<u8>) -> Result<T>,
+) -> Result<T> {
     match origin {
         Origin::File => open(&beside(source.path(), name)),
         Origin::Shipped => match shipped::ARRAYS.iter().find(|(path, _)| *path == name) {
@@ -146,7 +146,7 @@ Network(
         folder
     }
 
-    fn load(folder: &tempfile::TempDir, text: &str) -> Result<Network, Diagnostic> {
+    fn load(folder: &tempfile::TempDir, text: &str) -> Result<Network> {
         let path = folder.path().join("m.ron");
         std::fs::write(&path, text).unwrap();
         load_model(path.to_str().unwrap())

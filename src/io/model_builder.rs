@@ -13,7 +13,7 @@ use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
 use super::write;
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::base::fixed::SignMode;
 use crate::desc::network::{
     ArrayRef, Network, NetworkFile, ParameterValue, PopulationDesc, ProjectionDesc, ResetDesc, Semantics, Source,
@@ -241,7 +241,7 @@ impl ModelBuilder {
     ///
     /// # Errors
     /// `export.unsupported` for arrays that a seed stands for, and for spikes with a payload.
-    pub fn from_network(network: &Network) -> Result<ModelBuilder, Diagnostic> {
+    pub fn from_network(network: &Network) -> Result<ModelBuilder> {
         let file = network.file();
         let mut model = ModelBuilder::new(&file.name, file.timestep_ms.value);
         for population in &file.populations {
@@ -370,7 +370,7 @@ impl ModelBuilder {
     ///
     /// # Errors
     /// `model.*` for a name or number that a model file cannot hold.
-    pub fn build(&self, path: &Path) -> Result<Network, Diagnostic> {
+    pub fn build(&self, path: &Path) -> Result<Network> {
         let file = "arrays";
         let (text, tensors) = self.ron(file);
         let source = SourceText::new(path, text);
@@ -384,7 +384,7 @@ impl ModelBuilder {
     ///
     /// # Errors
     /// `write.*`; `write.arrays` when stdout would have to take more than text.
-    pub fn write(&self, path: &Path, force: bool) -> Result<Vec<String>, Diagnostic> {
+    pub fn write(&self, path: &Path, force: bool) -> Result<Vec<String>> {
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
         let beside = path.with_file_name(format!("{stem}.safetensors"));
         let name = beside.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -413,7 +413,7 @@ fn seeded(what: &str) -> Diagnostic {
         .help("numbers that a seed stands for have no form in other tools: give them as an array")
 }
 
-fn array_of(network: &Network, source: &Source) -> Result<Tensor, Diagnostic> {
+fn array_of(network: &Network, source: &Source) -> Result<Tensor> {
     match source {
         Source::InPlace(tensor, _) => Ok(self::tensor(tensor.shape().to_vec(), reals_of(tensor))),
         Source::File(reference) => {
@@ -428,7 +428,7 @@ fn reals_of(tensor: &Tensor) -> Vec<f64> {
     (0..tensor.len()).map(|index| tensor.real(index)).collect()
 }
 
-fn value_of(network: &Network, value: &ParameterValue) -> Result<Parameter, Diagnostic> {
+fn value_of(network: &Network, value: &ParameterValue) -> Result<Parameter> {
     match value {
         ParameterValue::Same(value) => Ok(Parameter::Same(*value)),
         ParameterValue::Each(source) => Ok(Parameter::Each(reals_of(&array_of(network, source)?))),

@@ -11,7 +11,7 @@ use half::f16;
 use npyz::{DType, Endianness, NpyFile, NpyHeader, Order, TypeChar, WriterBuilder};
 
 use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::tensor::{Numbers, Tensor};
 
 /// The longest header that is read; NumPy's own reader stops at 10,000 bytes by default.
@@ -112,7 +112,7 @@ fn kind_of(dtype: &DType) -> &'static str {
 
 /// Checks the header's length, its nesting and the sizes that it claims, and returns where the numbers begin. The parser
 /// behind it checks none of these: it recurses, allocates and multiplies as the header says.
-fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
+fn check_header(path: &Path, bytes: &[u8]) -> Result<usize> {
     let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
     if !bytes.starts_with(NPY_MAGIC) {
         return match Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY")
@@ -185,7 +185,7 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<usize, Diagnostic> {
 ///
 /// # Errors
 /// As [`read_bytes`] and [`Array::from_bytes`].
-pub fn open(path: &Path) -> Result<Array, Diagnostic> {
+pub fn open(path: &Path) -> Result<Array> {
     Array::from_bytes(path, read_bytes(path, MOST_ARRAY)?)
 }
 
@@ -193,7 +193,7 @@ pub fn open(path: &Path) -> Result<Array, Diagnostic> {
 ///
 /// # Errors
 /// As [`open`] and [`Array::tensor`].
-pub fn read(path: &Path) -> Result<Tensor, Diagnostic> {
+pub fn read(path: &Path) -> Result<Tensor> {
     open(path)?.tensor()
 }
 
@@ -202,7 +202,7 @@ impl Array {
     ///
     /// # Errors
     /// `npy.format`, `npy.dtype`, `npy.shape`, `npy.truncated`, `npy.trailing`.
-    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, Diagnostic> {
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
         let data = check_header(path, &bytes)?;
         let header = NpyHeader::from_reader(&bytes[..data]).map_err(|error| {
             Diagnostic::new("npy.format", format!("the header cannot be read: {error}")).in_file(path)
@@ -298,10 +298,7 @@ impl Array {
     }
 
     /// Calls `f` with the C-order index of each number and the number.
-    fn each<T: npyz::Deserialize>(
-        &self,
-        mut f: impl FnMut(usize, T) -> Result<(), Diagnostic>,
-    ) -> Result<(), Diagnostic> {
+    fn each<T: npyz::Deserialize>(&self, mut f: impl FnMut(usize, T) -> Result<()>) -> Result<()> {
         let place = self.c_order();
         let file = NpyFile::with_header(self.header.clone(), &self.bytes[self.data..]);
         for (index, number) in file.data::<T>().map_err(|error| self.failed(error))?.enumerate() {
@@ -311,7 +308,7 @@ impl Array {
     }
 
     /// Calls `f` with every number as a real, in the order of the file.
-    fn each_real(&self, mut f: impl FnMut(usize, f64) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
+    fn each_real(&self, mut f: impl FnMut(usize, f64) -> Result<()>) -> Result<()> {
         let mut finite = |index: usize, x: f64| {
             if x.is_finite() { f(index, x) } else { Err(self.wrong(index, x, "not a finite number")) }
         };
@@ -323,7 +320,7 @@ impl Array {
     }
 
     /// Calls `f` with every number as an integer of the hardware's width.
-    fn each_integer(&self, mut f: impl FnMut(usize, i32) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
+    fn each_integer(&self, mut f: impl FnMut(usize, i32) -> Result<()>) -> Result<()> {
         match self.element {
             Element::Bool => self.each::<bool>(|index, x| f(index, i32::from(x))),
             Element::I1 => self.each::<i8>(|index, x| f(index, i32::from(x))),
@@ -348,7 +345,7 @@ impl Array {
     ///
     /// # Errors
     /// `npy.value` for an integer beyond 32 bits and for NaN or infinity, with its index.
-    pub fn tensor(&self) -> Result<Tensor, Diagnostic> {
+    pub fn tensor(&self) -> Result<Tensor> {
         let length = (self.bytes.len() - self.data) / self.element.bytes();
         let numbers = if self.element.is_real() {
             let mut numbers = vec![0.0; length];
@@ -373,7 +370,7 @@ impl Array {
     ///
     /// # Errors
     /// As [`Array::tensor`], and whatever `f` says.
-    pub fn each_non_zero(&self, mut f: impl FnMut(usize) -> Result<(), Diagnostic>) -> Result<(), Diagnostic> {
+    pub fn each_non_zero(&self, mut f: impl FnMut(usize) -> Result<()>) -> Result<()> {
         let place = self.c_order();
         let size = self.element.bytes();
         let big = matches!(self.header.dtype(), DType::Plain(plain) if plain.endianness() == Endianness::Big);
@@ -395,7 +392,7 @@ impl Array {
     }
 
     /// Whether a number with a byte that is not zero is itself not zero, and one that is read.
-    fn is_spike(&self, index: usize, number: &[u8], big: bool) -> Result<bool, Diagnostic> {
+    fn is_spike(&self, index: usize, number: &[u8], big: bool) -> Result<bool> {
         let mut little = [0; 8];
         little[..number.len()].copy_from_slice(number);
         if big {
@@ -493,7 +490,7 @@ mod tests {
         bytes
     }
 
-    fn parse(bytes: Vec<u8>) -> Result<Tensor, Diagnostic> {
+    fn parse(bytes: Vec<u8>) -> Result<Tensor> {
         Array::from_bytes(Path::new("a.npy"), bytes)?.tensor()
     }
 

@@ -9,7 +9,7 @@ use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
 use super::text::{MOST_ARRAY, read_bytes};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::tensor::{Numbers, Tensor};
 
 /// What a file says about one of its tensors.
@@ -33,7 +33,7 @@ pub struct TensorFile {
 ///
 /// # Errors
 /// As [`read_bytes`]; `safetensors.format`.
-pub fn open(path: &Path) -> Result<TensorFile, Diagnostic> {
+pub fn open(path: &Path) -> Result<TensorFile> {
     TensorFile::from_bytes(path, read_bytes(path, MOST_ARRAY)?)
 }
 
@@ -42,13 +42,13 @@ impl TensorFile {
     ///
     /// # Errors
     /// `safetensors.format`.
-    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, Diagnostic> {
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
         let file = TensorFile { path: path.into(), bytes };
         file.view()?;
         Ok(file)
     }
 
-    fn view(&self) -> Result<SafeTensors<'_>, Diagnostic> {
+    fn view(&self) -> Result<SafeTensors<'_>> {
         SafeTensors::deserialize(&self.bytes).map_err(|error| {
             Diagnostic::new("safetensors.format", format!("this is not a whole safetensors file: {error}"))
                 .in_file(&self.path)
@@ -59,7 +59,7 @@ impl TensorFile {
     ///
     /// # Errors
     /// `safetensors.format`.
-    pub fn entries(&self) -> Result<Vec<Entry>, Diagnostic> {
+    pub fn entries(&self) -> Result<Vec<Entry>> {
         let view = self.view()?;
         let mut entries: Vec<Entry> = view
             .iter()
@@ -77,7 +77,7 @@ impl TensorFile {
     ///
     /// # Errors
     /// `safetensors.key` with the keys that exist, `safetensors.dtype`, `safetensors.value` with the index.
-    pub fn tensor(&self, key: &str) -> Result<Tensor, Diagnostic> {
+    pub fn tensor(&self, key: &str) -> Result<Tensor> {
         let view = self.view()?;
         let Ok(tensor) = view.tensor(key) else {
             let entries = self.entries()?;
@@ -94,7 +94,7 @@ impl TensorFile {
         })
     }
 
-    fn numbers(&self, key: &str, tensor: &TensorView<'_>) -> Result<Numbers, Diagnostic> {
+    fn numbers(&self, key: &str, tensor: &TensorView<'_>) -> Result<Numbers> {
         let wrong = |index: usize, value: &dyn std::fmt::Display, why: &str| {
             Diagnostic::new("safetensors.value", format!("number {index} of tensor '{key}' is {value}, which is {why}"))
                 .in_file(&self.path)
@@ -134,10 +134,7 @@ fn each<const N: usize, T>(data: &[u8], decode: impl Fn([u8; N]) -> T) -> impl I
     data.as_chunks::<N>().0.iter().map(move |&bytes| decode(bytes))
 }
 
-fn fallible<T, U>(
-    numbers: impl Iterator<Item = T>,
-    f: impl Fn(usize, T) -> Result<U, Diagnostic>,
-) -> Result<Vec<U>, Diagnostic> {
+fn fallible<T, U>(numbers: impl Iterator<Item = T>, f: impl Fn(usize, T) -> Result<U>) -> Result<Vec<U>> {
     numbers.enumerate().map(|(index, x)| f(index, x)).collect()
 }
 
@@ -146,14 +143,14 @@ mod tests {
     use super::*;
 
     /// A file as the format's specification lays it out: length, JSON, data.
-    fn file(json: &str, data: &[u8]) -> Result<TensorFile, Diagnostic> {
+    fn file(json: &str, data: &[u8]) -> Result<TensorFile> {
         let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
         bytes.extend(json.bytes());
         bytes.extend(data);
         TensorFile::from_bytes(Path::new("w.safetensors"), bytes)
     }
 
-    fn one(dtype: &str, data: &[u8], count: usize) -> Result<Numbers, Diagnostic> {
+    fn one(dtype: &str, data: &[u8], count: usize) -> Result<Numbers> {
         let json = format!(r#"{{"w":{{"dtype":"{dtype}","shape":[{count}],"data_offsets":[0,{}]}}}}"#, data.len());
         Ok(file(&json, data)?.tensor("w")?.numbers().clone())
     }

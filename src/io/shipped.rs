@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use super::text::{is_standard_stream, read_text};
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 
 /// A file in the binary.
 #[derive(Debug, Clone, Copy)]
@@ -112,7 +112,7 @@ pub fn text_of(
     table: &'static [Shipped],
     kind: &str,
     code: &'static str,
-) -> Result<(SourceText, Origin), Diagnostic> {
+) -> Result<(SourceText, Origin)> {
     if is_path(argument) {
         return Ok((read_text(Path::new(argument))?, Origin::File));
     }

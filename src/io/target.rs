@@ -9,7 +9,7 @@ use std::path::Path;
 use super::model::beside;
 use super::shipped::{self, Origin, Shipped};
 use super::text::read_text;
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::spanned::{Spanned, parse};
 use crate::desc::target::{Chip, Constant, Constants, Residual, Target, TargetFile};
 
@@ -17,7 +17,7 @@ use crate::desc::target::{Chip, Constant, Constants, Residual, Target, TargetFil
 ///
 /// # Errors
 /// `target.*`, `chip.*`, `constants.*`, `io.*`.
-pub fn load_target(argument: &str) -> Result<Target, Diagnostic> {
+pub fn load_target(argument: &str) -> Result<Target> {
     let (source, origin) = shipped::text_of(argument, shipped::TARGETS, "target", "target.unknown")?;
     target(&source, origin)
 }
@@ -26,7 +26,7 @@ pub fn load_target(argument: &str) -> Result<Target, Diagnostic> {
 ///
 /// # Errors
 /// As [`load_target`].
-pub fn target(source: &SourceText, origin: Origin) -> Result<Target, Diagnostic> {
+pub fn target(source: &SourceText, origin: Origin) -> Result<Target> {
     let file: TargetFile = parse(source, "target.syntax")?;
     let chip_source = part(source, origin, &file.chip, "chips", "chip", shipped::CHIPS)?;
     let chip = parse_chip(&chip_source)?;
@@ -46,7 +46,7 @@ pub fn target(source: &SourceText, origin: Origin) -> Result<Target, Diagnostic>
 ///
 /// # Errors
 /// `chip.syntax`, and what [`Chip::check`] says.
-pub fn parse_chip(source: &SourceText) -> Result<Chip, Diagnostic> {
+pub fn parse_chip(source: &SourceText) -> Result<Chip> {
     let chip: Chip = parse(source, "chip.syntax")?;
     chip.check(source)?;
     Ok(chip)
@@ -56,7 +56,7 @@ pub fn parse_chip(source: &SourceText) -> Result<Chip, Diagnostic> {
 ///
 /// # Errors
 /// `constants.syntax`, and what [`Constants::check`] says.
-pub fn parse_constants(source: &SourceText) -> Result<Constants, Diagnostic> {
+pub fn parse_constants(source: &SourceText) -> Result<Constants> {
     let constants: Constants = parse(source, "constants.syntax")?;
     constants.check(source).map_err(|problem| match problem.place {
         Some(_) => problem,
@@ -69,7 +69,7 @@ pub fn parse_constants(source: &SourceText) -> Result<Constants, Diagnostic> {
 ///
 /// # Errors
 /// `constants.*`, `io.*`.
-pub fn load_constants(argument: &str) -> Result<Constants, Diagnostic> {
+pub fn load_constants(argument: &str) -> Result<Constants> {
     let (source, _) = shipped::text_of(argument, shipped::CONSTANTS, "preset of constants", "constants.unknown")?;
     parse_constants(&source)
 }
@@ -113,7 +113,7 @@ fn part(
     folder: &str,
     kind: &str,
     table: &'static [Shipped],
-) -> Result<SourceText, Diagnostic> {
+) -> Result<SourceText> {
     if origin == Origin::File {
         let file = format!("{}.ron", name.value);
         for path in [beside(source.path(), &file), beside(source.path(), &format!("../{folder}/{file}"))] {
@@ -180,7 +180,7 @@ pub(crate) mod tests {
         text + ")"
     }
 
-    fn load(target: &str, chip: &str, constants: &str) -> Result<Target, Diagnostic> {
+    fn load(target: &str, chip: &str, constants: &str) -> Result<Target> {
         let folder = tempfile::tempdir().unwrap();
         for (name, text) in [("t.ron", target), ("one.ron", chip), ("c.ron", constants)] {
             std::fs::write(folder.path().join(name), text).unwrap();

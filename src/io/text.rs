@@ -7,7 +7,7 @@ use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 
 /// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while it is read, since each
 /// entry keeps its place for messages: this keeps the largest well within a gibibyte. Larger arrays belong beside the file.
@@ -48,7 +48,7 @@ fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
 ///
 /// # Errors
 /// `io.missing`, `io.folder`, `io.denied`, `io.read`.
-pub(super) fn open(path: &Path) -> Result<(File, Metadata), Diagnostic> {
+pub(super) fn open(path: &Path) -> Result<(File, Metadata)> {
     let file = File::open(path).map_err(|error| unreadable(path, &error))?;
     let metadata = file.metadata().map_err(|error| unreadable(path, &error))?;
     if metadata.is_dir() {
@@ -61,7 +61,7 @@ pub(super) fn open(path: &Path) -> Result<(File, Metadata), Diagnostic> {
 ///
 /// # Errors
 /// `io.lfs-pointer`.
-pub(super) fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<(), Diagnostic> {
+pub(super) fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<()> {
     if !begin.starts_with(LFS) {
         return Ok(());
     }
@@ -74,7 +74,7 @@ pub(super) fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<(), Diagnostic
 ///
 /// # Errors
 /// `io.missing`, `io.folder`, `io.denied`, `io.read`, `io.too-large`, `io.lfs-pointer`.
-pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, Diagnostic> {
+pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let too_large = |size: String| {
         Diagnostic::new("io.too-large", format!("{size} bytes are more than the {limit} that are read")).in_file(path)
@@ -99,7 +99,7 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, Diagnostic> {
 ///
 /// # Errors
 /// As [`read_bytes`]; `io.utf8` with the position of the first byte that is not UTF-8.
-pub fn read_text(path: &Path) -> Result<SourceText, Diagnostic> {
+pub fn read_text(path: &Path) -> Result<SourceText> {
     decode(path, read_bytes(path, MOST_TEXT)?)
 }
 
@@ -107,7 +107,7 @@ pub fn read_text(path: &Path) -> Result<SourceText, Diagnostic> {
 ///
 /// # Errors
 /// `io.utf8` with the position of the first byte that is not UTF-8.
-pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText, Diagnostic> {
+pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
     let name = if is_standard_stream(path) { Path::new("<stdin>") } else { path };
     match String::from_utf8(bytes) {
         Ok(text) => {

@@ -9,7 +9,7 @@ use std::path::Path;
 use super::foreign::hdf5;
 use super::spikes::events::nir_data;
 use super::write;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// The most numbers of a NIR file, which is made in memory.
 const MOST_GRIDDED: usize = 1 << 26;
@@ -31,7 +31,7 @@ impl Trace<'_> {
     ///
     /// # Errors
     /// As [`write::file`].
-    pub fn csv(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<(), Diagnostic> {
+    pub fn csv(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
         let [_, units, steps] = self.shape;
         let spikes = self.register == "spikes";
         write::file(path, force, |out| {
@@ -57,7 +57,7 @@ impl Trace<'_> {
     ///
     /// # Errors
     /// `write.too-large` beyond 2^26 numbers; as [`write::file`].
-    pub fn nir(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<(), Diagnostic> {
+    pub fn nir(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
         let [samples, units, steps] = self.shape;
         if samples * units * steps > MOST_GRIDDED {
             let message =
@@ -93,7 +93,7 @@ impl Trace<'_> {
     /// # Errors
     /// `write.too-large` beyond 2^26 numbers; as [`write::file`].
     #[cfg(feature = "parquet")]
-    pub fn parquet(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<(), Diagnostic> {
+    pub fn parquet(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
         let [samples, units, steps] = self.shape;
         if samples * units * steps > MOST_GRIDDED {
             let message =

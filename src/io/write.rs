@@ -7,7 +7,7 @@ use std::io::{BufWriter, ErrorKind, Write};
 use std::path::Path;
 
 use super::text::is_standard_stream;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 fn exists(path: &Path) -> Diagnostic {
     Diagnostic::new("write.exists", "the file exists already")
@@ -23,7 +23,7 @@ fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
 ///
 /// # Errors
 /// `write.exists`, `write.folder`.
-pub fn check_free(path: &Path, force: bool) -> Result<(), Diagnostic> {
+pub fn check_free(path: &Path, force: bool) -> Result<()> {
     if is_standard_stream(path) {
         return Ok(());
     }
@@ -41,11 +41,7 @@ pub fn check_free(path: &Path, force: bool) -> Result<(), Diagnostic> {
 ///
 /// # Errors
 /// `write.exists`, `write.folder`, `write.failed`.
-pub fn file(
-    path: &Path,
-    force: bool,
-    fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
-) -> Result<(), Diagnostic> {
+pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let fail = |error: std::io::Error| failed(path, &error);
     if is_standard_stream(path) {
         let mut out = BufWriter::new(std::io::stdout().lock());
@@ -82,7 +78,7 @@ pub fn file(
 ///
 /// # Errors
 /// As [`file()`].
-pub fn text(path: &Path, force: bool, text: &str) -> Result<(), Diagnostic> {
+pub fn text(path: &Path, force: bool, text: &str) -> Result<()> {
     file(path, force, |out| out.write_all(text.as_bytes()))
 }
 
@@ -90,7 +86,7 @@ pub fn text(path: &Path, force: bool, text: &str) -> Result<(), Diagnostic> {
 ///
 /// # Errors
 /// `write.failed`.
-pub fn stdout(text: &str) -> Result<(), Diagnostic> {
+pub fn stdout(text: &str) -> Result<()> {
     self::text(Path::new("-"), false, text)
 }
 

@@ -17,7 +17,7 @@ use super::parameter::{parameter, parameters, spread, unknown};
 use super::recording::{MOST_SAMPLES, Recording};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
 use super::wire::{self, Wire};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::desc::stimulus::SceneArg;
 
 /// Bins, which are timesteps, of a sample.

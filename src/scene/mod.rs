@@ -18,7 +18,7 @@ pub mod wire;
 use rayon::prelude::*;
 
 pub use self::recording::{MOST_SAMPLES, Recording, TOUCH, VISION};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::ChannelId;
 use crate::desc::stimulus::SceneArg;
 use crate::ir::quantised::Quantised;
@@ -38,7 +38,7 @@ pub const SCENES: [(&str, &str); 3] = [
 ///
 /// # Errors
 /// A diagnostic for an unknown scene or parameter, or a value out of range.
-pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus, Diagnostic> {
+pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
     match scene.name.as_str() {
         "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?),
         _ => recorded(network, &Recorded::parse(scene)?),
@@ -59,7 +59,7 @@ impl Recorded {
     ///
     /// # Errors
     /// `scene.unknown`, `scene.parameter`.
-    pub fn parse(scene: &SceneArg) -> Result<Self, Diagnostic> {
+    pub fn parse(scene: &SceneArg) -> Result<Self> {
         match scene.name.as_str() {
             "slip" => Ok(Recorded::Slip(slip::Slip::parse(scene)?)),
             "container" => Ok(Recorded::Container(container::Containers::parse(scene)?)),
@@ -138,7 +138,7 @@ impl Recorded {
 }
 
 /// The recordings of a scene on the channels of a network's input populations.
-fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus, Diagnostic> {
+fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
     let name = scene.name();
     // First channel of touch and of vision, where the network has them.
     let mut first = [None, None];

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::ChannelId;
 use crate::base::rng;
 use crate::desc::stimulus::SceneArg;
@@ -31,7 +31,7 @@ impl Noise {
     ///
     /// # Errors
     /// A diagnostic for an unknown key or a value out of range.
-    pub fn parse(network: &Quantised, scene: &SceneArg) -> Result<Self, Diagnostic> {
+    pub fn parse(network: &Quantised, scene: &SceneArg) -> Result<Self> {
         let mut noise = Noise { samples: 20, steps: 150, seed: 1, rate: 0.01, rates: BTreeMap::new() };
         for (key, value) in &scene.parameters {
             match key.as_str() {
@@ -57,7 +57,7 @@ impl Noise {
 ///
 /// # Errors
 /// A diagnostic when a sample would have too many spikes to count.
-pub fn stimulus(network: &Quantised, noise: &Noise) -> Result<Stimulus, Diagnostic> {
+pub fn stimulus(network: &Quantised, noise: &Noise) -> Result<Stimulus> {
     let samples = (0..noise.samples)
         .into_par_iter()
         .map(|index| {

@@ -3,14 +3,14 @@
 //! Input: a key, its value as text and the range allowed. Output: a number, or a range of numbers. Errors:
 //! `scene.parameter`.
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// A parameter's value within a range.
 pub(super) fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
     key: &str,
     value: &str,
     range: std::ops::RangeInclusive<T>,
-) -> Result<T, Diagnostic> {
+) -> Result<T> {
     value.parse().ok().filter(|parsed| range.contains(parsed)).ok_or_else(|| {
         Diagnostic::new(
             "scene.parameter",
@@ -20,7 +20,7 @@ pub(super) fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
 }
 
 /// A parameter that is drawn for each sample: `low..high`, or one value for all; both within a range.
-pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64), Diagnostic> {
+pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64)> {
     let (low, high) = value.split_once("..").unwrap_or((value, value));
     let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
     if low > high {
@@ -47,7 +47,7 @@ macro_rules! parameters {
             ///
             /// # Errors
             /// `scene.parameter` for an unknown key or a value out of range.
-            pub fn parse(scene: &SceneArg) -> Result<Self, Diagnostic> {
+            pub fn parse(scene: &SceneArg) -> Result<Self> {
                 let mut $set = Self::default();
                 for (key, value) in &scene.parameters {
                     match key.as_str() {

@@ -16,7 +16,7 @@ use super::parameter::{parameter, parameters, spread, unknown};
 use super::recording::{MOST_SAMPLES, Recording};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
 use super::wire::{self, Wire};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::desc::stimulus::SceneArg;
 
 /// Milliseconds, which are timesteps, of a sample.
@@ -443,7 +443,7 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Slip, Diagnostic> {
+    fn parse(text: &str) -> Result<Slip> {
         Slip::parse(&SceneArg::parse(text).unwrap())
     }
 

@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use super::fit::{EpochRow, Example, Plan, TrainingState};
 use super::network::Weights;
 use super::optimiser::Moments;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::text::{MOST_ARRAY, read_bytes};
 use crate::io::write;
 
@@ -37,7 +37,7 @@ const PARTS: [&str; 4] = ["weights", "average", "first", "second"];
 ///
 /// # Errors
 /// `write.*`.
-pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<(), Diagnostic> {
+pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()> {
     let parts = [&state.weights, &state.average, &state.moments.first, &state.moments.second];
     let bytes: Vec<(String, Vec<u8>)> = PARTS
         .iter()
@@ -68,7 +68,7 @@ pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<(),
 ///
 /// # Errors
 /// `train.checkpoint` for a file that is no checkpoint, or one of another training; `io.*`.
-pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<TrainingState>, Diagnostic> {
+pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<TrainingState>> {
     if !path.exists() {
         return Ok(None);
     }

@@ -9,7 +9,7 @@ use safetensors::tensor::{Dtype, TensorView};
 
 use super::cells::Cells;
 use super::network::{Layer, Topology, Weights};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::training::{LayerDesc, NeuronDesc, TimesDesc, TrainingFile};
 
 /// A model, ready to be written.
@@ -32,7 +32,7 @@ pub fn model(
     weights_file: &str,
     comment: &str,
     provenance: &str,
-) -> Result<Model, Diagnostic> {
+) -> Result<Model> {
     let mut out = String::new();
     let mut tensors: Vec<(&Layer, Dtype, Vec<u8>)> = Vec::new();
     for line in comment.lines() {
@@ -100,7 +100,7 @@ fn parameter<T: PartialEq + std::fmt::Debug>(values: &[T]) -> String {
     }
 }
 
-fn population(file: &TrainingFile, desc: &LayerDesc, layer: &Layer) -> Result<String, Diagnostic> {
+fn population(file: &TrainingFile, desc: &LayerDesc, layer: &Layer) -> Result<String> {
     let head = format!("name: {:?}, shape: [{}]", desc.name, desc.size);
     match (&layer.cells, desc.neuron.as_ref().unwrap_or(&file.neuron)) {
         (Cells::Loihi(loihi), _) => {

@@ -6,7 +6,7 @@ use super::loss::{Form, Loss};
 use super::network::{Layer, Mantissas, Source, Topology};
 use super::optimiser::{Optimiser, Rule};
 use super::surrogate::Surrogate;
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::base::fixed::{Decay, OutOfRange, Refractory, ThresholdMantissa, WeightExponent};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, TrainingFile};
@@ -28,14 +28,14 @@ impl Problems<'_> {
     }
 
     /// A number within a closed range.
-    fn number(&self, span: Span, what: &str, value: f64, low: f64, high: f64) -> Result<f64, Diagnostic> {
+    fn number(&self, span: Span, what: &str, value: f64, low: f64, high: f64) -> Result<f64> {
         if (low..=high).contains(&value) {
             return Ok(value);
         }
         Err(self.at("train.range", span, format!("{what} {value} is outside {low}..={high}")))
     }
 
-    fn field<T>(&self, span: Span, of: Result<T, OutOfRange>) -> Result<T, Diagnostic> {
+    fn field<T>(&self, span: Span, of: Result<T, OutOfRange>) -> Result<T> {
         of.map_err(|error| self.at("train.range", span, error.to_string()))
     }
 }
@@ -44,7 +44,7 @@ impl Problems<'_> {
 ///
 /// # Errors
 /// `train.range` for a number, `train.layer` for a layer that reads what is not there, each at its place.
-pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan, Diagnostic> {
+pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
     let problems = Problems(source);
     let whole = Span::default();
     let timestep = problems.number(file.timestep_ms.span, "timestep_ms", *file.timestep_ms, 1e-3, 1e6)?;
@@ -130,14 +130,7 @@ fn loss(desc: LossDesc, output: &Cells) -> Loss {
 }
 
 /// The time constant of each neuron in steps.
-fn times(
-    problems: &Problems,
-    span: Span,
-    what: &str,
-    desc: TimesDesc,
-    n: usize,
-    step: f64,
-) -> Result<Vec<f64>, Diagnostic> {
+fn times(problems: &Problems, span: Span, what: &str, desc: TimesDesc, n: usize, step: f64) -> Result<Vec<f64>> {
     let check = |value: f64| problems.number(span, what, value / step, 1e-3, LONGEST);
     match desc {
         TimesDesc::Same(value) => Ok(vec![check(value)?; n]),
@@ -161,7 +154,7 @@ fn cells(
     desc: &NeuronDesc,
     n: usize,
     step: f64,
-) -> Result<(Cells, Option<Mantissas>), Diagnostic> {
+) -> Result<(Cells, Option<Mantissas>)> {
     match *desc {
         NeuronDesc::Srm { tau_sr_ms, tau_ref_ms, scale_ref, theta, truncated } => {
             let tau = times(problems, span, "tau_sr_ms in steps", tau_sr_ms, n, step)?;

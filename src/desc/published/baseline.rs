@@ -138,6 +138,5 @@ pub struct BaselineFile {
     /// Its rows.
     pub rows: Vec<BaselineRow>,
     /// What bounds it elsewhere.
-    #[serde(default)]
     pub roofline: Option<Roofline>,
 }

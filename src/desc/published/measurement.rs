@@ -81,7 +81,6 @@ pub struct MeasurementsFile {
     #[serde(default)]
     pub given: Vec<GivenConstant>,
     /// Name of the preset that a calibration makes.
-    #[serde(default)]
     pub preset: Option<String>,
     /// What may be fitted; nothing in a table that only tests.
     #[serde(default)]

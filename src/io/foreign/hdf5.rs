@@ -16,7 +16,7 @@ use hdf5_pure::{
 };
 
 use super::element::Element;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// What every HDF5 file begins with (HDF5 file format specification 3.0, II.A).
 pub const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
@@ -218,7 +218,7 @@ struct Budget<'a> {
 }
 
 impl Budget<'_> {
-    fn take(&mut self, bytes: u64) -> Result<(), Diagnostic> {
+    fn take(&mut self, bytes: u64) -> Result<()> {
         match self.bytes.checked_sub(bytes) {
             Some(rest) => self.bytes = rest,
             None => {
@@ -232,7 +232,7 @@ impl Budget<'_> {
         Ok(())
     }
 
-    fn object(&mut self, depth: usize) -> Result<(), Diagnostic> {
+    fn object(&mut self, depth: usize) -> Result<()> {
         self.objects += 1;
         if self.objects > MOST_OBJECTS || depth > DEEPEST {
             let message =
@@ -255,14 +255,14 @@ impl Budget<'_> {
 ///
 /// # Errors
 /// `hdf5.format`, `hdf5.too-large`.
-pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group, Diagnostic> {
+pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     let mut budget = Budget { path, bytes: MOST_FIXED + MOST_RATIO * bytes.len() as u64, objects: 0 };
     let options = FileAccessProperties::new().with_chunk_cache(ChunkCacheConfig::disabled());
     let file = File::from_bytes_with_options(bytes, options).map_err(|error| budget.wrong(&error))?;
     group(&file.root(), &mut budget, 0)
 }
 
-fn group(group: &hdf5_pure::Group, budget: &mut Budget<'_>, depth: usize) -> Result<Group, Diagnostic> {
+fn group(group: &hdf5_pure::Group, budget: &mut Budget<'_>, depth: usize) -> Result<Group> {
     budget.object(depth)?;
     let mut items = BTreeMap::new();
     for (name, child) in group.iter_groups().map_err(|error| budget.wrong(&error))? {
@@ -306,7 +306,7 @@ fn element(datatype: &Datatype) -> Option<(Element, bool)> {
     }
 }
 
-fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Item, Diagnostic> {
+fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Item> {
     let wrong = |budget: &Budget<'_>, error: &dyn std::fmt::Display| budget.wrong(&format!("{name}: {error}"));
     let axes = dataset.shape().map_err(|error| wrong(budget, &error))?;
     if axes.len() > MOST_AXES {
@@ -366,7 +366,7 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Ite
 ///
 /// # Errors
 /// `hdf5.write` for what the format cannot hold.
-pub fn write(root: &Group) -> Result<Vec<u8>, Diagnostic> {
+pub fn write(root: &Group) -> Result<Vec<u8>> {
     let failed = |error: &dyn std::fmt::Display| {
         Diagnostic::new("hdf5.write", format!("the HDF5 file cannot be written: {error}"))
     };

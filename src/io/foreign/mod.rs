@@ -22,7 +22,7 @@ use std::path::Path;
 use self::imported::listed;
 pub use self::imported::{Imported, Options, ResetMode};
 use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::Network;
 
 /// The kinds of foreign files, by their content.
@@ -69,7 +69,7 @@ pub fn is_foreign(path: &Path) -> bool {
 ///
 /// # Errors
 /// `import.*` for what the file holds, `hdf5.*` and `io.*` for the file itself.
-pub fn read(path: &Path, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn read(path: &Path, options: &Options) -> Result<Imported> {
     from_bytes(path, read_bytes(path, MOST_ARRAY)?, options)
 }
 
@@ -77,7 +77,7 @@ pub fn read(path: &Path, options: &Options) -> Result<Imported, Diagnostic> {
 ///
 /// # Errors
 /// As [`read`].
-pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let imported = match kind_of(&bytes) {
         Kind::Hdf5 => read_hdf5(path, bytes, options),
         Kind::Torch => slayer::read_checkpoint(bytes, &network_name(path), options),
@@ -87,7 +87,7 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
     imported.map_err(|problem| problem.or_in_file(path))
 }
 
-fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported, Diagnostic> {
+fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let root = hdf5::tree(path, bytes)?;
     let name = network_name(path);
     if root.group("layer").is_some() {
@@ -144,6 +144,6 @@ fn unknown(path: &Path, bytes: &[u8]) -> Diagnostic {
 ///
 /// # Errors
 /// As [`read`], and `model.*` when it is not a valid model.
-pub fn network(path: &Path, options: &Options) -> Result<Network, Diagnostic> {
+pub fn network(path: &Path, options: &Options) -> Result<Network> {
     read(path, options)?.model.build(path)
 }

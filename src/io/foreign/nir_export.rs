@@ -8,7 +8,7 @@
 //! file that it was found in: a file that somebody changed is read like any other.
 
 use super::hdf5::{Group, Item, Numbers};
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::network::{ArrayRef, Network, NetworkFile};
 use crate::desc::neurons::NeuronKind;
 use crate::desc::tensor::{self, Tensor};
@@ -33,7 +33,7 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 ///
 /// # Errors
 /// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses beyond 2^24 places.
-pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>), Diagnostic> {
+pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
     let mut graph =
         Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt: model.timestep_ms / 1e3 };
     for population in &model.populations {
@@ -136,7 +136,7 @@ impl Graph {
         free
     }
 
-    fn population(&mut self, population: &PopulationBuilder) -> Result<(), Diagnostic> {
+    fn population(&mut self, population: &PopulationBuilder) -> Result<()> {
         let axes: Vec<usize> = population.shape.iter().map(|&axis| axis as usize).collect();
         let units = population.units() as usize;
         let name = &population.name;
@@ -206,12 +206,7 @@ impl Graph {
         Ok(())
     }
 
-    fn projection(
-        &mut self,
-        model: &ModelBuilder,
-        projection: &ProjectionBuilder,
-        index: usize,
-    ) -> Result<(), Diagnostic> {
+    fn projection(&mut self, model: &ModelBuilder, projection: &ProjectionBuilder, index: usize) -> Result<()> {
         let find = |name: &str| {
             model.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
         };
@@ -248,7 +243,7 @@ impl Graph {
         (source, target): (&PopulationBuilder, &PopulationBuilder),
         (first, together): (u64, u64),
         unit: f64,
-    ) -> Result<Vec<Group>, Diagnostic> {
+    ) -> Result<Vec<Group>> {
         let (rows, columns) = (target.units(), source.units());
         let mut chain = Vec::new();
         let flatten = || {

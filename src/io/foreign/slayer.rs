@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 use super::encode;
 use super::imported::{Imported, Options};
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use crate::io::text::{decode, read_bytes};
 use crate::io::{foreign::torch, npy};
@@ -60,7 +60,6 @@ pub enum NeuronKind {
 
 #[derive(Deserialize)]
 struct ConfigFile {
-    #[serde(default)]
     simulation: Option<SimulationFile>,
     neuron: NeuronFile,
 }
@@ -75,23 +74,14 @@ struct SimulationFile {
 #[allow(non_snake_case)]
 struct NeuronFile {
     r#type: String,
-    #[serde(default)]
     vThMant: Option<f64>,
-    #[serde(default)]
     vDecay: Option<f64>,
-    #[serde(default)]
     iDecay: Option<f64>,
-    #[serde(default)]
     refDelay: Option<f64>,
-    #[serde(default)]
     wgtExp: Option<f64>,
-    #[serde(default)]
     theta: Option<f64>,
-    #[serde(default)]
     tauSr: Option<f64>,
-    #[serde(default)]
     tauRef: Option<f64>,
-    #[serde(default)]
     scaleRef: Option<f64>,
 }
 
@@ -99,7 +89,7 @@ struct NeuronFile {
 ///
 /// # Errors
 /// `import.yaml` with its place, `io.*`.
-pub fn read_config(path: &Path) -> Result<Neuron, Diagnostic> {
+pub fn read_config(path: &Path) -> Result<Neuron> {
     config(&decode(path, read_bytes(path, MOST_YAML)?)?)
 }
 
@@ -107,7 +97,7 @@ pub fn read_config(path: &Path) -> Result<Neuron, Diagnostic> {
 ///
 /// # Errors
 /// `import.yaml` with its place.
-pub fn config(source: &SourceText) -> Result<Neuron, Diagnostic> {
+pub fn config(source: &SourceText) -> Result<Neuron> {
     let budget = serde_saphyr::options! {
         budget: serde_saphyr::budget! {
             max_depth: 32,
@@ -175,7 +165,7 @@ struct Matrix {
 ///
 /// # Errors
 /// `import.torch`, `import.pickle`, `import.slayer`, `import.option` without `--neuron`.
-pub fn read_checkpoint(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn read_checkpoint(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
     let mut checkpoint = torch::open(bytes)?;
     let entries: Vec<(String, Vec<usize>)> =
         checkpoint.entries().map(|(name, shape)| (name.to_string(), shape.to_vec())).collect();
@@ -229,7 +219,7 @@ const SETS: [&[&str]; 2] = [&["tact", "vis", "combi"], &["fc1", "fc2", "fc3", "f
 ///
 /// # Errors
 /// `import.slayer` when a file is missing or no matrix, `npy.*`, `io.*`.
-pub fn read_set(path: &Path, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
     let stem = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
     let (prefix, part) = stem.rsplit_once('-').map_or((None, stem.as_str()), |(prefix, part)| (Some(prefix), part));
     let Some(set) = SETS.iter().find(|set| set.contains(&part)) else {
@@ -262,7 +252,7 @@ fn slayer(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.slayer", message)
 }
 
-fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Options) -> Result<Imported, Diagnostic> {
+fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Options) -> Result<Imported> {
     let Some(config) = &options.neuron else {
         return Err(Diagnostic::new("import.option", "the file holds weights and says nothing of the neurons")
             .help("add --neuron CONFIG.yml, the network config that it was trained with"));
@@ -357,7 +347,7 @@ fn build(kind: &'static str, name: &str, matrices: Vec<Matrix>, options: &Option
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Neuron, Diagnostic> {
+    fn parse(text: &str) -> Result<Neuron> {
         config(&SourceText::new("n.yml", text))
     }
 

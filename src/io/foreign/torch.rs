@@ -11,7 +11,7 @@ use zip::ZipArchive;
 
 use super::element::Element;
 use super::pickle::{self, Arena, PickleError, Value, ValueId};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// What a zip archive begins with.
 pub const ZIP: &[u8] = b"PK\x03\x04";
@@ -82,11 +82,11 @@ fn refused(error: &PickleError) -> Diagnostic {
 ///
 /// # Errors
 /// `import.pickle` for a pickled module, `import.torch` for what is malformed.
-pub fn open(bytes: Vec<u8>) -> Result<Checkpoint, Diagnostic> {
+pub fn open(bytes: Vec<u8>) -> Result<Checkpoint> {
     if bytes.starts_with(ZIP) { open_zip(bytes) } else { open_legacy(bytes) }
 }
 
-fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint, Diagnostic> {
+fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint> {
     let broken = |error: &dyn std::fmt::Display| wrong(format!("the archive cannot be read: {error}"));
     let most = bytes.len() as u64;
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|error| broken(&error))?;
@@ -110,7 +110,7 @@ fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint, Diagnostic> {
 }
 
 /// A file of an archive. PyTorch stores without compression, so nothing is larger than the archive.
-fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) -> Result<Vec<u8>, Diagnostic> {
+fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) -> Result<Vec<u8>> {
     let mut file = archive.by_name(name).map_err(|error| wrong(format!("'{name}' of the archive: {error}")))?;
     let mut bytes = Vec::new();
     if file.size() > most {
@@ -120,7 +120,7 @@ fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) -> R
     Ok(bytes)
 }
 
-fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint, Diagnostic> {
+fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
     let mut at = 0;
     let mut next = |what: &str| {
         let (arena, top, taken) = pickle::load(&bytes[at..]).map_err(|error| match error {
@@ -173,7 +173,7 @@ fn entry<'a>(arena: &'a Arena, dict: ValueId, key: &str) -> Option<&'a Value> {
 }
 
 /// Every tensor of a dictionary, of those within it too.
-fn views(arena: &Arena, top: ValueId) -> Result<Vec<(String, View)>, Diagnostic> {
+fn views(arena: &Arena, top: ValueId) -> Result<Vec<(String, View)>> {
     let mut views = Vec::new();
     collect(arena, top, "", 0, &mut views)?;
     if views.is_empty() {
@@ -182,13 +182,7 @@ fn views(arena: &Arena, top: ValueId) -> Result<Vec<(String, View)>, Diagnostic>
     Ok(views)
 }
 
-fn collect(
-    arena: &Arena,
-    id: ValueId,
-    name: &str,
-    depth: usize,
-    views: &mut Vec<(String, View)>,
-) -> Result<(), Diagnostic> {
+fn collect(arena: &Arena, id: ValueId, name: &str, depth: usize, views: &mut Vec<(String, View)>) -> Result<()> {
     match arena.get(id) {
         Value::Dict(pairs) if depth < DEEPEST => {
             for &(key, value) in pairs {
@@ -221,7 +215,7 @@ fn collect(
 }
 
 /// `_rebuild_tensor_v2(storage, offset, size, stride, ..)`.
-fn view(arena: &Arena, arguments: &[ValueId], name: &str) -> Result<View, Diagnostic> {
+fn view(arena: &Arena, arguments: &[ValueId], name: &str) -> Result<View> {
     let bad = |what: &str| wrong(format!("tensor '{name}': {what}"));
     let &[storage, offset, shape, strides, ..] = arguments else { return Err(bad("it lacks arguments")) };
     let whole = |id: ValueId| match arena.get(id) {
@@ -272,7 +266,7 @@ impl Checkpoint {
     ///
     /// # Errors
     /// `import.torch` when there is no such tensor, or its storage does not hold it.
-    pub fn tensor(&mut self, name: &str) -> Result<Vec<f64>, Diagnostic> {
+    pub fn tensor(&mut self, name: &str) -> Result<Vec<f64>> {
         let Some((_, view)) = self.views.iter().find(|(key, _)| key == name) else {
             return Err(wrong(format!("there is no tensor '{name}'")));
         };
@@ -289,7 +283,7 @@ impl Checkpoint {
     }
 }
 
-fn numbers(bytes: &[u8], view: &View, name: &str) -> Result<Vec<f64>, Diagnostic> {
+fn numbers(bytes: &[u8], view: &View, name: &str) -> Result<Vec<f64>> {
     let bad = |what: &str| wrong(format!("tensor '{name}': {what}"));
     let size = view.element.bytes();
     let there = bytes.len() / size;

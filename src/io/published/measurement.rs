@@ -3,7 +3,7 @@
 //! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] in which every constant, unit and
 //! figure that it names exists and every cell is a positive number.
 
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::published::measurement::MeasurementsFile;
 use crate::desc::spanned::{Spanned, parse};
 use crate::desc::target::Constants;
@@ -18,7 +18,7 @@ pub const FIGURES: [&str; 6] = ["static_mw", "dynamic_mw", "total_mw", "latency_
 ///
 /// # Errors
 /// `measurements.*`, `io.*`.
-pub fn load_measurements(argument: &str) -> Result<MeasurementsFile, Diagnostic> {
+pub fn load_measurements(argument: &str) -> Result<MeasurementsFile> {
     let (source, _) =
         shipped::text_of(argument, shipped::MEASUREMENTS, "table of measurements", "measurements.unknown")?;
     measurements(&source)
@@ -28,7 +28,7 @@ pub fn load_measurements(argument: &str) -> Result<MeasurementsFile, Diagnostic>
 ///
 /// # Errors
 /// `measurements.syntax`, `measurements.name`, `measurements.cell`.
-pub fn measurements(source: &SourceText) -> Result<MeasurementsFile, Diagnostic> {
+pub fn measurements(source: &SourceText) -> Result<MeasurementsFile> {
     let file: MeasurementsFile = parse(source, "measurements.syntax")?;
     let known = |what: &str, name: &Spanned<String>, names: &[&str]| match names.contains(&name.value.as_str()) {
         true => Ok(()),

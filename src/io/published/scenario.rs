@@ -3,7 +3,7 @@
 //! Input: the text of a scenario, or the name of a shipped model. Output: a [`ScenarioFile`] whose numbers of cores are
 //! possible and whose tables of measurements are shipped. Errors: `scenario.syntax`, `scenario.number`, `scenario.measured`.
 
-use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::spanned::parse;
 use crate::io::shipped;
@@ -12,7 +12,7 @@ use crate::io::shipped;
 ///
 /// # Errors
 /// As [`scenario`].
-pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>, Diagnostic> {
+pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
     if shipped::is_path(model) {
         return Ok(None);
     }
@@ -25,7 +25,7 @@ pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>, Diagnostic> {
 /// # Errors
 /// A diagnostic where the file is malformed, a number of cores is 0 or exceeds what contains it, or a table of
 /// measurements does not ship.
-pub fn scenario(source: &SourceText) -> Result<ScenarioFile, Diagnostic> {
+pub fn scenario(source: &SourceText) -> Result<ScenarioFile> {
     let file: ScenarioFile = parse(source, "scenario.syntax")?;
     if file.copies.value == 0 {
         return Err(Diagnostic::new("scenario.number", "a scenario has at least one copy").at(source, file.copies.span));

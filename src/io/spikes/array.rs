@@ -6,7 +6,7 @@
 
 use super::options::Polarity;
 use super::population::{MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::npy;
 
 fn product(axes: &[usize]) -> Option<u64> {
@@ -59,11 +59,7 @@ impl Merging {
 ///
 /// # Errors
 /// `input.shape`, `input.too-long`, `input.too-many`, `npy.value`.
-pub(super) fn from_array(
-    array: &npy::Array,
-    units: u64,
-    polarity: Polarity,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+pub(super) fn from_array(array: &npy::Array, units: u64, polarity: Polarity) -> Result<Vec<PopulationSpikes>> {
     let (path, shape) = (array.path(), array.shape());
     let wrong = |message: String| Diagnostic::new("input.shape", message).in_file(path);
     let Some((&steps, leading)) = shape.split_last() else {

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use super::population::{MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::io::text::{MOST_EVENT_TEXT, decode, read_bytes};
 
 /// The most timesteps of all samples together: engines hold a number for each.
@@ -40,7 +40,7 @@ impl Columns {
 ///
 /// # Errors
 /// `input.csv` with the line, `input.channel`, `input.step`, `input.empty`, `input.too-many`, `io.*`.
-pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     from_bytes(path, read_bytes(path, MOST_EVENT_TEXT)?, units)
 }
 
@@ -48,7 +48,7 @@ pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic
 ///
 /// # Errors
 /// As [`read`].
-pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>> {
     let source = decode(path, bytes)?;
     let comments = Comments::read(&source)?;
     let mut reader = csv::ReaderBuilder::new()
@@ -142,7 +142,7 @@ struct Comments {
 }
 
 impl Comments {
-    fn read(source: &SourceText) -> Result<Comments, Diagnostic> {
+    fn read(source: &SourceText) -> Result<Comments> {
         let mut comments = Comments { steps: None, label: None };
         let mut at = 0;
         for line in source.text().split_inclusive('\n') {
@@ -198,7 +198,7 @@ fn shortened(text: &str) -> String {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    fn parse(text: &str) -> Result<Vec<PopulationSpikes>> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("e.csv");
         std::fs::write(&path, text).unwrap();

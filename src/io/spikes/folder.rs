@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::detect::SpikeFormat;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// Sample and label of `sample_<i>_label_<c>.npy`, or of a recording of events that is named so.
 fn sample_name(name: &str) -> Option<(u64, u32)> {
@@ -30,7 +30,7 @@ fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
 ///
 /// # Errors
 /// `input.folder` when there is none, or two have the same number; `io.*`.
-pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>, Diagnostic> {
+pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     let unreadable =
         |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
     let mut found = BTreeMap::new();

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::options::EventOptions;
 use super::population::{Expected, PopulationSpikes};
 use super::recordings::{read, read_sample};
-use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::desc::dataset::DataSet;
 use crate::desc::spanned::{Spanned, parse};
 use crate::desc::stimulus::pairs;
@@ -46,7 +46,7 @@ type Listed = (Vec<Split>, BTreeMap<u32, u32>);
 /// # Errors
 /// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`, `dataset.fold`, `input.option`;
 /// `io.*`.
-pub fn read_manifest(path: &Path) -> Result<Manifest, Diagnostic> {
+pub fn read_manifest(path: &Path) -> Result<Manifest> {
     from_source(read_text(path)?)
 }
 
@@ -54,7 +54,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest, Diagnostic> {
 ///
 /// # Errors
 /// As [`read_manifest`].
-pub fn from_source(source: SourceText) -> Result<Manifest, Diagnostic> {
+pub fn from_source(source: SourceText) -> Result<Manifest> {
     let set: DataSet = parse(&source, "dataset.syntax")?;
     let whole = |code, message: String| Diagnostic::new(code, message).in_file(source.path());
     if set.populations.is_empty() {
@@ -150,7 +150,7 @@ impl Manifest {
     ///
     /// # Errors
     /// `dataset.population` with the ones that it has.
-    pub fn recording_of(&self, population: &str) -> Result<&str, Diagnostic> {
+    pub fn recording_of(&self, population: &str) -> Result<&str> {
         self.set.populations.iter().find(|(_, for_population)| *for_population == population).map_or_else(
             || {
                 let known: Vec<&str> = self.set.populations.values().map(String::as_str).collect();
@@ -166,7 +166,7 @@ impl Manifest {
     }
 
     /// The samples of each fold, and what the lists say of labels.
-    fn listed(&self, samples: usize) -> Result<Listed, Diagnostic> {
+    fn listed(&self, samples: usize) -> Result<Listed> {
         let mut labels = BTreeMap::new();
         if self.set.splits.is_empty() {
             let all = 0..samples as u32;
@@ -203,7 +203,7 @@ impl Manifest {
     ///
     /// # Errors
     /// `dataset.split` for a row of a list, `dataset.label` where two lists disagree; `io.*`.
-    pub fn splits(&self, samples: usize) -> Result<Vec<Split>, Diagnostic> {
+    pub fn splits(&self, samples: usize) -> Result<Vec<Split>> {
         Ok(self.listed(samples)?.0)
     }
 
@@ -217,12 +217,7 @@ impl Manifest {
     /// # Errors
     /// `dataset.population`, `dataset.samples` for a sample that does not exist, `dataset.steps`; problems with the file
     /// at the place that names it.
-    pub fn read_sample(
-        &self,
-        population: &str,
-        expected: &Expected,
-        sample: usize,
-    ) -> Result<PopulationSpikes, Diagnostic> {
+    pub fn read_sample(&self, population: &str, expected: &Expected, sample: usize) -> Result<PopulationSpikes> {
         let name = self.recording_of(population)?;
         let Some(entry) = self.set.samples.get(sample) else {
             let message = format!("there is no sample {sample}; the data set has {}", self.set.samples.len());
@@ -238,7 +233,7 @@ impl Manifest {
     }
 
     /// Checks that a sample has as many timesteps as the manifest says.
-    fn check_steps(&self, spikes: &mut PopulationSpikes, file: &Spanned<String>) -> Result<(), Diagnostic> {
+    fn check_steps(&self, spikes: &mut PopulationSpikes, file: &Spanned<String>) -> Result<()> {
         match self.set.steps {
             // Rows of a .csv cannot say that silence follows them; the manifest can.
             Some(steps) if spikes.units.is_none() && spikes.steps < steps => spikes.steps = steps,
@@ -252,7 +247,7 @@ impl Manifest {
     }
 
     /// The recordings of all samples that lie together.
-    fn read_together(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    fn read_together(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
         let name = self.recording_of(population)?;
         let file = &self.set.recordings[name];
         let path = beside(self.source.path(), &file.value);
@@ -268,7 +263,7 @@ impl Manifest {
     ///
     /// # Errors
     /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list of samples that are not there.
-    pub fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    pub fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
         let mut all = if self.set.recordings.is_empty() {
             let read: Vec<_> = (0..self.set.samples.len())
                 .into_par_iter()
@@ -306,7 +301,7 @@ impl Manifest {
     ///
     /// # Errors
     /// As [`Manifest::read`]; `dataset.population` when there are several.
-    pub fn read_only(&self, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    pub fn read_only(&self, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
         let mut populations = self.set.populations.values();
         match (populations.next(), populations.next()) {
             (Some(population), None) => self.read(population, expected),
@@ -325,11 +320,7 @@ impl Manifest {
 }
 
 /// The samples of a list, rows `sample label`; `other` are those of the list that is not to share any with it.
-fn samples_of(
-    source: &SourceText,
-    other: &BTreeSet<u32>,
-    labels: &mut BTreeMap<u32, u32>,
-) -> Result<Vec<u32>, Diagnostic> {
+fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
     let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
     let mut start = 0;
     for line in source.text().split_inclusive('\n') {
@@ -393,7 +384,7 @@ mod tests {
         Expected { units, volume: None, dt_ms: 1.0 }
     }
 
-    fn load(text: &str) -> Result<Manifest, Diagnostic> {
+    fn load(text: &str) -> Result<Manifest> {
         from_source(SourceText::new("d.ron", text))
     }
 

@@ -1,7 +1,7 @@
 //! How a recording becomes spikes: the options that stand after the `?` of a source.
 
 use super::population::MOST_STEPS;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// What becomes of the polarities.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -54,16 +54,16 @@ impl EventOptions {
     ///
     /// # Errors
     /// `input.option` with the keys that exist.
-    pub fn parse(pairs: &[(String, String)]) -> Result<Self, Diagnostic> {
+    pub fn parse(pairs: &[(String, String)]) -> Result<Self> {
         let mut options = EventOptions::default();
         for (key, value) in pairs {
             let bad = |what: &str| Diagnostic::new("input.option", format!("{key}={value}: {what}"));
-            let numbers = |count: std::ops::RangeInclusive<usize>, least: u32| -> Result<Vec<u32>, Diagnostic> {
+            let numbers = |count: std::ops::RangeInclusive<usize>, least: u32| -> Result<Vec<u32>> {
                 let list: Option<Vec<u32>> = value.split(',').map(|part| part.trim().parse().ok()).collect();
                 list.filter(|list| count.contains(&list.len()) && list.iter().all(|&x| (least..=1 << 16).contains(&x)))
                     .ok_or_else(|| bad(&format!("{count:?} whole numbers from {least} to 65536 are expected")))
             };
-            let milliseconds = || -> Result<f64, Diagnostic> {
+            let milliseconds = || -> Result<f64> {
                 value
                     .parse()
                     .ok()

@@ -11,7 +11,7 @@ use super::folder::list_folder;
 use super::options::{EventOptions, Polarity};
 use super::population::{Expected, PopulationSpikes};
 use super::{array, csv};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::hdf5;
 use crate::io::npy;
 use crate::io::text::{MOST_ARRAY, read_bytes};
@@ -26,7 +26,7 @@ pub(super) fn read(
     population: &str,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+) -> Result<Vec<PopulationSpikes>> {
     let (format, units) = (SpikeFormat::detect(path), expected.units);
     match format {
         Some(SpikeFormat::Folder) => return read_folder(path, population, expected, options),
@@ -54,7 +54,7 @@ pub(super) fn read(
 }
 
 /// Refuses options for a source that takes none.
-pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<(), Diagnostic> {
+pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()> {
     if *options == EventOptions::default() {
         return Ok(());
     }
@@ -67,7 +67,7 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
 }
 
 /// The only option that an array takes.
-fn array_polarity(path: &Path, options: &EventOptions) -> Result<Polarity, Diagnostic> {
+fn array_polarity(path: &Path, options: &EventOptions) -> Result<Polarity> {
     let polarity = options.polarity;
     if *options == (EventOptions { polarity, ..EventOptions::default() }) {
         return Ok(polarity);
@@ -82,7 +82,7 @@ fn read_recording(
     format: EventFormat,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+) -> Result<Vec<PopulationSpikes>> {
     let (spikes, counts) = read_file(path, format, expected, options)?;
     report(path, &counts);
     Ok(vec![spikes])
@@ -93,7 +93,7 @@ fn read_nir_data(
     population: &str,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+) -> Result<Vec<PopulationSpikes>> {
     let tree = hdf5::tree(path, read_bytes(path, MOST_ARRAY)?)?;
     if !nir_data::is_data(&tree) {
         return Err(Diagnostic::new("input.kind", "this is no file of NIR data")
@@ -109,7 +109,7 @@ fn read_folder(
     population: &str,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+) -> Result<Vec<PopulationSpikes>> {
     let read: Vec<_> = list_folder(folder)?
         .into_par_iter()
         .map(|(_, label, path)| {
@@ -128,7 +128,7 @@ pub(super) fn read_sample(
     population: &str,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<PopulationSpikes, Diagnostic> {
+) -> Result<PopulationSpikes> {
     use SpikeFormat::{Array, Csv, Events, NirData};
     if !matches!(SpikeFormat::from_name(path), Some(Array | Csv | Events(_) | NirData)) {
         return Err(Diagnostic::new(

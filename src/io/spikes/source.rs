@@ -10,13 +10,13 @@ use super::manifest::read_manifest;
 use super::options::EventOptions;
 use super::population::{Expected, PopulationSpikes};
 use super::recordings;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 
 /// Reads a source for a population of `units` channels.
 ///
 /// # Errors
 /// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for what is wrong with a known one.
-pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &EventOptions::default())
 }
 
@@ -30,7 +30,7 @@ pub fn read_spikes(
     population: &str,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+) -> Result<Vec<PopulationSpikes>> {
     if SpikeFormat::detect(path) != Some(SpikeFormat::Manifest) {
         return recordings::read(path, population, expected, options);
     }
@@ -90,7 +90,7 @@ mod tests {
         assert!(error.code == "input.folder" && error.help.unwrap().contains("train"), "{}", error.message);
     }
 
-    fn read_as(path: &Path, units: u64, options: &str) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    fn read_as(path: &Path, units: u64, options: &str) -> Result<Vec<PopulationSpikes>> {
         let options = EventOptions::parse(&crate::desc::stimulus::pairs(options)?)?;
         read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &options)
     }

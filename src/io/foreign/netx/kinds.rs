@@ -6,13 +6,13 @@
 use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
 use super::neuron::integrator;
 use super::reader::{Last, Reader, units};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::fixed::SignMode;
 use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{ProjectionKind, tensor};
 
 impl Reader<'_> {
-    pub(super) fn dense(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    pub(super) fn dense(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = vec![units(&layer.shape()?).ok_or_else(|| layer.wrong("a shape beyond all memory"))?];
         let axes = layer.axes("weight", 2)?;
         let given = layer.group.number("inFeatures").filter(|x| x.fract() == 0.0 && (1.0..1e9).contains(x));
@@ -50,7 +50,7 @@ impl Reader<'_> {
         self.delays(layer)
     }
 
-    pub(super) fn conv(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    pub(super) fn conv(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
         let kernel = layer.axes("weight", 4)?;
         let &[out, per_group, kh, kw] = kernel.as_slice() else {
@@ -78,7 +78,7 @@ impl Reader<'_> {
         self.delays(layer)
     }
 
-    pub(super) fn pool(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    pub(super) fn pool(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
         let kernel = layer.pair("kernelSize", (1, 1), 1)?;
         let mut geometry = geometry(layer)?;
@@ -113,7 +113,7 @@ impl Reader<'_> {
 
     /// A transposed convolution, synapse by synapse: output `i * stride - padding + k * dilation` receives input `i` over
     /// the kernel's place `k` (torch, ConvTranspose; the kernel is `[in][out / groups][kh][kw]`).
-    pub(super) fn transposed(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    pub(super) fn transposed(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
         let geometry = geometry(layer)?;
         let source = self.source(|| {
@@ -186,7 +186,7 @@ impl Reader<'_> {
     }
 
     /// The mean over groups of equal size is a read-out: integrators whose voltage counts what its group spiked.
-    pub(super) fn average(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    pub(super) fn average(&mut self, layer: &Layer<'_>) -> Result<()> {
         let source = self.last.clone().ok_or_else(|| layer.wrong("there is nothing before it"))?;
         let outputs = units(&layer.shape()?).unwrap_or(0);
         if outputs == 0 || source.units() % outputs != 0 || source.units() > MOST_LISTED as u64 {

@@ -3,7 +3,7 @@
 //! Input: the group of a layer. Output: finite numbers, pairs, shapes, the geometry of a window; errors that name the layer.
 
 use super::reader::wrong;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::hdf5::{Group, Numbers};
 
 /// A layer while it is being read.
@@ -22,12 +22,12 @@ impl Layer<'_> {
         Diagnostic::new("import.unsupported", format!("layer {} ({}): {message}", self.number, self.kind)).help(help)
     }
 
-    pub(super) fn numbers(&self, key: &str) -> Result<&Numbers, Diagnostic> {
+    pub(super) fn numbers(&self, key: &str) -> Result<&Numbers> {
         self.group.numbers(key).ok_or_else(|| self.wrong(format!("it has no array '{key}'")))
     }
 
     /// Finite numbers.
-    pub(super) fn reals(&self, key: &str) -> Result<Vec<f64>, Diagnostic> {
+    pub(super) fn reals(&self, key: &str) -> Result<Vec<f64>> {
         let reals: Vec<f64> = self.numbers(key)?.reals().collect();
         match reals.iter().find(|x| !x.is_finite()) {
             Some(x) => Err(self.wrong(format!("'{key}' has a number that is {x}"))),
@@ -36,7 +36,7 @@ impl Layer<'_> {
     }
 
     /// A pair (y, x): two numbers, or one for both.
-    pub(super) fn pair(&self, key: &str, default: (u64, u64), least: u64) -> Result<(u64, u64), Diagnostic> {
+    pub(super) fn pair(&self, key: &str, default: (u64, u64), least: u64) -> Result<(u64, u64)> {
         if self.group.get(key).is_none() {
             return Ok(default);
         }
@@ -51,7 +51,7 @@ impl Layer<'_> {
     }
 
     /// The shape of the layer's units: `[n]` or `[channels, height, width]`.
-    pub(super) fn shape(&self) -> Result<Vec<u64>, Diagnostic> {
+    pub(super) fn shape(&self) -> Result<Vec<u64>> {
         let mut shape = Vec::new();
         for x in self.reals("shape")? {
             if !(x.fract() == 0.0 && (1.0..=134_217_728.0).contains(&x)) {
@@ -68,7 +68,7 @@ impl Layer<'_> {
     }
 
     /// The axes of an array without trailing ones of length 1, down to `axes`.
-    pub(super) fn axes(&self, key: &str, axes: usize) -> Result<Vec<u64>, Diagnostic> {
+    pub(super) fn axes(&self, key: &str, axes: usize) -> Result<Vec<u64>> {
         let mut shape: Vec<u64> = self.numbers(key)?.shape().iter().map(|&axis| axis as u64).collect();
         while shape.len() > axes && shape.last() == Some(&1) {
             shape.pop();
@@ -86,12 +86,12 @@ pub(super) struct Geometry {
 }
 
 /// The layer's shape as channels, height, width.
-pub(super) fn volume(layer: &Layer<'_>) -> Result<Vec<u64>, Diagnostic> {
+pub(super) fn volume(layer: &Layer<'_>) -> Result<Vec<u64>> {
     let shape = layer.shape()?;
     if shape.len() == 3 { Ok(shape) } else { Err(layer.wrong(format!("a shape {shape:?} without height and width"))) }
 }
 
-pub(super) fn geometry(layer: &Layer<'_>) -> Result<Geometry, Diagnostic> {
+pub(super) fn geometry(layer: &Layer<'_>) -> Result<Geometry> {
     Ok(Geometry {
         stride: layer.pair("stride", (1, 1), 1)?,
         padding: layer.pair("padding", (0, 0), 0)?,
@@ -107,7 +107,7 @@ pub(super) fn input_of_window(
     shape: &[u64],
     kernel: (u64, u64),
     geometry: Geometry,
-) -> Result<Vec<u64>, Diagnostic> {
+) -> Result<Vec<u64>> {
     if let Some(given) = given {
         return Ok(given);
     }

@@ -18,7 +18,7 @@ use std::cell::Cell;
 
 use super::hdf5::Group;
 use super::imported::{Imported, Options, listed};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::{ResetDesc, ThresholdTest};
 use crate::io::model_builder::ModelBuilder;
 use crate::io::npy;
@@ -31,7 +31,7 @@ use reader::{Reader, wrong};
 /// # Errors
 /// `import.netx` for what is malformed, `import.unsupported` for what is known and has no counterpart, `import.option`
 /// for what the file does not say.
-pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let layers = layers(root)?;
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
     let mut reader = Reader {
@@ -50,7 +50,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Dia
 }
 
 /// The layers in the order of their numbers.
-fn layers(root: &Group) -> Result<Vec<(u32, &Group)>, Diagnostic> {
+fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
     let group = root.group("layer").ok_or_else(|| wrong("there is no group 'layer'"))?;
     let mut layers = Vec::new();
     for name in group.items.keys() {
@@ -73,7 +73,7 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>, Diagnostic> {
 }
 
 impl Reader<'_> {
-    fn layer(&mut self, number: u32, group: &Group) -> Result<(), Diagnostic> {
+    fn layer(&mut self, number: u32, group: &Group) -> Result<()> {
         let Some(kind) = group.text("type") else {
             let members: Vec<&str> = group.items.keys().take(8).map(String::as_str).collect();
             return Err(wrong(format!("layer {number} does not say its type; it holds {}", listed(&members))));
@@ -100,7 +100,7 @@ impl Reader<'_> {
         }
     }
 
-    fn input(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    fn input(&mut self, layer: &Layer<'_>) -> Result<()> {
         if self.last.is_some() {
             return Err(layer.wrong("an input layer is not the first"));
         }
@@ -148,7 +148,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    fn flatten(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    fn flatten(&mut self, layer: &Layer<'_>) -> Result<()> {
         // Populations are flattened in the order C, H, W by whatever dense layer follows.
         match &self.last {
             Some(_) => Ok(()),
@@ -156,7 +156,7 @@ impl Reader<'_> {
         }
     }
 
-    fn finish(mut self) -> Result<Imported, Diagnostic> {
+    fn finish(mut self) -> Result<Imported> {
         let Some(last) = self.last.take().filter(|_| self.depth > 0) else {
             return Err(wrong("it has no layer of neurons"));
         };
@@ -197,7 +197,7 @@ impl Reader<'_> {
 
 /// An image as one number from 0 to 1 for each unit of `[channels, height, width]`: an array `[height, width]`,
 /// `[height, width, channels]` or `[channels, height, width]`; 8-bit integers count 255ths.
-fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>, Diagnostic> {
+fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>> {
     let array = npy::open(path)?;
     let scale = if array.dtype().ends_with("u1") { 255.0 } else { 1.0 };
     let tensor = array.tensor()?;

@@ -4,17 +4,13 @@
 
 use super::layer::Layer;
 use super::reader::{BIAS_EXP, MOST_EXPANDED, Reader, units};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::io::foreign::imported::NEVER;
 use crate::io::model_builder::Parameter;
 
 impl Reader<'_> {
     /// Neuron parameters of a layer of compartments, its bias included.
-    pub(super) fn parameters(
-        &mut self,
-        layer: &Layer<'_>,
-        shape: &[u64],
-    ) -> Result<Vec<(&'static str, Parameter)>, Diagnostic> {
+    pub(super) fn parameters(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Vec<(&'static str, Parameter)>> {
         let mut parameters = match layer.group.group("neuron") {
             Some(_) => self.neuron(layer, shape)?,
             None => {
@@ -43,13 +39,7 @@ impl Reader<'_> {
     }
 
     /// One number for all, one a channel or one a unit.
-    pub(super) fn each(
-        &self,
-        layer: &Layer<'_>,
-        key: &str,
-        numbers: Vec<f64>,
-        shape: &[u64],
-    ) -> Result<Parameter, Diagnostic> {
+    pub(super) fn each(&self, layer: &Layer<'_>, key: &str, numbers: Vec<f64>, shape: &[u64]) -> Result<Parameter> {
         let count = numbers.len() as u64;
         let all = units(shape).unwrap_or(u64::MAX);
         let value = Parameter::from_values(numbers);
@@ -72,11 +62,7 @@ impl Reader<'_> {
         }
     }
 
-    pub(super) fn neuron(
-        &mut self,
-        layer: &Layer<'_>,
-        shape: &[u64],
-    ) -> Result<Vec<(&'static str, Parameter)>, Diagnostic> {
+    pub(super) fn neuron(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Vec<(&'static str, Parameter)>> {
         let Some(kind) = layer.group.text("neuron/type") else {
             return Err(layer.wrong("its neuron does not say its type"));
         };

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use super::layer::{Geometry, Layer};
 use super::reader::{Last, Reader};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::base::fixed::SignMode;
 use crate::desc::tensor::Tensor;
 use crate::io::foreign::encode;
@@ -23,8 +23,8 @@ impl Reader<'_> {
         source: &Last,
         to: &str,
         key: &str,
-        kind: impl FnOnce(Vec<f64>) -> Result<ProjectionKind, Diagnostic>,
-    ) -> Result<(), Diagnostic> {
+        kind: impl FnOnce(Vec<f64>) -> Result<ProjectionKind>,
+    ) -> Result<()> {
         // netx reads weights as integers, toward zero.
         let given = layer.reals(key)?;
         let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();
@@ -62,7 +62,7 @@ impl Reader<'_> {
         kind: ProjectionKind,
         weight_exp: i64,
         sign: SignMode,
-    ) -> Result<(), Diagnostic> {
+    ) -> Result<()> {
         let add = |model: &mut ModelBuilder, kind, delay| {
             let projection =
                 ProjectionBuilder { delay, weight_exp, sign, ..ProjectionBuilder::new(&source.name, to, kind) };
@@ -102,7 +102,7 @@ impl Reader<'_> {
     }
 
     /// Whole delays of the file, each at most 62.
-    pub(super) fn delay_numbers(&self, layer: &Layer<'_>) -> Result<Option<Vec<u32>>, Diagnostic> {
+    pub(super) fn delay_numbers(&self, layer: &Layer<'_>) -> Result<Option<Vec<u32>>> {
         if layer.group.get("delay").is_none() {
             return Ok(None);
         }
@@ -117,7 +117,7 @@ impl Reader<'_> {
     }
 
     /// Delays of the layer's own synapses: `[target][source]`, or of its inputs.
-    pub(super) fn synaptic_delays(&self, layer: &Layer<'_>, source: &Last) -> Result<Option<Vec<u32>>, Diagnostic> {
+    pub(super) fn synaptic_delays(&self, layer: &Layer<'_>, source: &Last) -> Result<Option<Vec<u32>>> {
         let Some(delays) = self.delay_numbers(layer)? else { return Ok(None) };
         let (targets, sources) = (self.last.as_ref().map_or(0, Last::units), source.units());
         let count = delays.len() as u64;
@@ -139,7 +139,7 @@ impl Reader<'_> {
     }
 
     /// Keeps the delays of the layer's spikes for the layer that follows.
-    pub(super) fn delays(&mut self, layer: &Layer<'_>) -> Result<(), Diagnostic> {
+    pub(super) fn delays(&mut self, layer: &Layer<'_>) -> Result<()> {
         let Some(delays) = self.delay_numbers(layer)? else { return Ok(()) };
         let count = delays.len() as u64;
         if count != 1 && !self.is_axonal(count) {

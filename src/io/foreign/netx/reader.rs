@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::imported::Options;
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
 
@@ -62,7 +62,7 @@ impl Reader<'_> {
     }
 
     /// The layer before, or an input of this shape when there is none.
-    pub(super) fn source(&mut self, shape: impl FnOnce() -> Result<Vec<u64>, Diagnostic>) -> Result<Last, Diagnostic> {
+    pub(super) fn source(&mut self, shape: impl FnOnce() -> Result<Vec<u64>>) -> Result<Last> {
         if self.last.is_none() {
             let shape = shape()?;
             self.push("input", shape, None);

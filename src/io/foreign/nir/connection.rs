@@ -7,14 +7,14 @@ use std::collections::BTreeMap;
 use super::linear::{Connection, Linear, Window, at, scaled, spread};
 use super::neuron::reals;
 use super::reader::{MOST_UNITS, Reader, product, unsupported, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::hdf5::Group;
 use crate::io::foreign::imported::LONGEST_DELAY;
 use crate::io::foreign::window::{MOST_LISTED, Sliding};
 
 impl Reader<'_> {
     /// The linear map of these nodes behind a population of this shape.
-    pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection, Diagnostic> {
+    pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
         let mut connection =
             Connection { shape: source.to_vec(), linear: Linear::Diagonal(vec![1.0]), bias: None, delay: None };
         for name in nodes {
@@ -23,7 +23,7 @@ impl Reader<'_> {
         Ok(connection)
     }
 
-    pub(super) fn pass(&self, mut connection: Connection, name: &str) -> Result<Connection, Diagnostic> {
+    pub(super) fn pass(&self, mut connection: Connection, name: &str) -> Result<Connection> {
         let node = &self.flat.nodes[name];
         let group = node.group;
         let units = product(&connection.shape).ok_or_else(|| wrong(format!("'{name}' hears too many units")))?;
@@ -88,7 +88,7 @@ impl Reader<'_> {
         Ok(connection)
     }
 
-    pub(super) fn no_bias_yet(&self, connection: &Connection, name: &str) -> Result<(), Diagnostic> {
+    pub(super) fn no_bias_yet(&self, connection: &Connection, name: &str) -> Result<()> {
         let silent = connection.bias.as_ref().is_none_or(|bias| bias.iter().all(|&b| b == 0.0));
         if silent && connection.delay.as_ref().is_none_or(|delays| delays.windows(2).all(|pair| pair[0] == pair[1])) {
             return Ok(());
@@ -100,7 +100,7 @@ impl Reader<'_> {
     }
 
     /// The bias that a node adds, unless it is zero.
-    pub(super) fn bias(&self, group: &Group, name: &str, shape: &[usize]) -> Result<Option<Vec<f64>>, Diagnostic> {
+    pub(super) fn bias(&self, group: &Group, name: &str, shape: &[usize]) -> Result<Option<Vec<f64>>> {
         if group.get("bias").is_none() {
             return Ok(None);
         }
@@ -114,14 +114,14 @@ impl Reader<'_> {
         Ok(Some((0..units).map(|unit| at(&bias, unit)).collect()))
     }
 
-    pub(super) fn window(&self, shape: &[usize], name: &str) -> Result<Window, Diagnostic> {
+    pub(super) fn window(&self, shape: &[usize], name: &str) -> Result<Window> {
         let node = &self.flat.nodes[name];
         let bad = |what: String| wrong(format!("node '{name}': {what}"));
         let &[channels, height, width] = shape else {
             return Err(bad(format!("the shape {shape:?} that arrives has no height and width")));
         };
         let line = node.kind == "Conv1d";
-        let pair = |key: &str, default: usize, least: f64| -> Result<(usize, usize), Diagnostic> {
+        let pair = |key: &str, default: usize, least: f64| -> Result<(usize, usize)> {
             if node.group.get(key).is_none() {
                 return Ok((default, default));
             }
@@ -211,7 +211,7 @@ impl Reader<'_> {
         targets: usize,
         sources: usize,
         name: &str,
-    ) -> Result<Linear, Diagnostic> {
+    ) -> Result<Linear> {
         match before {
             Linear::Diagonal(scale) if scale.iter().all(|&s| s == 1.0) => Ok(Linear::Dense(weights, sources)),
             Linear::Diagonal(scale) => {
@@ -235,13 +235,7 @@ impl Reader<'_> {
         }
     }
 
-    pub(super) fn then_window(
-        &self,
-        before: Linear,
-        window: Window,
-        shape: &[usize],
-        name: &str,
-    ) -> Result<Linear, Diagnostic> {
+    pub(super) fn then_window(&self, before: Linear, window: Window, shape: &[usize], name: &str) -> Result<Linear> {
         match before {
             Linear::Diagonal(scale) if scale.len() == 1 => {
                 let kernel = match window.kernel {
@@ -279,7 +273,7 @@ impl Reader<'_> {
     }
 
     /// A linear part synapse by synapse; a diagonal has no size of its own.
-    pub(super) fn listed(&self, linear: Linear, name: &str) -> Result<Vec<(u64, u64, f64)>, Diagnostic> {
+    pub(super) fn listed(&self, linear: Linear, name: &str) -> Result<Vec<(u64, u64, f64)>> {
         match linear {
             Linear::List(list) => Ok(list),
             Linear::Window(window) => window.list().ok_or_else(|| self.too_many(name)),

@@ -7,14 +7,14 @@ use std::collections::BTreeMap;
 use super::linear::{Connection, Linear, at, scaled};
 use super::neuron::{Discrete, all};
 use super::reader::{Reader, product, unsupported, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::io::foreign::imported::NEVER;
 use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 
 impl Reader<'_> {
     /// All input of a population: projections, and its bias.
-    pub(super) fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<(), Diagnostic> {
+    pub(super) fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<()> {
         let shape = self.shapes[name].clone();
         let units = product(&shape).unwrap_or(0);
         let mut bias: Vec<f64> = (0..units).map(|unit| neuron.bias.get(unit)).collect();
@@ -100,7 +100,7 @@ impl Reader<'_> {
         to: &str,
         connection: Connection,
         gain: &Parameter,
-    ) -> Result<Vec<ProjectionBuilder>, Diagnostic> {
+    ) -> Result<Vec<ProjectionBuilder>> {
         let target = self.shapes[to].clone();
         let source_units = product(&self.shapes[from]).unwrap_or(0);
         let units = product(&target).unwrap_or(0);
@@ -190,7 +190,7 @@ impl Reader<'_> {
     }
 
     /// Counts synapses that are listed one by one.
-    pub(super) fn count(&mut self, synapses: usize) -> Result<(), Diagnostic> {
+    pub(super) fn count(&mut self, synapses: usize) -> Result<()> {
         self.listed += synapses;
         if self.listed > MOST_LISTED {
             return Err(unsupported(
@@ -202,7 +202,7 @@ impl Reader<'_> {
     }
 
     /// The population that decides: the one that leads to the output, or integrators that show what does.
-    pub(super) fn output(&mut self, order: &[String]) -> Result<(), Diagnostic> {
+    pub(super) fn output(&mut self, order: &[String]) -> Result<()> {
         let outputs: Vec<String> =
             self.flat.nodes.iter().filter(|(_, node)| node.kind == "Output").map(|(name, _)| name.clone()).collect();
         let mut leading: Vec<(Vec<String>, String)> = Vec::new();

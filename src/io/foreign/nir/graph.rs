@@ -6,11 +6,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::neuron::reals;
 use super::reader::{DEEPEST, Flat, MOST_NODES, MOST_PATHS, MOST_UNITS, Node, Reader, is_population, product, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::io::foreign::hdf5::{Group, Item, Numbers};
 
 /// Adds a graph's nodes under a prefix; edges that end at a graph end at its inputs, those that leave it leave its outputs.
-pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mut Flat<'a>) -> Result<(), Diagnostic> {
+pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mut Flat<'a>) -> Result<()> {
     if depth > DEEPEST {
         return Err(wrong(format!("graphs are nested deeper than {DEEPEST}")));
     }
@@ -65,7 +65,7 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
 }
 
 impl Reader<'_> {
-    pub(super) fn name_populations(&mut self, populations: &[String]) -> Result<(), Diagnostic> {
+    pub(super) fn name_populations(&mut self, populations: &[String]) -> Result<()> {
         let mut taken = BTreeSet::new();
         for name in populations {
             let plain: String =
@@ -100,7 +100,7 @@ impl Reader<'_> {
     }
 
     /// Shapes of populations: what inputs say, what parameters have, what arrives.
-    pub(super) fn find_shapes(&mut self, populations: &[String]) -> Result<(), Diagnostic> {
+    pub(super) fn find_shapes(&mut self, populations: &[String]) -> Result<()> {
         for name in populations {
             let node = &self.flat.nodes[name];
             let shape = if node.kind == "Input" {
@@ -152,7 +152,7 @@ impl Reader<'_> {
     }
 
     /// Every path that ends at a node: the population that it leaves, then the nodes on it.
-    pub(super) fn paths(&self, to: &str) -> Result<Vec<Vec<String>>, Diagnostic> {
+    pub(super) fn paths(&self, to: &str) -> Result<Vec<Vec<String>>> {
         let mut paths = Vec::new();
         let mut open: Vec<Vec<String>> = vec![vec![to.to_string()]];
         while let Some(path) = open.pop() {

@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode};
 use super::nir_export;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
 use graph::unfold;
 use reader::{Flat, Reader, is_population, unsupported, wrong};
@@ -36,7 +36,7 @@ use reader::{Flat, Reader, is_population, unsupported, wrong};
 /// # Errors
 /// `import.nir` for what is malformed, `import.unsupported` for what a core cannot do, `import.option` for what the file
 /// does not say.
-pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
     match nir_export::restore(root) {
@@ -69,7 +69,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported, Dia
 }
 
 impl Reader<'_> {
-    fn network(&mut self) -> Result<(), Diagnostic> {
+    fn network(&mut self) -> Result<()> {
         self.check_kinds()?;
         self.dt = self.timestep()?;
         let populations: Vec<String> = self
@@ -120,7 +120,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    fn check_kinds(&self) -> Result<(), Diagnostic> {
+    fn check_kinds(&self) -> Result<()> {
         const LINEAR: [&str; 11] = [
             "Linear",
             "Affine",

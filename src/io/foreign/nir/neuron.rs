@@ -6,7 +6,7 @@
 use std::cmp::Ordering;
 
 use super::reader::{Reader, product, unsupported, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::hdf5::Group;
 use crate::io::model_builder::Parameter;
 
@@ -23,7 +23,7 @@ pub(super) struct Discrete {
 }
 
 /// Finite numbers of a field.
-pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>, Diagnostic> {
+pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
     let numbers = node.numbers(key).ok_or_else(|| wrong(format!("node '{name}' has no array '{key}'")))?;
     let reals: Vec<f64> = numbers.reals().collect();
     match reals.iter().find(|x| !x.is_finite()) {
@@ -34,14 +34,14 @@ pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>, Dia
 }
 
 /// A field that may be absent.
-pub(super) fn optional(node: &Group, name: &str, key: &str, default: f64) -> Result<Parameter, Diagnostic> {
+pub(super) fn optional(node: &Group, name: &str, key: &str, default: f64) -> Result<Parameter> {
     match node.get(key) {
         Some(_) => Ok(Parameter::from_values(reals(node, name, key)?)),
         None => Ok(Parameter::Same(default)),
     }
 }
 
-pub(super) fn parameter(node: &Group, name: &str, key: &str) -> Result<Parameter, Diagnostic> {
+pub(super) fn parameter(node: &Group, name: &str, key: &str) -> Result<Parameter> {
     Ok(Parameter::from_values(reals(node, name, key)?))
 }
 
@@ -65,14 +65,14 @@ pub(super) fn all(value: &Parameter, f: impl Fn(f64) -> bool) -> bool {
 
 impl Reader<'_> {
     /// The timestep in seconds: said, or the one that all nodes agree on.
-    pub(super) fn timestep(&mut self) -> Result<f64, Diagnostic> {
+    pub(super) fn timestep(&mut self) -> Result<f64> {
         if let Some(dt) = self.options.dt_ms {
             self.notes.push(format!("timestep {dt} ms, as --dt says"));
             return Ok(dt / 1e3);
         }
         let (mut found, mut timed): (Vec<(String, f64)>, bool) = (Vec::new(), false);
         for (name, node) in &self.flat.nodes {
-            let ratio = |tau: &str, by: &str| -> Result<Vec<f64>, Diagnostic> {
+            let ratio = |tau: &str, by: &str| -> Result<Vec<f64>> {
                 let ratio =
                     zip(&parameter(node.group, name, tau)?, &optional(node.group, name, by, 1.0)?, |a, b| a / b);
                 Ok(match ratio {
@@ -129,11 +129,11 @@ impl Reader<'_> {
     }
 
     /// A node's neuron in steps; nothing for an input.
-    pub(super) fn discretise(&mut self, name: &str) -> Result<Option<Discrete>, Diagnostic> {
+    pub(super) fn discretise(&mut self, name: &str) -> Result<Option<Discrete>> {
         let node = &self.flat.nodes[name];
         let (group, dt) = (node.group, self.dt);
         let units = product(&self.shapes[name]).unwrap_or(0);
-        let get = |key: &str, default: Option<f64>| -> Result<Parameter, Diagnostic> {
+        let get = |key: &str, default: Option<f64>| -> Result<Parameter> {
             let value = match default {
                 Some(default) => optional(group, name, key, default)?,
                 None => parameter(group, name, key)?,
@@ -145,7 +145,7 @@ impl Reader<'_> {
                 _ => Ok(value),
             }
         };
-        let fraction = |key: &str| -> Result<Parameter, Diagnostic> {
+        let fraction = |key: &str| -> Result<Parameter> {
             let tau = get(key, None)?;
             if !all(&tau, |tau| tau > 0.0) {
                 return Err(wrong(format!("node '{name}': '{key}' is not above 0")));

@@ -8,7 +8,7 @@
 use std::io::BufRead;
 
 use super::event::{Event, Sink, fill, unreadable, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 
 /// The longest line of a header, and the most lines.
 const MOST_HEADER: usize = 1 << 12;
@@ -22,7 +22,7 @@ fn polarity_and_time(bytes: &[u8; 5]) -> (bool, i64) {
 ///
 /// # Errors
 /// `input.events` for a file that ends within an event.
-pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (mut bytes, mut at) = ([0; 5], 0);
     while fill(input, &mut bytes, &mut at)? {
         let (on, t_us) = polarity_and_time(&bytes);
@@ -35,7 +35,7 @@ pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnosti
 ///
 /// # Errors
 /// `input.events` for a file that ends within an event.
-pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (mut bytes, mut at) = ([0; 5], 0);
     while fill(input, &mut bytes, &mut at)? {
         let (on, t_us) = polarity_and_time(&bytes);
@@ -45,7 +45,7 @@ pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnosti
 }
 
 /// The lines of a header, each beginning with '%', without that sign.
-pub(super) fn header(input: &mut dyn BufRead) -> Result<Vec<String>, Diagnostic> {
+pub(super) fn header(input: &mut dyn BufRead) -> Result<Vec<String>> {
     let mut lines = Vec::new();
     while lines.len() < 256 {
         let begin = input.fill_buf().map_err(|error| unreadable(&error))?;
@@ -80,7 +80,7 @@ pub(super) fn header(input: &mut dyn BufRead) -> Result<Vec<String>, Diagnostic>
 ///
 /// # Errors
 /// `input.events` for another size of events, a file that ends within one.
-pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let lines = header(input)?;
     let number = |name: &str| {
         let line = lines.iter().find_map(|line| line.strip_prefix(name).filter(|rest| rest.starts_with(' ')))?;

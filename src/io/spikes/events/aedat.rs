@@ -14,7 +14,7 @@ use planus::table_reader::Table;
 use planus::{SliceWithStartOffset, TableRead};
 
 use super::event::{Event, Sink, fill, unreadable, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 
 /// What a file begins with.
 const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
@@ -27,7 +27,7 @@ const EVENT: usize = 16;
 ///
 /// # Errors
 /// `input.events` for what is no AEDAT4, is damaged, or is compressed in another way.
-pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut magic = [0; 14];
     let mut at = 0;
     if !fill(input, &mut magic, &mut at)? || &magic != MAGIC {
@@ -63,7 +63,7 @@ pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagno
     Ok(())
 }
 
-fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>, Diagnostic> {
+fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>> {
     let mut plain = Vec::new();
     let limit = MOST_PACKET as u64 + 1;
     let damaged = |error: &dyn std::fmt::Display| wrong(format!("a packet does not decompress: {error}"));
@@ -91,7 +91,7 @@ fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>, Diagnostic> {
 }
 
 /// So many bytes, allocated as they come.
-fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, what: &str) -> Result<Vec<u8>, Diagnostic> {
+fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, what: &str) -> Result<Vec<u8>> {
     if size > MOST_PACKET {
         return Err(wrong(format!("{what} at byte {at} claims {size} bytes, more than {MOST_PACKET}")));
     }
@@ -105,7 +105,7 @@ fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, what: &str) -> Re
 }
 
 /// A flatbuffer behind its size.
-fn sized(input: &mut dyn BufRead, at: &mut u64, what: &str) -> Result<Option<Vec<u8>>, Diagnostic> {
+fn sized(input: &mut dyn BufRead, at: &mut u64, what: &str) -> Result<Option<Vec<u8>>> {
     let mut size = [0; 4];
     if !fill(input, &mut size, at)? {
         return Ok(None);
@@ -113,7 +113,7 @@ fn sized(input: &mut dyn BufRead, at: &mut u64, what: &str) -> Result<Option<Vec
     exactly(input, u32::from_le_bytes(size) as usize, at, what).map(Some)
 }
 
-fn packet_events(packet: &[u8], sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+fn packet_events(packet: &[u8], sink: &mut dyn Sink) -> Result<()> {
     // The size comes before the root's offset and the identifier.
     let Some(buffer) = packet.get(4..).filter(|buffer| buffer.get(4..8) == Some(b"EVTS")) else { return Ok(()) };
     let damaged = || wrong("a packet of events is damaged");

@@ -4,7 +4,7 @@
 //! new events are sorted into them in batches.
 
 use super::event::{Counts, Event, Sink, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::spikes::options::{EventOptions, Origin, Polarity};
 use crate::io::spikes::population::{Expected, MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
 
@@ -35,7 +35,7 @@ impl Window {
         assumed: Option<(u32, u32)>,
         interleaved: bool,
         start: Origin,
-    ) -> Result<Self, Diagnostic> {
+    ) -> Result<Self> {
         let bin_us = options.bin_us.unwrap_or(expected.dt_ms * 1e3);
         if !(bin_us > 0.0 && bin_us.is_finite()) {
             return Err(Diagnostic::new("input.option", format!("a timestep of {bin_us} us")));
@@ -90,7 +90,7 @@ impl Bins {
     }
 
     /// The grid, from the options, the file, the population or the format's usual sensor, in this order.
-    fn grid(&mut self) -> Result<Grid, Diagnostic> {
+    fn grid(&mut self) -> Result<Grid> {
         if let Some(grid) = self.grid {
             return Ok(grid);
         }
@@ -131,7 +131,7 @@ impl Bins {
         Ok(grid)
     }
 
-    fn settle(&mut self) -> Result<(), Diagnostic> {
+    fn settle(&mut self) -> Result<()> {
         self.recent.sort_unstable();
         let mut merged: Vec<(u64, u32)> = Vec::with_capacity(self.settled.len() + self.recent.len());
         let mut old = self.settled.drain(..).peekable();
@@ -168,7 +168,7 @@ impl Bins {
     }
 
     /// The step of a time; none before the start or after the end.
-    fn step(&mut self, t_us: i64) -> Result<Option<u32>, Diagnostic> {
+    fn step(&mut self, t_us: i64) -> Result<Option<u32>> {
         let start = *self.start_us.get_or_insert(match self.window.start {
             Origin::First => t_us,
             Origin::At(start) => start,
@@ -195,7 +195,7 @@ impl Bins {
     ///
     /// # Errors
     /// `input.empty` when nothing says how long it is; `input.shape`, `input.too-many`.
-    pub fn finish(mut self, name: &str) -> Result<(PopulationSpikes, Counts), Diagnostic> {
+    pub fn finish(mut self, name: &str) -> Result<(PopulationSpikes, Counts)> {
         self.grid()?;
         self.settle()?;
         let least = self.window.options.least.unwrap_or(1);
@@ -227,7 +227,7 @@ impl Sink for Bins {
         }
     }
 
-    fn event(&mut self, event: Event) -> Result<(), Diagnostic> {
+    fn event(&mut self, event: Event) -> Result<()> {
         let grid = self.grid()?;
         self.counts.events += 1;
         if self.latest_us.is_some_and(|latest| event.t_us < latest) {

@@ -2,7 +2,7 @@
 
 use std::io::BufRead;
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 
 /// One event of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub trait Sink {
     ///
     /// # Errors
     /// When there are more than can be kept.
-    fn event(&mut self, event: Event) -> Result<(), Diagnostic>;
+    fn event(&mut self, event: Event) -> Result<()>;
 }
 
 /// What is wrong with a recording.
@@ -56,7 +56,7 @@ pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
 ///
 /// # Errors
 /// `input.events` when the input ends within it.
-pub(super) fn fill(input: &mut dyn BufRead, buffer: &mut [u8], at: &mut u64) -> Result<bool, Diagnostic> {
+pub(super) fn fill(input: &mut dyn BufRead, buffer: &mut [u8], at: &mut u64) -> Result<bool> {
     let mut filled = 0;
     while filled < buffer.len() {
         match std::io::Read::read(input, &mut buffer[filled..]) {

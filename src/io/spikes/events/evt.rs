@@ -9,13 +9,13 @@ use std::io::BufRead;
 
 use super::address::header;
 use super::event::{Event, Sink, fill, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 
 /// A `.raw` file; its header says which encoding it has.
 ///
 /// # Errors
 /// `input.events` for a header without encoding, EVT2.1, a file that ends within a word.
-pub fn raw(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn raw(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let lines = header(input)?;
     let mut encoding = None;
     for line in &lines {
@@ -59,7 +59,7 @@ pub fn raw(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnosti
     }
 }
 
-fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (mut bytes, mut at) = ([0; 4], 0);
     let (mut high, mut turns) = (None::<i64>, 0i64);
     while fill(input, &mut bytes, &mut at)? {
@@ -85,7 +85,7 @@ fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> 
     Ok(())
 }
 
-fn evt3(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+fn evt3(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (mut bytes, mut at) = ([0; 2], 0);
     let (mut high, mut low, mut turns, mut timed) = (0i64, 0i64, 0i64, false);
     let (mut y, mut base, mut on) = (0u32, 0u32, false);

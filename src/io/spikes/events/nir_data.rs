@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::event::wrong;
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::hdf5::{Attribute, Group, Item, Numbers};
 use crate::io::spikes::options::EventOptions;
 use crate::io::spikes::population::{Expected, MOST_STEPS, PopulationSpikes};
@@ -37,7 +37,7 @@ pub fn is_data(root: &Group) -> bool {
 }
 
 /// The observable of a population.
-fn observable<'a>(root: &'a Group, population: &str) -> Result<&'a Group, Diagnostic> {
+fn observable<'a>(root: &'a Group, population: &str) -> Result<&'a Group> {
     let mut found: Vec<(&str, &str, &Group)> = Vec::new();
     for (node, item) in root.group("nodes").into_iter().flat_map(|nodes| &nodes.items) {
         let Item::Group(node_group) = item else { continue };
@@ -70,7 +70,7 @@ pub fn read(
     population: &str,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+) -> Result<Vec<PopulationSpikes>> {
     let group = observable(root, population)?;
     let array = |key: &str, axes: usize| {
         let numbers = group.numbers(key).ok_or_else(|| wrong(format!("the observable has no '{key}'")))?;

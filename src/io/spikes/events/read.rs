@@ -7,7 +7,7 @@ use std::path::Path;
 use super::bins::{Bins, Window};
 use super::event::{Counts, Sink, unreadable};
 use super::{address, aedat, evt, tact};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::io::spikes::detect::EventFormat;
 use crate::io::spikes::options::{EventOptions, Origin};
 use crate::io::spikes::population::{Expected, PopulationSpikes};
@@ -17,7 +17,7 @@ use crate::io::text;
 ///
 /// # Errors
 /// `input.events` for what is malformed, and those of the sink.
-pub fn decode(format: EventFormat, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn decode(format: EventFormat, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     match format {
         EventFormat::Bs2 => address::bs2(input, sink),
         EventFormat::Bs1 => address::bs1(input, sink),
@@ -32,12 +32,12 @@ pub fn decode(format: EventFormat, input: &mut dyn BufRead, sink: &mut dyn Sink)
 ///
 /// # Errors
 /// `input.events`, those of the sink, `io.*`.
-pub fn decode_file(path: &Path, format: EventFormat, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn decode_file(path: &Path, format: EventFormat, sink: &mut dyn Sink) -> Result<()> {
     decode(format, &mut open(path)?, sink).map_err(|problem| problem.or_in_file(path))
 }
 
 /// Opens a recording, with the same errors as any other file.
-fn open(path: &Path) -> Result<BufReader<File>, Diagnostic> {
+fn open(path: &Path) -> Result<BufReader<File>> {
     let mut input = BufReader::with_capacity(1 << 16, text::open(path)?.0);
     text::refuse_pointer(path, input.fill_buf().map_err(|error| unreadable(&error).in_file(path))?)?;
     Ok(input)
@@ -52,7 +52,7 @@ pub fn read_file(
     format: EventFormat,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<(PopulationSpikes, Counts), Diagnostic> {
+) -> Result<(PopulationSpikes, Counts)> {
     let name = path.display().to_string();
     read_input(&mut open(path)?, &name, format, expected, options).map_err(|problem| problem.or_in_file(path))
 }
@@ -67,7 +67,7 @@ pub fn read_input(
     format: EventFormat,
     expected: &Expected,
     options: &EventOptions,
-) -> Result<(PopulationSpikes, Counts), Diagnostic> {
+) -> Result<(PopulationSpikes, Counts)> {
     let default_size = match format {
         // N-MNIST's, and SLAYER's examples (Orchard et al. 2015).
         EventFormat::Bs2 => Some((34, 34)),

@@ -7,7 +7,7 @@
 use std::io::BufRead;
 
 use super::event::{Event, Sink, unreadable, wrong};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 
 /// Columns that an event's x may have: a taxel and its polarity.
 pub const TAXELS: u32 = 78;
@@ -18,7 +18,7 @@ const MOST_ROW: usize = 256;
 ///
 /// # Errors
 /// `input.events` with the row.
-pub fn tact(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<(), Diagnostic> {
+pub fn tact(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut row = 0u64;
     let mut line = Vec::new();
     loop {
