@@ -8,6 +8,29 @@ use std::ops::AddAssign;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use crate::ir::placement::Route;
 
+/// Adds counts field by field, and multiplies them.
+macro_rules! counts {
+    ($counts:ident: $($field:ident),*) => {
+        impl $counts {
+            /// The same, so many times over.
+            #[must_use]
+            pub fn times(self, times: u64) -> Self {
+                $counts { $($field: self.$field * times,)* }
+            }
+        }
+
+        impl AddAssign for $counts {
+            fn add_assign(&mut self, other: Self) {
+                $(self.$field += other.$field;)*
+            }
+        }
+    };
+}
+
+counts!(Totals: spikes_in, spikes, synaptic_events, compartment_updates, active_updates);
+counts!(CoreCounts: messages_in, events_dense, events_sparse, visited, active, spikes, messages_out);
+counts!(HopCounts: local, east_west, north_south, chip);
+
 /// Sums over a network, which every engine can count.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Totals {
@@ -21,16 +44,6 @@ pub struct Totals {
     pub compartment_updates: u64,
     /// Of those, the ones not at rest: u, v, the accumulator or the bias was not zero, or a refractory period ran.
     pub active_updates: u64,
-}
-
-impl AddAssign for Totals {
-    fn add_assign(&mut self, other: Totals) {
-        self.spikes_in += other.spikes_in;
-        self.spikes += other.spikes;
-        self.synaptic_events += other.synaptic_events;
-        self.compartment_updates += other.compartment_updates;
-        self.active_updates += other.active_updates;
-    }
 }
 
 /// Values that left their field.
@@ -97,34 +110,6 @@ impl CoreCounts {
     }
 }
 
-impl CoreCounts {
-    /// The same, so many times over.
-    #[must_use]
-    pub fn times(self, times: u64) -> CoreCounts {
-        CoreCounts {
-            messages_in: self.messages_in * times,
-            events_dense: self.events_dense * times,
-            events_sparse: self.events_sparse * times,
-            visited: self.visited * times,
-            active: self.active * times,
-            spikes: self.spikes * times,
-            messages_out: self.messages_out * times,
-        }
-    }
-}
-
-impl AddAssign for CoreCounts {
-    fn add_assign(&mut self, other: CoreCounts) {
-        self.messages_in += other.messages_in;
-        self.events_dense += other.events_dense;
-        self.events_sparse += other.events_sparse;
-        self.visited += other.visited;
-        self.active += other.active;
-        self.spikes += other.spikes;
-        self.messages_out += other.messages_out;
-    }
-}
-
 /// Links crossed by messages.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct HopCounts {
@@ -145,32 +130,12 @@ impl HopCounts {
         self.east_west + self.north_south
     }
 
-    /// The same, so many times over.
-    #[must_use]
-    pub fn times(self, times: u64) -> HopCounts {
-        HopCounts {
-            local: self.local * times,
-            east_west: self.east_west * times,
-            north_south: self.north_south * times,
-            chip: self.chip * times,
-        }
-    }
-
     /// Adds the route of so many messages.
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.local += u64::from(route.links() == 0) * times;
         self.east_west += u64::from(route.east_west) * times;
         self.north_south += u64::from(route.north_south) * times;
         self.chip += u64::from(route.chip) * times;
-    }
-}
-
-impl AddAssign for HopCounts {
-    fn add_assign(&mut self, other: HopCounts) {
-        self.local += other.local;
-        self.east_west += other.east_west;
-        self.north_south += other.north_south;
-        self.chip += other.chip;
     }
 }
 
