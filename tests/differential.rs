@@ -85,7 +85,7 @@ fn partitions(network: &Quantised, chip: &Target, seed: u64) -> Vec<(&'static st
     compiled.push(("sequential", compile(network.clone(), &roomy, &options)));
     limits[Resource::Compartments] = 5;
     compiled.push(("small cores", compile(network.clone(), &chip.clone().with_limits(limits), &options)));
-    let mapping = random::mapping(network, &Mesh::of(chip), seed);
+    let mapping = random::mapping(network, &Mesh::for_target(chip), seed);
     compiled.push(("dealt out", compile_saved(network.clone(), &roomy, &options, &mapping)));
     compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
 }

@@ -293,7 +293,7 @@ fn places_of_small_networks_are_the_best_or_nearly() {
         let target = board.with_chip(chip);
         let compiled = compile(network, &target, &Options::default()).unwrap();
         let nets = nets_of(&compiled);
-        let walker = Walker { mesh: Mesh::of(&target) };
+        let walker = Walker { mesh: Mesh::for_target(&target) };
         let places: Vec<_> =
             compiled.placement.sites().iter().map(|&site| Some(compiled.placement.mesh().tile(site))).collect();
         let found: u64 = nets.iter().map(|net| walker.cost(net, &places)).sum();

@@ -33,7 +33,8 @@ impl Objective {
 }
 
 /// How compartments are grouped into cores.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Strategy {
     /// In the order of the model file.
     Sequential,

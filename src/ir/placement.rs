@@ -27,7 +27,7 @@ pub struct Mesh {
 impl Mesh {
     /// The mesh of a target.
     #[must_use]
-    pub fn of(target: &Target) -> Self {
+    pub fn for_target(target: &Target) -> Self {
         let chip = target.chip();
         Mesh {
             chips_x: target.chips_x(),

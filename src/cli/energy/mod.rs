@@ -184,7 +184,7 @@ mod tests {
     }
 
     fn sequential(target: &Target, cores: u32) -> Placement {
-        let mesh = Mesh::of(target);
+        let mesh = Mesh::for_target(target);
         Placement::new(mesh, (0..cores).map(|n| mesh.site(n).unwrap()).collect()).unwrap()
     }
 

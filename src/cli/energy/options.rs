@@ -151,7 +151,7 @@ impl DeploymentSource {
                     )));
                 }
                 let placement =
-                    mapping_file::placement(mapping, Mesh::of(target)).map_err(|error| error.in_file(path))?;
+                    mapping_file::placement(mapping, Mesh::for_target(target)).map_err(|error| error.in_file(path))?;
                 let name = path.display().to_string();
                 Ok(Deployment::from_placement(name, &placement, target.chip(), copies))
             }

@@ -131,7 +131,7 @@ pub enum Violation {
 /// The first [`Violation`], by core.
 pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     let limits = target.limits();
-    if *program.mesh() != Mesh::of(target) {
+    if *program.mesh() != Mesh::for_target(target) {
         return Err(Violation::Mesh);
     }
     let mut taken = BTreeSet::new();
@@ -279,7 +279,7 @@ fn verify_core(
 pub(super) fn verify_tables(core: CoreId, image: &CoreImage, limits: &Limits) -> Result<CoreUsage, Violation> {
     let in_table = verify_populations(core, &image.inputs)?;
     let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
-    let widths = Widths::of(image.compartments.len() as u32, longest, limits.packing);
+    let widths = Widths::for_core(image.compartments.len() as u32, longest, limits.packing);
     verify_formats(core, image, widths)?;
     let mut of_lists = Vec::with_capacity(image.inputs.lists.len());
     let (mut used, mut kinds) = (vec![false; image.formats.len()], Vec::new());

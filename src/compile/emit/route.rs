@@ -19,6 +19,7 @@ use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::counter::stored;
 use crate::compile::resources::exact::{StoredLists, group_of, longest_delays};
+use crate::compile::resources::fan_in::first_source;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Compression, Group, Widths};
 use crate::desc::resource::Limits;
@@ -91,10 +92,7 @@ pub fn route(
 /// The populations of graded spikes, channels first.
 fn graded(network: &Quantised) -> Vec<Graded> {
     let of = |population: &Population| {
-        let first = match population.units {
-            Units::Input(first) => first.0,
-            Units::Compartments { first, .. } => network.channels() + first.0,
-        };
+        let first = first_source(network, population);
         Some(Graded { sources: first..first + population.shape.len(), payload: population.payload? })
     };
     let mut graded: Vec<Graded> = network.populations().iter().filter_map(of).collect();
@@ -119,14 +117,14 @@ impl<'a> Tables<'a> {
         placement: &'a Placement,
         limits: &'a Limits,
     ) -> Self {
-        let (formats, places) = (Formats::of(network), Places::of(network));
+        let (formats, places) = (Formats::for_network(network), Places::for_network(network));
         Tables { network, partition, placement, limits, formats, places }
     }
 
     /// The image of a core with these synapses, without messages, and the source of each input axon.
     pub(super) fn image(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreImage, Vec<u32>), String> {
         let held = &self.partition.members()[core];
-        let widths = Widths::of(held.len() as u32, longest, self.limits.packing);
+        let widths = Widths::for_core(held.len() as u32, longest, self.limits.packing);
         let lists = StoredLists::new(keys, &self.formats, widths, self.limits, &self.places);
         let (formats, inputs, sources) = write_lists(keys, &self.formats, widths, &lists, self.limits)
             .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;

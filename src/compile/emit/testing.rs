@@ -111,7 +111,7 @@ fn compression(format: &CoreFormat) -> Compression {
 
 fn widths(image: &CoreImage, limits: &Limits) -> Widths {
     let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
-    Widths::of(image.compartments.len() as u32, longest, limits.packing)
+    Widths::for_core(image.compartments.len() as u32, longest, limits.packing)
 }
 
 /// Whether an entry holds its first slot.

@@ -44,28 +44,20 @@ impl<'a> PlacedBoxes<'a> {
     /// The expected traffic.
     #[must_use]
     pub fn traffic(self, rates: &PopulationRates) -> Traffic {
-        traffic::of_flows(self.placement, self.flows(rates))
+        traffic::of_flows(self.placement, self.flows(rates)).traffic()
     }
 
     /// The expected messages over each link.
     #[must_use]
     pub fn links(self, rates: &PopulationRates) -> Links {
-        traffic::links_of_flows(self.placement, self.flows(rates))
+        traffic::of_flows(self.placement, self.flows(rates)).links()
     }
 
-    /// What a mean step is expected to cost.
+    /// What a mean step with this traffic, that at these rates, is expected to cost.
     ///
     /// # Errors
     /// As [`score_of`].
-    pub fn score(self, rates: &PopulationRates, target: &Target, copies: u32) -> Result<Score, Diagnostic> {
-        self.score_with(rates, &self.traffic(rates), target, copies)
-    }
-
-    /// [`PlacedBoxes::score`] where the traffic at these rates is known.
-    ///
-    /// # Errors
-    /// As [`score_of`].
-    pub fn score_with(
+    pub fn score(
         self,
         rates: &PopulationRates,
         traffic: &Traffic,

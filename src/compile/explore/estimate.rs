@@ -23,7 +23,7 @@ impl Mapping {
     #[must_use]
     pub fn links(&self) -> Links {
         match &self.program {
-            Synapses::Written(program) => traffic::links(program, &self.rates),
+            Synapses::Written(program) => traffic::of_program(program, &self.rates).links(),
             Synapses::Symbolic(boxes) => PlacedBoxes::new(&self.quantised, boxes, &self.placement)
                 .links(&everywhere(&self.quantised, &self.rates)),
         }
@@ -40,7 +40,7 @@ impl Mapping {
             }
             Synapses::Symbolic(boxes) => {
                 let rates = everywhere(&self.quantised, &self.rates);
-                PlacedBoxes::new(&self.quantised, boxes, &self.placement).score_with(
+                PlacedBoxes::new(&self.quantised, boxes, &self.placement).score(
                     &rates,
                     traffic,
                     target,

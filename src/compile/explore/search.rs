@@ -57,16 +57,11 @@ const SYNAPSES_PER_SECOND: u64 = 4_000_000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Candidate {
     /// How compartments are grouped into cores.
-    #[serde(serialize_with = "strategy_name")]
     pub strategy: Strategy,
     /// A core is filled to one part in so many.
     pub divisor: u32,
     /// Whether cores are placed by traffic.
     pub placed: bool,
-}
-
-fn strategy_name<S: serde::Serializer>(strategy: &Strategy, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_str(strategy.name())
 }
 
 /// A candidate that fits.
@@ -292,7 +287,7 @@ impl Search<'_> {
             Objective::Latency => population_bursts(all),
             Objective::Cores | Objective::Energy => Vec::new(),
         };
-        let score = |rates: &PopulationRates| at_places.score(rates, target, options.copies);
+        let score = |rates: &PopulationRates| at_places.score(rates, &at_places.traffic(rates), target, options.copies);
         let times = bursts.iter().map(|rates| Ok(score(rates)?.step_us)).collect::<Result<_, CompileError>>()?;
         let score = score(&everywhere(all, rates))?;
         let file = Box::new(file_of_boxes(all, boxes, &placement, target.name(), options));

@@ -7,7 +7,7 @@ use crate::compile::check::sampled;
 use crate::compile::emit::sample::{SampledCore, sample};
 use crate::compile::explore::box_costs::PlacedBoxes;
 use crate::compile::explore::cost_estimate::{Score, score_at};
-use crate::compile::explore::traffic::{links, traffic};
+use crate::compile::explore::traffic::{self, traffic};
 use crate::compile::mapping_file::one_copy;
 use crate::compile::partition::box_fan_out::{PopulationRates, everywhere, only};
 use crate::compile::partition::boxes::Boxes;
@@ -45,7 +45,7 @@ fn boxes(mapping: &Mapping) -> &Boxes {
 /// The score of a symbolic mapping at other rates than it was made for.
 fn score_of(mapping: &Mapping, rates: &PopulationRates, board: &Target) -> Score {
     let at_places = PlacedBoxes::new(&mapping.quantised, boxes(mapping), &mapping.placement);
-    at_places.score(rates, board, mapping.options.copies).unwrap()
+    at_places.score(rates, &at_places.traffic(rates), board, mapping.options.copies).unwrap()
 }
 
 /// A weight of a format; those near each other differ: kernels in which parts repeat would share more tables than geometry
@@ -150,7 +150,11 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         let written = compile_saved(layered(seed), &board, &options, &made.mapping_file()).unwrap();
         let of_program = traffic(&written.program, &written.rates);
         assert_eq!(made.traffic(), of_program, "seed {seed}");
-        assert_eq!(made.links().busiest(), links(&written.program, &written.rates).busiest(), "seed {seed}");
+        assert_eq!(
+            made.links().busiest(),
+            traffic::of_program(&written.program, &written.rates).links().busiest(),
+            "seed {seed}"
+        );
         let of_written = |rates| score_at(&written.program, &written.placement, options.copies, rates, &board).unwrap();
         assert_eq!(made.score(&of_program, &board).unwrap(), of_written(&written.rates), "seed {seed}");
         // A step in which all sources of one population spike.

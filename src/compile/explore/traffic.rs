@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::base::id::{ChannelId, CoreId, Id};
+use crate::compile::place::link_loads::LinkLoads;
 use crate::compile::place::nets::Columns;
 use crate::ir::firing_rates::{Rates, UNIT};
 use crate::ir::placement::{Mesh, Placement, Site};
@@ -33,56 +34,6 @@ pub struct Traffic {
     pub max_link_load: f64,
     /// Messages over the busiest link between two chips, which takes longer for each.
     pub max_chip_link_load: f64,
-}
-
-/// Loads of the links of one direction: lines of tiles, each with a link between neighbours.
-struct Lines {
-    /// One more than links of a line, so that a route can end at the last tile.
-    length: usize,
-    differences: Vec<i64>,
-}
-
-impl Lines {
-    fn new(lines: u32, tiles: u32) -> Self {
-        Lines { length: tiles as usize, differences: vec![0; lines as usize * tiles as usize] }
-    }
-
-    /// Adds a route from tile `low` to tile `high` of a line, `low <= high`.
-    fn add(&mut self, line: u32, low: u32, high: u32, weight: i64) {
-        let start = line as usize * self.length;
-        self.differences[start + low as usize] += weight;
-        self.differences[start + high as usize] -= weight;
-    }
-
-    /// The load of the link after each tile.
-    fn each(&self) -> Vec<u64> {
-        let mut loads = Vec::with_capacity(self.differences.len());
-        for line in self.differences.chunks(self.length.max(1)) {
-            let mut load = 0i64;
-            for difference in line {
-                load += difference;
-                loads.push(load as u64);
-            }
-        }
-        loads
-    }
-
-    /// The greatest load, the greatest after every so many tiles, where a chip ends, and the sum of loads.
-    fn loads(&self, of_chip: u32) -> [u64; 3] {
-        let (mut most, mut between, mut sum) = (0, 0, 0);
-        for line in self.differences.chunks(self.length.max(1)) {
-            let mut load = 0i64;
-            for (tile, difference) in (1..).zip(line) {
-                load += difference;
-                most = most.max(load as u64);
-                sum += load as u64;
-                if tile % of_chip.max(1) == 0 {
-                    between = between.max(load as u64);
-                }
-            }
-        }
-        [most, between, sum]
-    }
 }
 
 /// Messages over each link, both directions of it together, in a step.
@@ -116,48 +67,25 @@ impl Links {
     }
 }
 
-/// The expected messages over each link.
-#[must_use]
-pub fn links(program: &Program, rates: &Rates) -> Links {
-    of_program(program, rates).links()
-}
-
-/// The expected messages over each link, of flows as [`of_flows`] has them.
-#[must_use]
-pub fn links_of_flows<T: Iterator<Item = CoreId> + Clone>(
-    placement: &Placement,
-    flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
-) -> Links {
-    counted(placement, flows).links()
-}
-
 /// The expected traffic of a program whose sources spike at these rates.
 #[must_use]
 pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
     of_program(program, rates).traffic()
 }
 
-/// The expected traffic of flows: the core that sends, none for inputs; the cores reached; spikes in as many steps as rates
-/// count.
-#[must_use]
-pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
-    placement: &Placement,
-    flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
-) -> Traffic {
-    counted(placement, flows).traffic()
-}
-
-/// Loads eastwards, westwards, southwards and northwards; messages between cores; links of multicast trees.
-struct Counts<'a> {
+/// What messages come to: loads of links, messages between cores, links of multicast trees.
+pub struct Counts<'a> {
     mesh: &'a Mesh,
-    lines: [Lines; 4],
+    loads: LinkLoads,
     cut: u64,
     multicast: u64,
     tree: Columns,
     of_chip: Vec<(u32, (u32, u32))>,
 }
 
-fn counted<T: Iterator<Item = CoreId> + Clone>(
+/// What flows come to: the core that sends, none for inputs; the cores reached; spikes in as many steps as rates count.
+#[must_use]
+pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     placement: &Placement,
     flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
 ) -> Counts<'_> {
@@ -179,7 +107,9 @@ pub(crate) fn parts(items: usize) -> Vec<Range<usize>> {
     (0..items).step_by(size).map(|from| from..(from + size).min(items)).collect()
 }
 
-fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
+/// What the messages of a program come to.
+#[must_use]
+pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
     let cores = program.cores().as_slice();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
     let site = |message: &AxonTarget| sites[message.core.index()];
@@ -208,32 +138,22 @@ fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
 
 impl<'a> Counts<'a> {
     fn new(mesh: &'a Mesh) -> Self {
-        let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
-        let (of_rows, of_columns) = (|| Lines::new(rows, columns), || Lines::new(columns, rows));
-        let lines = [of_rows(), of_rows(), of_columns(), of_columns()];
-        Counts { mesh, lines, cut: 0, multicast: 0, tree: Columns::new(mesh), of_chip: Vec::new() }
+        Counts {
+            mesh,
+            loads: LinkLoads::new(mesh),
+            cut: 0,
+            multicast: 0,
+            tree: Columns::new(mesh),
+            of_chip: Vec::new(),
+        }
     }
 
     /// The sum of both.
     fn together(mut self, other: &Self) -> Self {
-        for (lines, others) in self.lines.iter_mut().zip(&other.lines) {
-            lines.differences.iter_mut().zip(&others.differences).for_each(|(sum, other)| *sum += other);
-        }
+        self.loads.merge(&other.loads);
         self.cut += other.cut;
         self.multicast += other.multicast;
         self
-    }
-
-    fn add(&mut self, (fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64) {
-        let [east, west, south, north] = &mut self.lines;
-        match fx <= tx {
-            true => east.add(fy, fx, tx, weight),
-            false => west.add(fy, tx, fx, weight),
-        }
-        match fy <= ty {
-            true => south.add(tx, fy, ty, weight),
-            false => north.add(tx, ty, fy, weight),
-        }
     }
 
     /// Spikes of a core's compartments.
@@ -241,7 +161,7 @@ impl<'a> Counts<'a> {
         let (mesh, from) = (self.mesh, self.mesh.tile(site));
         for (other, site) in to.clone() {
             self.cut += u64::from(other != core) * weight;
-            self.add(from, mesh.tile(site), weight as i64);
+            self.loads.add(from, mesh.tile(site), weight as i64);
         }
         self.multicast += weight * self.tree.links(from, to.map(|(_, site)| mesh.tile(site))).0;
     }
@@ -256,7 +176,7 @@ impl<'a> Counts<'a> {
         of_chip.sort_unstable();
         self.cut += weight * of_chip.len() as u64;
         for &(_, tile) in &of_chip {
-            self.add(corner(mesh, tile), tile, weight as i64);
+            self.loads.add(corner(mesh, tile), tile, weight as i64);
         }
         for same in of_chip.chunk_by(|a, b| a.0 == b.0) {
             self.multicast += weight * self.tree.links(corner(mesh, same[0].1), same.iter().map(|&(_, tile)| tile)).0;
@@ -264,12 +184,11 @@ impl<'a> Counts<'a> {
         self.of_chip = of_chip;
     }
 
-    fn traffic(&self) -> Traffic {
+    /// The expected messages of a step.
+    #[must_use]
+    pub fn traffic(&self) -> Traffic {
         let (columns, rows) = (self.mesh.chips_x * self.mesh.width, self.mesh.chips_y * self.mesh.height);
-        let of_chips = [self.mesh.width, self.mesh.width, self.mesh.height, self.mesh.height];
-        let loads = self.lines.iter().zip(of_chips).map(|(lines, of_chip)| lines.loads(of_chip));
-        let [most, between, hops] = loads
-            .fold([0, 0, 0], |[most, between, sum], load| [load[0].max(most), load[1].max(between), load[2] + sum]);
+        let [most, between, hops] = self.loads.greatest(self.mesh);
         let (columns, rows) = (u64::from(columns), u64::from(rows));
         let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
         let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
@@ -283,17 +202,16 @@ impl<'a> Counts<'a> {
         }
     }
 
-    fn links(&self) -> Links {
-        let [east, west, south, north] = &self.lines;
-        let together = |a: &Lines, b: &Lines| -> Vec<f64> {
-            let sums = a.each().into_iter().zip(b.each());
-            sums.map(|(a, b)| (a + b) as f64 / UNIT).collect()
-        };
+    /// The expected messages over each link in a step.
+    #[must_use]
+    pub fn links(&self) -> Links {
+        let [east_west, north_south] = self.loads.both_ways();
+        let in_a_step = |loads: Vec<u64>| loads.into_iter().map(|load| load as f64 / UNIT).collect();
         Links {
             columns: (self.mesh.chips_x * self.mesh.width) as usize,
             rows: (self.mesh.chips_y * self.mesh.height) as usize,
-            east_west: together(east, west),
-            north_south: together(south, north),
+            east_west: in_a_step(east_west),
+            north_south: in_a_step(north_south),
         }
     }
 }

@@ -103,7 +103,7 @@ pub fn outline(
         }
         found[id] = Some((lattice, mapped));
     }
-    let mesh = Mesh::of(target);
+    let mesh = Mesh::for_target(target);
     let mut sites: IdVec<CoreId, Site> = IdVec::new();
     for (id, population) in network.populations().enumerate() {
         match found[id] {

@@ -120,7 +120,7 @@ pub fn load(
         return Ok((partition, placement, Some(boxes)));
     }
     let (members, sites) = membership(file, all, target)?;
-    let placement = Placement::new(Mesh::of(target), sites).map_err(CompileError::fault)?;
+    let placement = Placement::new(Mesh::for_target(target), sites).map_err(CompileError::fault)?;
     let seats = seats(all.compartments(), &members).map_err(CompileError::fault)?;
     let usage = usage(all, &members, &seats, &chips_of(&placement), limits);
     Ok((partition_of(all, members, usage, limits)?, placement, None))
@@ -219,7 +219,7 @@ pub fn membership(
         .enumerate()
         .filter_map(|(id, p)| Some((p.name.as_str(), (id, p.first_compartment()?.0, network.units_shown(id)))))
         .collect();
-    let mesh = Mesh::of(target);
+    let mesh = Mesh::for_target(target);
     let mut seated = vec![false; network.compartments() as usize];
     let (mut members, mut sites) = (IdVec::new(), IdVec::new());
     for (number, core) in file.cores.iter().enumerate() {

@@ -10,11 +10,12 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::base::id::{IdVec, PopulationId};
+use crate::base::id::{CoreId, IdVec, PopulationId};
 use crate::compile::partition::lattice::Cut;
 use crate::compile::partition::members::Members;
 use crate::compile::resources::closed_form::Layer;
-use crate::compile::resources::receptive_field::Axis;
+use crate::compile::resources::fan_out::axon_slots;
+use crate::compile::resources::receptive_field::WindowAxis;
 use crate::desc::resource::Limits;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
@@ -78,7 +79,7 @@ impl<'a> Outgoing<'a> {
                     continue;
                 }
                 let window = &incoming.window;
-                let boxes = |axis: Axis, length: u32, size: u32| -> Vec<Vec<u32>> {
+                let boxes = |axis: WindowAxis, length: u32, size: u32| -> Vec<Vec<u32>> {
                     let of = |at| {
                         let mut boxes: Vec<u32> = axis.reached(at).map(|to| to / size).collect();
                         boxes.dedup();
@@ -93,8 +94,8 @@ impl<'a> Outgoing<'a> {
                 };
                 outlets.push(Outlet::Window {
                     to,
-                    rows: boxes(Axis::rows(window), window.source.1, to.cut.lattice.size.1),
-                    columns: boxes(Axis::columns(window), window.source.2, to.cut.lattice.size.2),
+                    rows: boxes(WindowAxis::rows(window), window.source.1, to.cut.lattice.size.1),
+                    columns: boxes(WindowAxis::columns(window), window.source.2, to.cut.lattice.size.2),
                     channels: (0..window.source.0).map(channels).collect(),
                 });
             }
@@ -196,13 +197,12 @@ pub fn fan_out(
 
 /// Output axon slots of a core's compartments together and the most output axons of one, with cores numbered chip by chip.
 #[must_use]
-pub fn axons(core: usize, sends: &[Sends], chips: &IdVec<crate::base::id::CoreId, u32>, limits: &Limits) -> (u64, u32) {
-    let chip = |core: u32| chips.as_slice()[core as usize];
-    let own = chip(core as u32);
-    let slots =
-        |to: &u32| u64::from(if chip(*to) == own { limits.axon_out_slots } else { limits.axon_out_slots_off_chip });
-    let all = sends.iter().map(|sends| sends.sources * sends.to.iter().map(slots).sum::<u64>()).sum();
-    (all, sends.iter().map(|sends| sends.to.len() as u32).max().unwrap_or(0))
+pub fn axons(core: CoreId, sends: &[Sends], chips: &IdVec<CoreId, u32>, limits: &Limits) -> (u64, u32) {
+    let slots = |sends: &Sends| axon_slots(Some(core), sends.to.iter().map(|&to| CoreId(to)), chips, limits);
+    (
+        sends.iter().map(|sends| sends.sources * u64::from(slots(sends))).sum(),
+        sends.iter().map(|sends| sends.to.len() as u32).max().unwrap_or(0),
+    )
 }
 
 /// Spikes of each source of a population in as many steps as rates count.
@@ -240,7 +240,7 @@ mod tests {
                 dilation: pair(dilation),
                 groups: 1,
             };
-            let axis = Axis::columns(&window);
+            let axis = WindowAxis::columns(&window);
             for s in 0..source {
                 let mut meant = Vec::new();
                 window.for_each_position(s, |_, x, _, _| meant.push(x));

@@ -51,7 +51,7 @@ impl<'n> Layers<'n> {
             Diagnostic::new("map.layers", message)
         };
         let layers = lattice::layers(network).ok_or_else(not_layers)?;
-        Ok(Layers { network, layers, formats: Formats::of(network) })
+        Ok(Layers { network, layers, formats: Formats::for_network(network) })
     }
 
     /// The fewest boxes of which each fits a core with at most so many compartments, before output axons are counted.
@@ -228,7 +228,7 @@ impl Boxes {
     pub fn usage(&self, network: &Quantised, chips: &IdVec<CoreId, u32>, limits: &Limits) -> IdVec<CoreId, CoreUsage> {
         let of = |(core, held): (CoreId, &Vec<CompartmentId>)| {
             let (axons_out, axons_out_per_compartment) =
-                box_fan_out::axons(core.index(), &self.sends.cores[core.index()], chips, limits);
+                box_fan_out::axons(core, &self.sends.cores[core.index()], chips, limits);
             let (compartment_profiles, threshold_profiles) = profiles_of(network, held);
             self.uses[core.index()]
                 .usage

@@ -13,79 +13,31 @@
 //! with one sparse projection, an estimate for others.
 //! Whoever keeps a refined partition has it counted exactly afterwards ([`crate::compile::resources::exact`]).
 
+use crate::base::csr::Csr;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
 use crate::compile::resources::fan_in::first_source;
 use crate::compile::resources::packing::{self, Group, Widths};
-use crate::desc::resource::Resource;
+use crate::desc::resource::{PerResource, Resource};
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::{Connectivity, Quantised};
 
-/// Lists of numbers in one allocation.
-#[derive(Debug, Clone, Default)]
-pub struct Csr<T> {
-    first: Vec<u32>,
-    items: Vec<T>,
-}
-
-impl<T: Copy> Csr<T> {
-    /// No list.
-    #[must_use]
-    pub fn new() -> Self {
-        Csr { first: vec![0], items: Vec::new() }
-    }
-
-    /// Appends a list.
-    pub fn push(&mut self, list: impl IntoIterator<Item = T>) {
-        self.items.extend(list);
-        self.first.push(self.items.len() as u32);
-    }
-
-    /// One list.
-    #[inline]
-    #[must_use]
-    pub fn get(&self, index: u32) -> &[T] {
-        &self.items[self.first[index as usize] as usize..self.first[index as usize + 1] as usize]
-    }
-
-    /// Number of lists.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.first.len() - 1
-    }
-
-    /// Whether there is none.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Items of all lists.
-    #[must_use]
-    pub fn total(&self) -> usize {
-        self.items.len()
-    }
-
-    /// (list, key of the item) turned around: for each key below `keys`, the lists that it is in, ascending.
-    #[must_use]
-    pub fn transposed<U: Copy + Default>(&self, keys: usize, turn: impl Fn(u32, T) -> (u32, U)) -> Csr<U> {
-        let mut first = vec![0u32; keys + 1];
-        for list in 0..self.len() as u32 {
-            self.get(list).iter().for_each(|&item| first[turn(list, item).0 as usize + 1] += 1);
-        }
-        for key in 0..keys {
-            first[key + 1] += first[key];
-        }
-        let (mut at, mut items) = (first.clone(), vec![U::default(); self.items.len()]);
-        for list in 0..self.len() as u32 {
-            for &item in self.get(list) {
-                let (key, turned) = turn(list, item);
-                items[at[key as usize] as usize] = turned;
-                at[key as usize] += 1;
+/// The lists turned around: for each key below `keys`, the lists that it is in, ascending. `turn` makes of a list's number and
+/// an item the item's key and what the key's list holds.
+#[must_use]
+pub fn transposed<T: Copy, U: Copy + Default>(
+    lists: &Csr<T>,
+    keys: usize,
+    turn: impl Fn(u32, T) -> (u32, U),
+) -> Csr<U> {
+    Csr::by_row(keys, |put| {
+        for (number, list) in (0..).zip(lists.iter()) {
+            for &item in list {
+                let (key, turned) = turn(number, item);
+                put(key as usize, turned);
             }
         }
-        Csr { first, items }
-    }
+    })
 }
 
 /// What one or several equal sources reach.
@@ -117,7 +69,7 @@ impl Hypergraph {
     #[must_use]
     pub fn new(network: &Quantised, rates: &Rates, fixed: &[bool]) -> Self {
         let mut nets = Vec::new();
-        let mut pins: Csr<(u32, u32)> = Csr::new();
+        let mut pins: Csr<(u32, u32)> = Csr::default();
         let mut own: Vec<Option<(u32, u64)>> = vec![None; network.compartments() as usize];
         let mut reached: Vec<u32> = Vec::new();
         for (id, population) in network.populations().enumerate() {
@@ -149,7 +101,7 @@ impl Hypergraph {
                 }
             }
         }
-        let into = pins.transposed(own.len(), |net, (pin, synapses)| (pin, (net, synapses)));
+        let into = transposed(&pins, own.len(), |net, (pin, synapses)| (pin, (net, synapses)));
         Hypergraph { nets, into, own }
     }
 }
@@ -175,7 +127,7 @@ impl Groups {
         let mut labelled: Vec<(u32, u32)> =
             of.iter().enumerate().filter_map(|(id, label)| Some(((*label)?, id as u32))).collect();
         labelled.sort_unstable();
-        let (mut members, mut into, mut own) = (Csr::new(), Csr::new(), Csr::new());
+        let (mut members, mut into, mut own) = (Csr::default(), Csr::default(), Csr::default());
         let mut pins: Vec<(u32, u32)> = Vec::new();
         let mut sends: Vec<(u32, u64)> = Vec::new();
         for group in labelled.chunk_by(|a, b| a.0 == b.0) {
@@ -183,7 +135,7 @@ impl Groups {
             pins.clear();
             sends.clear();
             for &(_, id) in group {
-                pins.extend(graph.into.get(id));
+                pins.extend(graph.into.get(id as usize));
                 sends.extend(graph.own[id as usize]);
             }
             if group.len() > 1 {
@@ -216,28 +168,15 @@ impl Groups {
     }
 }
 
-/// What a core uses while compartments move.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Load {
-    /// Compartments.
-    pub compartments: i64,
-    /// Input axons.
-    pub axons_in: i64,
-    /// Output axon slots.
-    pub axons_out: i64,
-    /// Synapse words.
-    pub words: i64,
-}
+/// What a core uses while compartments move, of the resources that are followed.
+pub type Load = PerResource<i64>;
 
-impl Load {
-    /// Whether it is within a limit in every respect in which it is more than before.
-    fn fits(&self, before: &Load, limit: &Load) -> bool {
-        let ok = |now: i64, before: i64, limit: i64| now <= limit || now <= before;
-        ok(self.compartments, before.compartments, limit.compartments)
-            && ok(self.axons_in, before.axons_in, limit.axons_in)
-            && ok(self.axons_out, before.axons_out, limit.axons_out)
-            && ok(self.words, before.words, limit.words)
-    }
+/// The resources that are followed.
+const FOLLOWED: [Resource; 4] = [Resource::Compartments, Resource::AxonsIn, Resource::AxonsOut, Resource::SynapseWords];
+
+/// Whether a core is within a limit in every respect in which it uses more than before.
+fn fits(now: &Load, before: &Load, limit: &Load) -> bool {
+    FOLLOWED.into_iter().all(|resource| now[resource] <= limit[resource] || now[resource] <= before[resource])
 }
 
 /// A partition that is being changed.
@@ -277,10 +216,10 @@ impl<'a> State<'a> {
         let mut owners: Vec<Vec<(u32, u32, u64)>> = vec![Vec::new(); graph.nets.len()];
         let mut held: Vec<Vec<(u32, u32)>> = vec![Vec::new(); graph.nets.len()];
         for (core, of_core) in members.enumerate() {
-            loads[core.index()].compartments = of_core.len() as i64;
+            loads[core.index()][Resource::Compartments] = of_core.len() as i64;
             for id in of_core {
                 core_of[id.index()] = core.0;
-                for &(net, synapses) in graph.into.get(id.0) {
+                for &(net, synapses) in graph.into.get(id.index()) {
                     add(&mut held[net as usize], core.0, synapses);
                 }
                 if let Some((net, rate)) = graph.own[id.index()] {
@@ -289,7 +228,7 @@ impl<'a> State<'a> {
             }
         }
         let largest = members.iter().map(Vec::len).max().unwrap_or(0) as u32;
-        let widths = Widths::of(largest, crate::base::fixed::Delay::MAX, limits.packing);
+        let widths = Widths::for_core(largest, crate::base::fixed::Delay::MAX, limits.packing);
         let mut words = std::collections::HashMap::new();
         for net in &graph.nets {
             words.entry((net.dense, net.bits.0, net.bits.1)).or_insert_with(|| {
@@ -308,12 +247,8 @@ impl<'a> State<'a> {
         }
         let several = members.len() as u64 > u64::from(target.chip().cores);
         let out_slots = if several { limits.axon_out_slots_off_chip } else { limits.axon_out_slots };
-        let limit = Load {
-            compartments: limits[Resource::Compartments].into(),
-            axons_in: limits[Resource::AxonsIn].into(),
-            axons_out: limits[Resource::AxonsOut].into(),
-            words: i64::from(limits[Resource::SynapseWords]) * percent_of_words / 100,
-        };
+        let mut limit = Load::from_fn(|resource| limits[resource].into());
+        limit[Resource::SynapseWords] = limit[Resource::SynapseWords] * percent_of_words / 100;
         let mut state = State {
             graph,
             core_of,
@@ -330,12 +265,12 @@ impl<'a> State<'a> {
             for at in 0..state.held[net].len() {
                 let (core, synapses) = state.held[net][at];
                 let words = state.list_words(net, synapses);
-                state.loads[core as usize].axons_in += sources;
-                state.loads[core as usize].words += sources * words;
+                state.loads[core as usize][Resource::AxonsIn] += sources;
+                state.loads[core as usize][Resource::SynapseWords] += sources * words;
             }
             let reached = state.held[net].len() as i64;
             for &(core, sources, _) in &state.owners[net] {
-                state.loads[core as usize].axons_out += reached * i64::from(sources) * state.out_slots;
+                state.loads[core as usize][Resource::AxonsOut] += reached * i64::from(sources) * state.out_slots;
             }
         }
         state
@@ -366,11 +301,11 @@ impl<'a> State<'a> {
     /// What each core already holds of a group's nets: calls `f(core, messages, axons)` once for each net and core.
     #[inline]
     pub fn for_each_shared(&self, groups: &Groups, group: u32, mut f: impl FnMut(u32, u64)) {
-        for &(net, _) in groups.into.get(group) {
+        for &(net, _) in groups.into.get(group as usize) {
             let weight = self.graph.nets[net as usize].weight;
             self.held[net as usize].iter().for_each(|&(core, _)| f(core, weight));
         }
-        for &(net, _, rate) in groups.own.get(group) {
+        for &(net, _, rate) in groups.own.get(group as usize) {
             self.held[net as usize].iter().for_each(|&(core, _)| f(core, rate));
         }
     }
@@ -378,7 +313,7 @@ impl<'a> State<'a> {
     /// Messages of a step that are saved when a group moves from one core to another; negative when there are more.
     #[must_use]
     pub fn gain(&self, groups: &Groups, group: u32, from: u32, to: u32) -> i64 {
-        let (into, own) = (groups.into.get(group), groups.own.get(group));
+        let (into, own) = (groups.into.get(group as usize), groups.own.get(group as usize));
         let mut gain = 0i64;
         for &(net, synapses) in into {
             let cores = &self.held[net as usize];
@@ -412,9 +347,9 @@ impl<'a> State<'a> {
     pub fn may_move(&self, groups: &Groups, group: u32, from: u32, to: u32) -> bool {
         let (before_from, before_to) = (self.loads[from as usize], self.loads[to as usize]);
         let (after_from, after_to) = self.after(groups, group, from, to);
-        after_to.fits(&before_to, &self.limit)
-            && after_from.fits(&before_from, &self.limit)
-            && groups.own.get(group).iter().all(|&(net, _, _)| self.held[net as usize].len() <= self.most_out)
+        fits(&after_to, &before_to, &self.limit)
+            && fits(&after_from, &before_from, &self.limit)
+            && groups.own.get(group as usize).iter().all(|&(net, _, _)| self.held[net as usize].len() <= self.most_out)
             && self.senders_may(groups, group, from, to)
     }
 
@@ -422,36 +357,39 @@ impl<'a> State<'a> {
     #[must_use]
     pub fn after(&self, groups: &Groups, group: u32, from: u32, to: u32) -> (Load, Load) {
         let (mut a, mut b) = (self.loads[from as usize], self.loads[to as usize]);
-        let size = groups.members.get(group).len() as i64;
-        a.compartments -= size;
-        b.compartments += size;
-        for &(net, synapses) in groups.into.get(group) {
+        let size = groups.members.get(group as usize).len() as i64;
+        a[Resource::Compartments] -= size;
+        b[Resource::Compartments] += size;
+        for &(net, synapses) in groups.into.get(group as usize) {
             let net = net as usize;
             let sources = i64::from(self.graph.nets[net].sources);
             let (at_from, at_to) = (count(&self.held[net], from), count(&self.held[net], to));
-            a.axons_in -= if at_from == synapses { sources } else { 0 };
-            b.axons_in += if at_to == 0 { sources } else { 0 };
-            a.words -= sources * (self.list_words(net, at_from) - self.list_words(net, at_from - synapses));
-            b.words += sources * (self.list_words(net, at_to + synapses) - self.list_words(net, at_to));
+            a[Resource::AxonsIn] -= if at_from == synapses { sources } else { 0 };
+            b[Resource::AxonsIn] += if at_to == 0 { sources } else { 0 };
+            a[Resource::SynapseWords] -=
+                sources * (self.list_words(net, at_from) - self.list_words(net, at_from - synapses));
+            b[Resource::SynapseWords] +=
+                sources * (self.list_words(net, at_to + synapses) - self.list_words(net, at_to));
         }
-        for &(net, sources, _) in groups.own.get(group) {
+        for &(net, sources, _) in groups.own.get(group as usize) {
             let slots = self.held[net as usize].len() as i64 * i64::from(sources) * self.out_slots;
-            a.axons_out -= slots;
-            b.axons_out += slots;
+            a[Resource::AxonsOut] -= slots;
+            b[Resource::AxonsOut] += slots;
         }
         (a, b)
     }
 
     /// Whether the cores of sources that would reach one more core have the output axons for it.
     fn senders_may(&self, groups: &Groups, group: u32, from: u32, to: u32) -> bool {
-        groups.into.get(group).iter().all(|&(net, synapses)| {
+        groups.into.get(group as usize).iter().all(|&(net, synapses)| {
             let cores = &self.held[net as usize];
             if count(cores, to) > 0 || count(cores, from) == synapses {
                 return true;
             }
             self.owners[net as usize].iter().all(|&(core, sources, _)| {
                 let more = i64::from(sources) * self.out_slots;
-                self.loads[core as usize].axons_out + more <= self.limit.axons_out && cores.len() < self.most_out
+                self.loads[core as usize][Resource::AxonsOut] + more <= self.limit[Resource::AxonsOut]
+                    && cores.len() < self.most_out
             })
         })
     }
@@ -460,11 +398,11 @@ impl<'a> State<'a> {
     pub fn apply(&mut self, groups: &Groups, group: u32, from: u32, to: u32) {
         let (a, b) = self.after(groups, group, from, to);
         (self.loads[from as usize], self.loads[to as usize]) = (a, b);
-        for &(net, sources, rate) in groups.own.get(group) {
+        for &(net, sources, rate) in groups.own.get(group as usize) {
             disown(&mut self.owners[net as usize], from, sources, rate);
             own(&mut self.owners[net as usize], to, sources, rate);
         }
-        for &(net, synapses) in groups.into.get(group) {
+        for &(net, synapses) in groups.into.get(group as usize) {
             let cores = &mut self.held[net as usize];
             let before = cores.len() as i64;
             remove(cores, from, synapses);
@@ -472,11 +410,11 @@ impl<'a> State<'a> {
             let more = cores.len() as i64 - before;
             if more != 0 {
                 for &(core, sources, _) in &self.owners[net as usize] {
-                    self.loads[core as usize].axons_out += more * i64::from(sources) * self.out_slots;
+                    self.loads[core as usize][Resource::AxonsOut] += more * i64::from(sources) * self.out_slots;
                 }
             }
         }
-        for &id in groups.members.get(group) {
+        for &id in groups.members.get(group as usize) {
             self.core_of[id as usize] = to;
         }
     }
@@ -484,18 +422,20 @@ impl<'a> State<'a> {
     /// Whether a core is within its limits.
     #[must_use]
     pub fn within(&self, core: u32) -> bool {
-        self.loads[core as usize].fits(&Load::default(), &self.limit)
+        fits(&self.loads[core as usize], &Load::default(), &self.limit)
     }
 
     /// Whether every core that sends to one of two groups is within its limit of output axons.
     #[must_use]
     pub fn senders_within(&self, groups: &Groups, a: u32, b: u32) -> bool {
-        let nets = groups.into.get(a).iter().chain(groups.into.get(b));
+        let nets = groups.into.get(a as usize).iter().chain(groups.into.get(b as usize));
         nets.into_iter().all(|&(net, _)| {
             let owners = &self.owners[net as usize];
             owners.is_empty()
                 || self.held[net as usize].len() <= self.most_out
-                    && owners.iter().all(|&(core, _, _)| self.loads[core as usize].axons_out <= self.limit.axons_out)
+                    && owners.iter().all(|&(core, _, _)| {
+                        self.loads[core as usize][Resource::AxonsOut] <= self.limit[Resource::AxonsOut]
+                    })
         })
     }
 
@@ -581,10 +521,13 @@ mod tests {
         let seats = seats(network.compartments(), &members).unwrap();
         let exact = usage(network, &members, &seats, &vec![0; members.len()].into(), board.limits());
         for (load, used) in state.loads.iter().zip(&exact) {
-            assert_eq!(load.compartments as u64, used[Resource::Compartments], "{what}");
-            assert!(load.axons_in as u64 >= used[Resource::AxonsIn], "{what}: {load:?} {used:?}");
-            assert!(load.axons_out as u64 >= used[Resource::AxonsOut], "{what}: {load:?} {used:?}");
-            assert!(!words || load.words as u64 >= used[Resource::SynapseWords], "{what}: {load:?} {used:?}");
+            assert_eq!(load[Resource::Compartments] as u64, used[Resource::Compartments], "{what}");
+            assert!(load[Resource::AxonsIn] as u64 >= used[Resource::AxonsIn], "{what}: {load:?} {used:?}");
+            assert!(load[Resource::AxonsOut] as u64 >= used[Resource::AxonsOut], "{what}: {load:?} {used:?}");
+            assert!(
+                !words || load[Resource::SynapseWords] as u64 >= used[Resource::SynapseWords],
+                "{what}: {load:?} {used:?}"
+            );
         }
     }
 

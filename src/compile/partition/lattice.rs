@@ -12,7 +12,7 @@ use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::closed_form::{BoxUse, Channels, Layer, Side, use_of};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing;
-use crate::compile::resources::receptive_field::Axis;
+use crate::compile::resources::receptive_field::WindowAxis;
 use crate::desc::resource::{Limits, Resource};
 use crate::ir::quantised::Quantised;
 
@@ -23,8 +23,8 @@ const TRIALS: usize = 200;
 /// same populations.
 #[must_use]
 pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
-    let (formats, places) = (Formats::of(network), Places::of(network));
-    let of = |id| Layer::of(network, id, &formats, &places).filter(|layer| !layer.joined);
+    let (formats, places) = (Formats::for_network(network), Places::for_network(network));
+    let of = |id| Layer::for_population(network, id, &formats, &places).filter(|layer| !layer.joined);
     network.populations().ids().map(of).collect()
 }
 
@@ -54,11 +54,7 @@ impl Lattice {
 
     /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
     pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> + use<> {
-        let (channels, rows, columns) = self.along;
-        (0..rows).flat_map(move |y| {
-            let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
-            (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
-        })
+        tiles::to_and_fro(self.along)
     }
 
     /// The place of a box in that order.
@@ -106,9 +102,10 @@ impl Cut {
     #[must_use]
     pub fn new(layer: &Layer, lattice: Lattice, formats: &Formats, limits: &Limits) -> Self {
         let ((c, h, w), size) = (layer.shape, lattice.size);
-        let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of(layer, &part)));
-        let (rows, of_rows) = kinds(parts(h, size.1).map(|part| Side::of(layer, Axis::rows, &part)));
-        let (columns, of_columns) = kinds(parts(w, size.2).map(|part| Side::of(layer, Axis::columns, &part)));
+        let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of_part(layer, &part)));
+        let (rows, of_rows) = kinds(parts(h, size.1).map(|part| Side::of_part(layer, WindowAxis::rows, &part)));
+        let (columns, of_columns) =
+            kinds(parts(w, size.2).map(|part| Side::of_part(layer, WindowAxis::columns, &part)));
         let mut uses = HashMap::new();
         for (i, channels) in channels.iter().enumerate() {
             for (j, rows) in rows.iter().enumerate() {

@@ -7,8 +7,9 @@
 //! no pair from another and are left out. The levels give an order in which related compartments are consecutive, and the
 //! groups that are moved as one during refinement.
 
+use crate::base::csr::Csr;
 use crate::base::rng;
-use crate::compile::partition::hyper::{Csr, Groups, Hypergraph};
+use crate::compile::partition::hyper::{Groups, Hypergraph, transposed};
 
 /// Pins above which a net is ignored.
 const LARGEST_NET: usize = 200;
@@ -70,20 +71,20 @@ impl Levels {
 
 /// The label of each group's pair, and how many labels there are.
 fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
-    let pins: Csr<u32> = groups.into.transposed(graph.nets.len(), |group, (net, _)| (net, group));
-    let owners: Csr<u32> = groups.own.transposed(graph.nets.len(), |group, (net, _, _)| (net, group));
+    let pins: Csr<u32> = transposed(&groups.into, graph.nets.len(), |group, (net, _)| (net, group));
+    let owners: Csr<u32> = transposed(&groups.own, graph.nets.len(), |group, (net, _, _)| (net, group));
     let mut partner: Vec<Option<u32>> = vec![None; groups.len()];
     let (mut score, mut touched) = (vec![0f64; groups.len()], Vec::new());
     // Groups take their turns in random order: in the file's, the last would find no free partner.
     let mut turns: Vec<u32> = (0..groups.len() as u32).collect();
     turns.sort_unstable_by_key(|&group| rng::bits(SEED, groups.len() as u64, u64::from(group)));
-    let size = |group: u32| groups.members.get(group).len();
+    let size = |group: u32| groups.members.get(group as usize).len();
     for group in turns {
         if partner[group as usize].is_some() {
             continue;
         }
         let mut look = |net: u32, weight: f64| {
-            let (pins, owners) = (pins.get(net), owners.get(net));
+            let (pins, owners) = (pins.get(net as usize), owners.get(net as usize));
             let all = pins.len() + owners.len();
             if !(2..=LARGEST_NET).contains(&all) {
                 return;
@@ -97,14 +98,14 @@ fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
                 }
             }
         };
-        let into = groups.into.get(group);
+        let into = groups.into.get(group as usize);
         let drawn = (into.len() as u64).min(NETS);
         for k in 0..drawn {
             let at = if drawn == into.len() as u64 { k } else { rng::below(into.len() as u64, SEED, group.into(), k) };
             let net = into[at as usize].0;
             look(net, graph.nets[net as usize].weight as f64);
         }
-        groups.own.get(group).iter().for_each(|&(net, _, rate)| look(net, rate as f64));
+        groups.own.get(group as usize).iter().for_each(|&(net, _, rate)| look(net, rate as f64));
         let mut best: Option<(f64, u32)> = None;
         for other in touched.drain(..) {
             // Small groups first, so that all grow alike.
@@ -138,7 +139,7 @@ fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
 #[must_use]
 pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize) -> Vec<u32> {
     let n = fixed.len();
-    let pins: Csr<u32> = graph.into.transposed(graph.nets.len(), |id, (net, _)| (net, id));
+    let pins: Csr<u32> = transposed(&graph.into, graph.nets.len(), |id, (net, _)| (net, id));
     let mut owner: Vec<Option<u32>> = vec![None; graph.nets.len()];
     for (id, own) in graph.own.iter().enumerate() {
         if let Some((net, _)) = own
@@ -188,17 +189,17 @@ pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize) -> Vec<u32> {
             }
         };
         if let Some((net, rate)) = graph.own[id as usize] {
-            let pins = pins.get(net);
+            let pins = pins.get(net as usize);
             if pins.len() <= LARGEST_NET {
                 pins.iter().for_each(|&other| join(other, rate));
             }
         }
-        for &(net, _) in graph.into.get(id) {
+        for &(net, _) in graph.into.get(id as usize) {
             match owner[net as usize] {
                 Some(other) => join(other, graph.nets[net as usize].weight),
                 // Input channels are on no core: compartments that share one belong together.
                 None => {
-                    let pins = pins.get(net);
+                    let pins = pins.get(net as usize);
                     if pins.len() <= LARGEST_NET / 4 {
                         pins.iter().for_each(|&other| join(other, graph.nets[net as usize].weight));
                     }

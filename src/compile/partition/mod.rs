@@ -36,8 +36,8 @@ use crate::compile::partition::order::{Chips, Filler, Found, Indices, Segment, f
 use crate::compile::partition::refine::Effort;
 use crate::compile::reason::Reason;
 use crate::compile::resources::axon_sharing::Places;
-use crate::compile::resources::exact::{usage, usage_sending};
-use crate::compile::resources::fan_out::{cores_of, messages, sent, slots_of};
+use crate::compile::resources::exact::{usage, usage_with_fan_out};
+use crate::compile::resources::fan_out::{cores_of, messages, network_fan_out, slots_of_core};
 use crate::compile::resources::incremental::Filling;
 use crate::desc::resource::{Capacity, Limits, Resource};
 use crate::desc::target::Target;
@@ -127,31 +127,31 @@ pub fn partition(
     let limits = target.limits();
     let copies = (all.compartments() / one.compartments().max(1)).max(1);
     let filler = Filler::new(one, target);
-    let Found { mut members, mut sent } = searched(&filler, search, Chips::Row)?;
+    let Found { mut members, mut fan_out } = searched(&filler, search, Chips::Row)?;
     if copies > 1 {
         if !sends_little_enough(all, &repeated(&members, one, copies), target) {
             members = searched(&filler, search, Chips::Apart)?.members;
         }
-        (members, sent) = (repeated(&members, one, copies), None);
+        (members, fan_out) = (repeated(&members, one, copies), None);
         if members.len() as u64 > least_cores(one, copies, limits)
             && let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
             && together.members.len() < members.len()
         {
-            Found { members, sent } = together;
+            Found { members, fan_out } = together;
         }
     }
     if members.len() as u64 > u64::from(target.cores()) {
         return Err(Reason::of_cores(target, copies, members.len() as u64).into());
     }
-    counted(all, Found { members, sent }, target).map_err(CompileError::fault)
+    counted(all, Found { members, fan_out }, target).map_err(CompileError::fault)
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
 fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partition, PartitionError> {
-    let Found { members, sent } = found;
+    let Found { members, fan_out } = found;
     let seats = seats(network.compartments(), &members)?;
-    let usage = match sent {
-        Some(sent) => usage_sending(network, &members, &seats, &sent, target.limits()),
+    let usage = match fan_out {
+        Some(fan_out) => usage_with_fan_out(network, &members, &seats, &fan_out, target.limits()),
         None => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
     };
     Partition::new(network.compartments(), members, usage, target.limits())
@@ -240,9 +240,9 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
                 return Ok(sorted);
             }
             let best = found.iter().position(|one| one.members == *best).unwrap_or_default();
-            let Found { members, sent } = found.swap_remove(best);
+            let Found { members, fan_out } = found.swap_remove(best);
             // Chips that are assumed to be apart are not those that will be.
-            Ok(Found { members, sent: sent.filter(|_| chips == Chips::Row) })
+            Ok(Found { members, fan_out: fan_out.filter(|_| chips == Chips::Row) })
         }
         (None, Some(failure)) => Err(failure),
         (None, None) => Err(CompileError::fault("no strategy had an answer")),
@@ -264,7 +264,7 @@ fn fewest<'m>(filler: &Filler<'_>, found: &'m [Found], rates: &Rates) -> Option<
 
 /// Members whose output axons have not been counted.
 fn uncounted(members: Members) -> Found {
-    Found { members, sent: None }
+    Found { members, fan_out: None }
 }
 
 /// Members after some compartments of different cores have changed places, as a start that leads elsewhere.
@@ -316,14 +316,10 @@ fn tiled(filler: &Filler<'_>, spatial: &IdVec<PopulationId, bool>, chips: Chips)
         let rest = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
         let order: Vec<Segment> = segments.iter().cloned().chain(rest).collect();
         let Ok(members) = filler.once(&order) else { break };
-        let chips = match chips {
-            Chips::Row => row_of_chips(members.len(), filler.target),
-            Chips::Apart => (0..members.len() as u32).collect(),
-        };
-        let sent = sent(network, &cores_of(network.compartments(), &members), &chips, limits);
+        let fan_out = filler.fan_out(&members, chips);
         let mut again = false;
         for held in &members {
-            let slots = slots_of(held, &sent);
+            let slots = slots_of_core(held, &fan_out);
             if slots <= u64::from(limits[Resource::AxonsOut]) || held.len() < 2 {
                 continue;
             }
@@ -403,7 +399,7 @@ fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
 /// A number of cores below which no partition can be, from what copies cannot share.
 #[must_use]
 pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
-    let places = Places::of(one);
+    let places = Places::for_network(one);
     let active: u64 = one
         .populations()
         .enumerate()
@@ -441,6 +437,6 @@ fn repeated(members: &Members, one: &Quantised, copies: u32) -> Members {
 fn sends_little_enough(network: &Quantised, members: &Members, target: &Target) -> bool {
     let limits = target.limits();
     let core_of = cores_of(network.compartments(), members);
-    let sent = sent(network, &core_of, &row_of_chips(members.len(), target), limits);
-    members.iter().all(|held| slots_of(held, &sent) <= u64::from(limits[Resource::AxonsOut]))
+    let fan_out = network_fan_out(network, &core_of, &row_of_chips(members.len(), target), limits);
+    members.iter().all(|held| slots_of_core(held, &fan_out) <= u64::from(limits[Resource::AxonsOut]))
 }

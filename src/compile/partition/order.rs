@@ -15,20 +15,20 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::base::id::{CompartmentId, Id, PopulationId};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::error::CompileError;
 use crate::compile::partition::members::{Members, row_of_chips};
 use crate::compile::reason::Reason;
 use crate::compile::resources::fan_in::FanIn;
-use crate::compile::resources::fan_out::{Sent, cores_of, sent, slots_of};
+use crate::compile::resources::fan_out::{FanOut, cores_of, network_fan_out, slots_of_core};
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::desc::resource::{Capacity, Resource};
 use crate::desc::target::Target;
 use crate::ir::quantised::{Quantised, Units};
 
-/// Rounds of filling after which output axons are given up on: the margin is then 2^9 times what was sent.
+/// Rounds of filling after which output axons are given up on: the margin is then 2^9 times the fan-out.
 const ROUNDS: u32 = 14;
-/// The first margin is a 2^5th of what was sent.
+/// The first margin is a 2^5th of the fan-out.
 const FIRST_MARGIN: u32 = 5;
 
 /// Compartments from which on an order is filled in parts, and those of a part.
@@ -42,6 +42,17 @@ pub enum Chips {
     Row,
     /// The worst: no two cores share a chip.
     Apart,
+}
+
+impl Chips {
+    /// The chip of each of so many cores.
+    #[must_use]
+    pub fn of_cores(self, cores: usize, target: &Target) -> IdVec<CoreId, u32> {
+        match self {
+            Chips::Row => row_of_chips(cores, target),
+            Chips::Apart => (0..cores as u32).collect(),
+        }
+    }
 }
 
 /// Compartments of one population to be kept together, in this order.
@@ -138,13 +149,13 @@ impl Misfits {
     }
 }
 
-/// Compartments of each core, and what they send on the chips that were assumed, where it has been counted.
+/// Compartments of each core, and their fan-out on the chips that were assumed, where it has been counted.
 #[derive(Debug, Clone)]
 pub struct Found {
     /// The compartments.
     pub members: Members,
-    /// What they send.
-    pub sent: Option<Sent>,
+    /// Their fan-out.
+    pub fan_out: Option<FanOut>,
 }
 
 /// Fills cores with one network's compartments.
@@ -181,12 +192,20 @@ impl<'a> Filler<'a> {
         }
     }
 
-    /// Fills once, whatever is sent; segments are kept whole.
+    /// Fills once, whatever the fan-out; segments are kept whole.
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].
     pub fn once(&self, order: &[Segment]) -> Result<Members, CompileError> {
         self.fill(order, &vec![0; self.network.compartments() as usize], true)
+    }
+
+    /// The fan-out of these members on such chips.
+    #[must_use]
+    pub fn fan_out(&self, members: &Members, chips: Chips) -> FanOut {
+        let core_of = cores_of(self.network.compartments(), members);
+        let chips = chips.of_cores(members.len(), self.target);
+        network_fan_out(self.network, &core_of, &chips, self.target.limits())
     }
 
     /// Fills until output axons fit too.
@@ -198,15 +217,11 @@ impl<'a> Filler<'a> {
         let mut estimate = vec![0u32; self.network.compartments() as usize];
         for round in 0.. {
             let members = self.fill(order, &estimate, keep_whole)?;
-            let chips = match chips {
-                Chips::Row => row_of_chips(members.len(), self.target),
-                Chips::Apart => (0..members.len() as u32).collect(),
-            };
-            let sent = sent(self.network, &cores_of(self.network.compartments(), &members), &chips, limits);
+            let fan_out = self.fan_out(&members, chips);
             let mut misfits = Misfits::default();
             for (id, population) in self.network.populations().enumerate() {
                 let Some(first) = population.first_compartment() else { continue };
-                let of_population = &sent.axons[first.index()..first.index() + population.shape.len() as usize];
+                let of_population = &fan_out.axons[first.index()..first.index() + population.shape.len() as usize];
                 let (need, limit) = (of_population.iter().max(), limits[Resource::AxonsOutPerCompartment]);
                 if let Some(&need) = need.filter(|&&need| need > limit) {
                     misfits.note(id, (Resource::AxonsOutPerCompartment.into(), need.into(), limit.into()));
@@ -214,7 +229,7 @@ impl<'a> Filler<'a> {
             }
             let mut again = false;
             for held in &members {
-                let (need, limit) = (slots_of(held, &sent), u64::from(limits[Resource::AxonsOut]));
+                let (need, limit) = (slots_of_core(held, &fan_out), u64::from(limits[Resource::AxonsOut]));
                 if need > limit && (held.len() == 1 || round == ROUNDS) {
                     let (population, _) = self.network.population_of(held[0]);
                     misfits.note(population, (Resource::AxonsOut.into(), need, limit));
@@ -225,9 +240,9 @@ impl<'a> Filler<'a> {
                 return Err(misfits.reasons(self.network));
             }
             if !again {
-                return Ok(Found { members, sent: Some(sent) });
+                return Ok(Found { members, fan_out: Some(fan_out) });
             }
-            self.raise(&mut estimate, &sent.slots, round);
+            self.raise(&mut estimate, &fan_out.slots, round);
         }
         unreachable!("the last round gives reasons or members")
     }

@@ -90,7 +90,7 @@ type Move = (u32, u32, u32);
 fn pass(state: &mut State, groups: &Groups, work: &mut u64) {
     let mut scores = Scores { of: vec![0; state.cores()], touched: Vec::new() };
     let mut heap: BinaryHeap<(i64, std::cmp::Reverse<u32>)> = BinaryHeap::new();
-    let core_of = |state: &State, group: u32| state.core_of[groups.members.get(group)[0] as usize];
+    let core_of = |state: &State, group: u32| state.core_of[groups.members.get(group as usize)[0] as usize];
     for group in 0..groups.len() as u32 {
         if let Some((gain, _)) = wish(state, groups, group, core_of(state, group), &mut scores, work) {
             heap.push((gain, std::cmp::Reverse(group)));
@@ -193,15 +193,19 @@ fn swap(
         return None;
     }
     state.apply(groups, group, from, to);
-    let size = groups.members.get(group).len();
+    let size = groups.members.get(group as usize).len();
     let mut best: Option<(i64, u32)> = None;
     for draw in 0..PARTNERS {
         let partner = others[rng::below(others.len() as u64, SEED, u64::from(group), draw) as usize];
-        let there = state.core_of[groups.members.get(partner)[0] as usize] == to;
-        if partner == group || locked[partner as usize] || !there || groups.members.get(partner).len() > 2 * size {
+        let there = state.core_of[groups.members.get(partner as usize)[0] as usize] == to;
+        if partner == group
+            || locked[partner as usize]
+            || !there
+            || groups.members.get(partner as usize).len() > 2 * size
+        {
             continue;
         }
-        *work = work.saturating_sub(PARTNER_WORK * (1 + groups.into.get(partner).len() as u64));
+        *work = work.saturating_sub(PARTNER_WORK * (1 + groups.into.get(partner as usize).len() as u64));
         let gain = first + state.gain(groups, partner, to, from);
         if gain > 0 && best.is_none_or(|(most, _)| gain > most) {
             best = Some((gain, partner));

@@ -21,7 +21,7 @@ use crate::compile::resources::closed_form::{Incoming, Layer, middle, middle_of}
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::resources::packing::MOST_SLOTS;
-use crate::compile::resources::receptive_field::{Axis, Pattern, relative};
+use crate::compile::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use crate::desc::resource::{Limits, Resource};
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Quantised, Units};
@@ -58,12 +58,12 @@ fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64
 
 /// What the sources of the part in the middle of an axis reach of it: targets of all sources, and of those whose targets
 /// and places in the kernel are not another's shifted.
-fn reached(axis: Axis, length: u32, size: u32) -> (u64, u64) {
+fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
     let at = middle_of(length, size);
-    let patterns = axis.patterns(&(at * size..((at + 1) * size).min(length)));
-    let all = patterns.iter().map(|(pattern, sources)| pattern.len() as u64 * sources).sum();
-    let distinct: BTreeSet<Pattern> = patterns.iter().map(|(pattern, _)| relative(pattern)).collect();
-    (all, distinct.iter().map(|pattern| pattern.len() as u64).sum())
+    let fields = axis.fields(&(at * size..((at + 1) * size).min(length)));
+    let all = fields.iter().map(|(field, sources)| field.len() as u64 * sources).sum();
+    let distinct: BTreeSet<ReceptiveField> = fields.iter().map(|(field, _)| relative(field)).collect();
+    (all, distinct.iter().map(|field| field.len() as u64).sum())
 }
 
 /// A grid of tiles: how many cores it takes, the messages that a spike everywhere would cost, and what a tile is.
@@ -83,13 +83,13 @@ type Along = (u32, u32, Vec<(u64, u64)>);
 #[must_use]
 pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
     let (c, h, w) = layer.shape;
-    let along = |length: u32, axis: fn(&Window) -> Axis| -> Vec<Along> {
+    let along = |length: u32, axis: fn(&Window) -> WindowAxis| -> Vec<Along> {
         let cuts = cuts(length).into_iter().filter(|&(_, size)| size <= most);
         let reached =
             |size| layer.incoming.iter().map(|i| reached(axis(&i.window).uniform(i.uniform), length, size)).collect();
         cuts.map(|(parts, size)| (parts, size, reached(size))).collect()
     };
-    let (rows, columns) = (along(h, Axis::rows), along(w, Axis::columns));
+    let (rows, columns) = (along(h, WindowAxis::rows), along(w, WindowAxis::columns));
     let mut grids = Vec::new();
     for (nc, tc) in cuts(c) {
         for &(nh, th, ref of_rows) in &rows {
@@ -146,8 +146,8 @@ pub fn tiles(
     most: u32,
 ) -> Option<Vec<Segment>> {
     let description = &network.populations()[population];
-    let formats = Formats::of(network);
-    let layer = Layer::of(network, population, &formats, &Places::of(network))?;
+    let formats = Formats::for_network(network);
+    let layer = Layer::for_population(network, population, &formats, &Places::for_network(network))?;
     let (shape, own_only) = (layer.shape, layer.own_only);
     let Units::Compartments { first, neurons, .. } = &description.units else { return None };
     let fits = |filling: &mut Filling, indices: &[u32]| {
@@ -216,20 +216,20 @@ pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), 
     indices
 }
 
-/// All tiles; rows of them run to and fro, so that neighbours in the order are neighbours in space.
+/// The tiles (channels, row, column) of a grid; rows of them run to and fro, so that neighbours in the order are neighbours
+/// in space.
+pub fn to_and_fro((channels, rows, columns): (u32, u32, u32)) -> impl Iterator<Item = (u32, u32, u32)> {
+    (0..rows).flat_map(move |y| {
+        let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
+        (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
+    })
+}
+
+/// All tiles, in the order of [`to_and_fro`].
 fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u32), own_only: bool) -> Vec<Segment> {
-    let (nc, nh, nw) = (shape.0.div_ceil(size.0), shape.1.div_ceil(size.1), shape.2.div_ceil(size.2));
-    let mut segments = Vec::new();
-    for y in 0..nh {
-        for x in 0..nw {
-            let x = if y % 2 == 0 { x } else { nw - 1 - x };
-            for c in 0..nc {
-                let indices = Indices::Tile(cell(shape, size, (c, y, x), own_only));
-                segments.push(Segment { population, indices });
-            }
-        }
-    }
-    segments
+    let along = (shape.0.div_ceil(size.0), shape.1.div_ceil(size.1), shape.2.div_ceil(size.2));
+    let tile = |at| Segment { population, indices: Indices::Tile(cell(shape, size, at, own_only)) };
+    to_and_fro(along).map(tile).collect()
 }
 
 #[cfg(test)]

@@ -105,8 +105,11 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
         }
     }
     let mut columns = Columns::new(mesh);
-    let touched: usize =
-        cores.iter().flat_map(|core| nets.of_core.get(core.0)).map(|&net| 2 + nets.reached.get(net).len()).sum();
+    let touched: usize = cores
+        .iter()
+        .flat_map(|core| nets.of_core.get(core.index()))
+        .map(|&net| 2 + nets.reached.get(net as usize).len())
+        .sum();
     let each = (touched / cores.len()).max(1) as u64 * 4;
     let proposals = (work / each).min((PROPOSALS * cores.len() as u64).max(LEAST_PROPOSALS));
     if cores.len() < 2 && held.len() < 2 || proposals == 0 {
@@ -150,7 +153,7 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
             }
         }
         affected.clear();
-        moves.iter().for_each(|&(core, _, _)| affected.extend(nets.of_core.get(core as u32)));
+        moves.iter().for_each(|&(core, _, _)| affected.extend(nets.of_core.get(core)));
         if moves.len() > 1 {
             affected.sort_unstable();
             affected.dedup();
@@ -194,11 +197,11 @@ fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Opt
         y += near(py, top, mesh.height) * weight;
         sum += weight;
     };
-    for &net in nets.of_core.get(core) {
+    for &net in nets.of_core.get(core as usize) {
         let of = nets.nets[net as usize];
         match of.source {
             Some(source) if source == core => {
-                nets.reached.get(net).iter().for_each(|&to| pull(mesh.tile(sites[to as usize]), of.weight));
+                nets.reached.get(net as usize).iter().for_each(|&to| pull(mesh.tile(sites[to as usize]), of.weight));
             }
             Some(source) => pull(mesh.tile(sites[source as usize]), of.weight),
             None => pull((left, top), of.weight),
@@ -211,7 +214,7 @@ fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Opt
 fn exchanged(nets: &Nets, mesh: &Mesh, mut sites: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
     // Only messages between chips matter, so chips stand for their cores; few enough to try every pair.
     let used = sites.len().div_ceil(mesh.cores_per_chip as usize);
-    let messages: usize = nets.reached.total() + nets.nets.len();
+    let messages: usize = nets.reached.items().len() + nets.nets.len();
     let near = (used as u32 + mesh.chips_x).min(mesh.chips_x * mesh.chips_y);
     let tries = (search.work / 2 / (messages.max(1) as u64)).min(u64::from(near) * used as u64 * 2);
     let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites).objective(search.objective);

@@ -15,6 +15,7 @@
 //! An annealed placement is taken only if its spikes cross no more links than in the sequential one.
 
 pub mod anneal;
+pub mod link_loads;
 pub mod nets;
 
 use crate::base::id::{CoreId, IdVec};
@@ -44,7 +45,7 @@ const MOST_MESSAGES: u64 = 20_000_000;
 /// # Errors
 /// A [`Reason`] when they are more than the target has.
 pub fn sequential(cores: usize, target: &Target) -> Result<Placement, Reason> {
-    let mesh = Mesh::of(target);
+    let mesh = Mesh::for_target(target);
     let too_many = || Reason::of_cores(target, 1, cores as u64);
     let sites: Option<IdVec<CoreId, Site>> = (0..cores as u32).map(|core| mesh.site(core)).collect();
     Placement::new(mesh, sites.ok_or_else(too_many)?).map_err(|_| too_many())

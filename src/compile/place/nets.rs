@@ -7,9 +7,10 @@
 
 use std::collections::HashMap;
 
-use crate::base::id::{CoreId, IdVec};
+use crate::base::csr::Csr;
+use crate::base::id::{CoreId, Id, IdVec};
 use crate::compile::options::Objective;
-use crate::compile::partition::hyper::Csr;
+use crate::compile::place::link_loads::LinkLoads;
 use crate::compile::resources::fan_out::by_source;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
@@ -115,7 +116,7 @@ impl Nets {
     #[must_use]
     pub fn from_flows(all_cores: usize, flows: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
         let mut known: HashMap<(Option<u32>, Vec<u32>), usize> = HashMap::new();
-        let (mut nets, mut reached): (Vec<Net>, Csr<u32>) = (Vec::new(), Csr::new());
+        let (mut nets, mut reached): (Vec<Net>, Csr<u32>) = (Vec::new(), Csr::default());
         for (source, weight, cores) in flows {
             // A message within its own core crosses no link and pulls nowhere.
             if cores.is_empty() || (source.is_some() && cores.len() == 1 && cores.first() == source.as_ref()) {
@@ -132,13 +133,13 @@ impl Nets {
         let mut of_core: Vec<Vec<u32>> = vec![Vec::new(); all_cores];
         for (net, Net { source, .. }) in nets.iter().enumerate() {
             let net = net as u32;
-            let cores = reached.get(net);
+            let cores = reached.get(net as usize);
             cores.iter().for_each(|&core| of_core[core as usize].push(net));
             if let Some(source) = source.filter(|source| cores.binary_search(source).is_err()) {
                 of_core[source as usize].push(net);
             }
         }
-        let mut lists = Csr::new();
+        let mut lists = Csr::default();
         of_core.into_iter().for_each(|list| lists.push(list));
         Nets { nets, reached, of_core: lists }
     }
@@ -146,20 +147,20 @@ impl Nets {
     /// Whether a core sends messages to another.
     #[must_use]
     pub fn sends(&self, core: CoreId) -> bool {
-        self.of_core.get(core.0).iter().any(|&net| self.nets[net as usize].source.is_some())
+        self.of_core.get(core.index()).iter().any(|&net| self.nets[net as usize].source.is_some())
     }
 
     /// Rate of inputs into a core.
     #[must_use]
     pub fn input(&self, core: CoreId) -> u64 {
-        let of = self.of_core.get(core.0).iter().map(|&net| self.nets[net as usize]);
+        let of = self.of_core.get(core.index()).iter().map(|&net| self.nets[net as usize]);
         of.filter(|net| net.source.is_none()).map(|net| net.weight).sum()
     }
 
     /// Links of the multicast tree and of all single routes of one net.
     #[must_use]
     pub fn links(&self, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Columns) -> (u64, u64) {
-        let reached = self.reached.get(net);
+        let reached = self.reached.get(net as usize);
         let tile = |core: u32| mesh.tile(sites[core as usize]);
         match self.nets[net as usize].source {
             Some(source) => columns.links(tile(source), reached.iter().map(|&core| tile(core))),
@@ -188,15 +189,13 @@ impl Nets {
     #[must_use]
     pub fn costs(&self, mesh: &Mesh, sites: &IdVec<CoreId, Site>) -> Costs {
         let (sites, mut columns) = (sites.as_slice(), Columns::new(mesh));
-        let (wide, high) = ((mesh.chips_x * mesh.width) as usize, (mesh.chips_y * mesh.height) as usize);
-        // Differences along rows and columns, east, west, south and north.
-        let mut lines = [vec![0i64; wide * high], vec![0; wide * high], vec![0; wide * high], vec![0; wide * high]];
+        let mut loads = LinkLoads::new(mesh);
         let mut costs = Costs::default();
         for (net, of) in self.nets.iter().enumerate() {
             let (tree, all) = self.links(net as u32, mesh, sites, &mut columns);
             costs.multicast += of.weight * tree;
             costs.unicast += of.weight * all;
-            for &core in self.reached.get(net as u32) {
+            for &core in self.reached.get(net) {
                 let site = sites[core as usize];
                 let (tx, ty) = mesh.tile(site);
                 let (fx, fy) = match of.source {
@@ -204,26 +203,10 @@ impl Nets {
                     None => (tx - site.x, ty - site.y),
                 };
                 costs.longest = costs.longest.max(fx.abs_diff(tx) + fy.abs_diff(ty));
-                let weight = of.weight as i64;
-                let row = fy as usize * wide;
-                let line = if fx <= tx { &mut lines[0] } else { &mut lines[1] };
-                line[row + fx.min(tx) as usize] += weight;
-                line[row + fx.max(tx) as usize] -= weight;
-                let column = tx as usize * high;
-                let line = if fy <= ty { &mut lines[2] } else { &mut lines[3] };
-                line[column + fy.min(ty) as usize] += weight;
-                line[column + fy.max(ty) as usize] -= weight;
+                loads.add((fx, fy), (tx, ty), of.weight as i64);
             }
         }
-        for (line, length) in lines.iter().zip([wide, wide, high, high]) {
-            for of_line in line.chunks(length.max(1)) {
-                let mut load = 0;
-                for difference in of_line {
-                    load += difference;
-                    costs.busiest = costs.busiest.max(load as u64);
-                }
-            }
-        }
+        [costs.busiest, ..] = loads.greatest(mesh);
         costs
     }
 }

@@ -25,7 +25,7 @@
 //! The rule: a class shares when that takes no more words than lists of its own for each source, and fewer words or fewer
 //! input axons; those that save most come first while there are numbers for population axons. [`crate::compile::resources::exact`] counts
 //! so, [`crate::compile::emit::route`] writes so, [`crate::compile::resources::incremental`] asks so for whole tiles, and
-//! [`crate::compile::symbolic`] counts classes from geometry.
+//! [`crate::compile::resources::closed_form`] counts classes from geometry.
 //!
 //! [`packing::words_in_table`]: crate::compile::resources::packing::words_in_table
 
@@ -85,7 +85,7 @@ pub struct Places {
 impl Places {
     /// Of all populations over space from which a window goes out.
     #[must_use]
-    pub fn of(network: &Quantised) -> Self {
+    pub fn for_network(network: &Quantised) -> Self {
         let (mut populations, mut place) = (Vec::new(), 0);
         for (id, population) in network.populations().enumerate() {
             let is_window = |connectivity: &Connectivity| {
@@ -186,14 +186,14 @@ pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
 
 /// Places of a core whose lists are the same, counted from their bases.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Alike {
+pub struct EqualPlaces {
     /// Of each place: its base, and atom and number of each of its lists, by atom.
     pub places: Vec<(u16, Vec<(u16, u32)>)>,
 }
 
 /// Classes of a core's lists, given by their synapses; in the order of their first places.
 #[must_use]
-pub fn alike(keys: &[Key], places: &Places) -> Vec<Alike> {
+pub fn equal_places(keys: &[Key], places: &Places) -> Vec<EqualPlaces> {
     let lists: Vec<&[Key]> = by_core::lists(keys).collect();
     let placed = lists.iter().zip(0u32..).filter_map(|(list, number)| {
         let (place, atom) = places.of_source(list[0].source())?;
@@ -201,15 +201,16 @@ pub fn alike(keys: &[Key], places: &Places) -> Vec<Alike> {
     });
     let mut placed: Vec<(u32, u16, u32)> = placed.collect();
     placed.sort_unstable();
-    let (mut classes, mut known): (Vec<Alike>, HashMap<Vec<u64>, usize>) = (Vec::new(), HashMap::new());
+    let (mut classes, mut known): (Vec<EqualPlaces>, HashMap<Vec<u64>, usize>) = (Vec::new(), HashMap::new());
     for of_place in placed.chunk_by(|a, b| a.0 == b.0) {
         let of = |&(_, _, number): &(u32, u16, u32)| lists[number as usize];
         let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();
         let base = base_of(first_slot.unwrap_or(0));
         // Two lists are told apart by their atoms, so concatenations of different lists differ.
-        let told = of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.told(placed.1, base))).collect();
-        let class = *known.entry(told).or_insert_with(|| {
-            classes.push(Alike { places: Vec::new() });
+        let key =
+            of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.relative_to(placed.1, base))).collect();
+        let class = *known.entry(key).or_insert_with(|| {
+            classes.push(EqualPlaces { places: Vec::new() });
             classes.len() - 1
         });
         let lists = of_place.iter().map(|&(_, atom, number)| (atom, number)).collect();
@@ -262,7 +263,7 @@ mod tests {
         let once = (1, 1);
         let window = Window { source, target, kernel: once, stride: once, padding: (0, 0), dilation: once, groups: 1 };
         net.connect((image, to), plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2, 4, 6].into() });
-        let places = Places::of(&net.build());
+        let places = Places::for_network(&net.build());
         assert_eq!(places.of_source(6), None);
         assert_eq!(places.of_source(7), Some((0, 0)));
         assert_eq!(places.of_source(7 + 20 + 3), Some((3, 1)));

@@ -83,7 +83,7 @@ impl Key {
     /// Everything but the source: its atom instead, and the slot counted from a base that is not above it.
     #[inline]
     #[must_use]
-    pub fn told(self, atom: u16, base: u16) -> u64 {
+    pub fn relative_to(self, atom: u16, base: u16) -> u64 {
         let rest = field(self.0, 0, SYNAPSE_BITS) - (u64::from(base) << (WEIGHT_BITS + DELAY_BITS));
         u64::from(atom) << SYNAPSE_BITS | rest
     }
@@ -276,7 +276,7 @@ mod tests {
     fn every_synapse_is_gathered_once_at_its_core_in_order() {
         for seed in 0..40 {
             let network = random_network(seed);
-            let formats = Formats::of(&network);
+            let formats = Formats::for_network(&network);
             let cores = 1 + seed as usize % 5;
             let seat = |i: u32| Seat { core: CoreId::new((i as usize * 7) % cores), slot: (i / cores as u32) as u16 };
             let seats: IdVec<CompartmentId, Seat> = (0..network.compartments()).map(seat).collect();

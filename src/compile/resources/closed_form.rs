@@ -2,8 +2,8 @@
 //!
 //! In comes a population that windows (or all sources) reach; out goes what a core uses that holds a box of it (channels x
 //! rows x columns). A window reaches rows and columns independently of each other, so the lists of a box are the products
-//! of patterns of rows, of columns and of channels: sources with the same patterns have lists of the same make-up, which is
-//! counted once, and places whose patterns are the same but for where they begin are a class that may share a table
+//! of fields of rows, of columns and of channels: sources with the same fields have lists of the same make-up, which is
+//! counted once, and places whose fields are the same but for where they begin are a class that may share a table
 //! ([`crate::compile::resources::axon_sharing`]). The counts are those of [`crate::compile::resources::exact`], output axons and profiles excepted; a test
 //! holds them to it. They could only be greater where two different parts of a kernel have the same weights.
 
@@ -17,7 +17,7 @@ use crate::compile::resources::axon_sharing::{self, Class, Places};
 use crate::compile::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Group, Widths};
-use crate::compile::resources::receptive_field::{Axis, Pattern, relative};
+use crate::compile::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use crate::desc::resource::Limits;
 use crate::ir::graph::Window;
 use crate::ir::partition::CoreUsage;
@@ -60,7 +60,12 @@ pub struct Layer {
 impl Layer {
     /// A population and what reaches it; `None` when a projection into it is neither a window nor all to all.
     #[must_use]
-    pub fn of(network: &Quantised, population: PopulationId, formats: &Formats, places: &Places) -> Option<Self> {
+    pub fn for_population(
+        network: &Quantised,
+        population: PopulationId,
+        formats: &Formats,
+        places: &Places,
+    ) -> Option<Self> {
         let shape_of = |id: PopulationId| network.populations()[id].shape;
         let shape = shape_of(population).volume().unwrap_or((shape_of(population).len(), 1, 1));
         let (mut incoming, mut joined): (Vec<Incoming>, _) = (Vec::new(), false);
@@ -100,28 +105,28 @@ impl Layer {
     pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
         let at = middle(self.shape, size);
         let part = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
-        let channels = Channels::of(self, &part(self.shape.0, size.0, at.0));
-        let rows = Side::of(self, Axis::rows, &part(self.shape.1, size.1, at.1));
-        let columns = Side::of(self, Axis::columns, &part(self.shape.2, size.2, at.2));
+        let channels = Channels::of_part(self, &part(self.shape.0, size.0, at.0));
+        let rows = Side::of_part(self, WindowAxis::rows, &part(self.shape.1, size.1, at.1));
+        let columns = Side::of_part(self, WindowAxis::columns, &part(self.shape.2, size.2, at.2));
         use_of(self, formats, limits, (&channels, &rows, &columns))
     }
 }
 
-/// A part of an axis, with the patterns of every projection into the layer.
+/// A part of an axis, with the fields of every projection into the layer.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Side {
     /// Length of the part.
     pub size: u32,
-    /// By projection: patterns, and how many sources have each.
-    patterns: Vec<Vec<(Pattern, u64)>>,
+    /// By projection: fields, and how many sources have each.
+    fields: Vec<Vec<(ReceptiveField, u64)>>,
 }
 
 impl Side {
     /// Of a layer.
     #[must_use]
-    pub fn of(layer: &Layer, axis: fn(&Window) -> Axis, part: &Range<u32>) -> Self {
-        let patterns = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).patterns(part);
-        Side { size: part.end - part.start, patterns: layer.incoming.iter().map(patterns).collect() }
+    pub fn of_part(layer: &Layer, axis: fn(&Window) -> WindowAxis, part: &Range<u32>) -> Self {
+        let fields = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).fields(part);
+        Side { size: part.end - part.start, fields: layer.incoming.iter().map(fields).collect() }
     }
 }
 
@@ -137,7 +142,7 @@ pub struct Channels {
 impl Channels {
     /// Of a layer.
     #[must_use]
-    pub fn of(layer: &Layer, part: &Range<u32>) -> Self {
+    pub fn of_part(layer: &Layer, part: &Range<u32>) -> Self {
         let of = |incoming: &Incoming| {
             let window = &incoming.window;
             let (of_group, sources) = (window.target.0 / window.groups, window.source.0 / window.groups);
@@ -203,18 +208,18 @@ impl BoxUse {
 pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, &Side, &Side)) -> BoxUse {
     let (channels, rows, columns) = parts;
     let compartments = channels.size * rows.size * columns.size;
-    let reaching = |i: usize| !rows.patterns[i].is_empty() && !columns.patterns[i].is_empty();
+    let reaching = |i: usize| !rows.fields[i].is_empty() && !columns.fields[i].is_empty();
     let reaching: Vec<usize> = (0..layer.incoming.len()).filter(|&i| reaching(i)).collect();
     let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
-    let widths = Widths::of(compartments, longest, limits.packing);
+    let widths = Widths::for_core(compartments, longest, limits.packing);
     let (mut counter, mut arriving) = (ListCounter::new(formats, widths, limits), Vec::new());
     let mut classes = Classes::default();
     let mut slots: Vec<u16> = Vec::new();
     for &i in &reaching {
         let Incoming { source, format, delay, placed, all_to_all, .. } = layer.incoming[i];
         let (mut dense, mut sparse) = (0, 0);
-        for (reached_rows, of_rows) in &rows.patterns[i] {
-            for (reached_columns, of_columns) in &columns.patterns[i] {
+        for (reached_rows, of_rows) in &rows.fields[i] {
+            for (reached_columns, of_columns) in &columns.fields[i] {
                 let mut place = Place::default();
                 for &(reached, of_channels) in &channels.reached[i] {
                     slots.clear();
@@ -305,8 +310,8 @@ impl Place {
     }
 }
 
-/// Projection, relative patterns of rows and columns, and how far behind its base a place begins.
-type Kind = (usize, Pattern, Pattern, u16);
+/// Projection, relative fields of rows and columns, and how far behind its base a place begins.
+type Kind = (usize, ReceptiveField, ReceptiveField, u16);
 
 /// Classes of places of a box.
 #[derive(Debug, Default)]

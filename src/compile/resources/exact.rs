@@ -6,10 +6,10 @@
 
 use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
-use crate::compile::resources::axon_sharing::{self, Alike, Class, Places};
+use crate::compile::resources::axon_sharing::{self, Class, EqualPlaces, Places};
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::counter::{CoreTotals, LISTS, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
-use crate::compile::resources::fan_out::{self, Sent};
+use crate::compile::resources::fan_out::{self, FanOut};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Group, Widths};
 use crate::desc::resource::Limits;
@@ -45,7 +45,7 @@ pub fn usage(
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
     let core_of = seats.iter().map(|seat| seat.core).collect();
-    usage_sending(network, members, seats, &fan_out::sent(network, &core_of, chips, limits), limits)
+    usage_with_fan_out(network, members, seats, &fan_out::network_fan_out(network, &core_of, chips, limits), limits)
 }
 
 /// The use of each core, where the fan-out of compartments is known.
@@ -53,25 +53,25 @@ pub fn usage(
 /// # Panics
 /// As [`usage`].
 #[must_use]
-pub fn usage_sending(
+pub fn usage_with_fan_out(
     network: &Quantised,
     members: &IdVec<CoreId, Vec<CompartmentId>>,
     seats: &IdVec<CompartmentId, Seat>,
-    sent: &Sent,
+    fan_out: &FanOut,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
     let longest = longest_delays(network, seats, members.len());
     let profiles = profiles(network, seats, members.len());
-    let (formats, places) = (Formats::of(network), Places::of(network));
+    let (formats, places) = (Formats::for_network(network), Places::for_network(network));
     let counted = by_core::by_core(network, &formats, seats, members.len(), |core, keys| {
         let held = &members[core];
         let mut totals = CoreTotals::new(held.len() as u32, longest[core]);
-        let widths = Widths::of(totals.compartments, longest[core], limits.packing);
+        let widths = Widths::for_core(totals.compartments, longest[core], limits.packing);
         totals.lists = StoredLists::new(keys, &formats, widths, limits, &places).totals;
         totals.synapses = keys.len() as u64;
         (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
-        totals.axons_out = fan_out::slots_of(held, sent);
-        totals.most_axons_out = held.iter().map(|id| sent.axons[id.index()]).max().unwrap_or(0);
+        totals.axons_out = fan_out::slots_of_core(held, fan_out);
+        totals.most_axons_out = held.iter().map(|id| fan_out.axons[id.index()]).max().unwrap_or(0);
         totals.usage(limits)
     });
     counted.into()
@@ -95,7 +95,7 @@ pub struct StoredLists {
     /// What they take.
     pub totals: [ListTotals; LISTS],
     /// Places whose lists are the same.
-    equal: Vec<Alike>,
+    equal: Vec<EqualPlaces>,
     /// How many places of each class share its table.
     sharing: [Vec<u32>; LISTS],
 }
@@ -128,9 +128,9 @@ impl StoredLists {
         }
         let mut lists = StoredLists { totals: counter.totals(), ..Self::default() };
         if !places.is_empty() {
-            lists.equal = axon_sharing::alike(keys, places);
+            lists.equal = axon_sharing::equal_places(keys, places);
             for (way, totals) in lists.totals.iter_mut().enumerate() {
-                let class = |equal: &Alike| {
+                let class = |equal: &EqualPlaces| {
                     let lists = equal.places.first().map_or(&[][..], |(_, lists)| lists);
                     let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][way]);
                     Class {
@@ -157,7 +157,7 @@ impl StoredLists {
     }
 
     /// Classes of places, and how many places of each share its table, as the core stores them.
-    pub fn shared(&self, limits: &Limits) -> impl Iterator<Item = (&Alike, u32)> {
+    pub fn shared(&self, limits: &Limits) -> impl Iterator<Item = (&EqualPlaces, u32)> {
         self.equal.iter().zip(self.sharing[usize::from(self.stores_runs(limits))].iter().copied())
     }
 }

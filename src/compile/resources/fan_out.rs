@@ -1,6 +1,6 @@
-//! What each compartment sends: its output axons, from where its targets sit.
+//! The fan-out of each compartment: its output axons, from where its targets sit.
 //!
-//! In come a network, the core of each compartment and the chip of each core; out go, compartment by compartment, the
+//! Input: a network, the core of each compartment and the chip of each core. Output: compartment by compartment, the
 //! number of distinct cores that its spikes reach and the output axon slots that these take.
 
 use rayon::prelude::*;
@@ -14,9 +14,9 @@ use crate::ir::quantised::{Connectivity, Quantised};
 /// Compartments that one task looks at; fixed, so that nothing depends on threads.
 const PIECE: usize = 1 << 14;
 
-/// What each compartment sends.
+/// The fan-out of each compartment.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Sent {
+pub struct FanOut {
     /// Output axon slots by compartment.
     pub slots: Vec<u32>,
     /// Output axons by compartment.
@@ -49,21 +49,32 @@ pub fn cores_of_populations(
     network.populations().as_slice().par_iter().map(of).collect::<Vec<_>>().into()
 }
 
-/// Counts what each compartment sends.
+/// The fan-out of each compartment.
 #[must_use]
-pub fn sent(
+pub fn network_fan_out(
     network: &Quantised,
     core_of: &IdVec<CompartmentId, CoreId>,
     chips: &IdVec<CoreId, u32>,
     limits: &Limits,
-) -> Sent {
+) -> FanOut {
     let counted = by_source(network, core_of, chips.len(), false, |_, own, reached: &[CoreId]| {
-        let near = reached.iter().filter(|&&core| own.is_some_and(|own| chips[core] == chips[own])).count() as u32;
-        let axons = reached.len() as u32;
-        (near * limits.axon_out_slots + (axons - near) * limits.axon_out_slots_off_chip, axons)
+        (axon_slots(own, reached.iter().copied(), chips, limits), reached.len() as u32)
     });
     let (slots, axons) = counted.into_iter().unzip();
-    Sent { slots, axons }
+    FanOut { slots, axons }
+}
+
+/// Output axon slots of a source on a core that reaches these cores.
+#[must_use]
+pub fn axon_slots(
+    own: Option<CoreId>,
+    reached: impl Iterator<Item = CoreId>,
+    chips: &IdVec<CoreId, u32>,
+    limits: &Limits,
+) -> u32 {
+    let own = own.map(|own| chips[own]);
+    let slots = |to| if Some(chips[to]) == own { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
+    reached.map(slots).sum()
 }
 
 /// Messages between cores, inputs' included, in as many steps as rates count.
@@ -118,7 +129,7 @@ fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
     pieces
 }
 
-/// What `f(source, own core, cores reached)` says of every source, in order: channels (if asked for), then compartments.
+/// What `f(source, own core, cores reached)` returns for every source, in order: channels (if asked for), then compartments.
 /// Cores are in the order in which they are first reached.
 pub fn by_source<T: Send>(
     network: &Quantised,
@@ -135,7 +146,7 @@ pub fn by_source<T: Send>(
             |(seen, mark, reached), Piece { population: id, first, length, channels: (positions, bundle) }| {
                 let population = &network.populations()[id];
                 let number = first_source(network, population);
-                let mut told: Vec<(u32, Vec<T>)> = (0..bundle)
+                let mut results: Vec<(u32, Vec<T>)> = (0..bundle)
                     .map(|k| (number + first + k * positions, Vec::with_capacity(length as usize)))
                     .collect();
                 for index in first..first + length {
@@ -161,23 +172,23 @@ pub fn by_source<T: Send>(
                             }),
                         }
                     }
-                    for (k, (_, told)) in (0..).zip(&mut told) {
+                    for (k, (_, results)) in (0..).zip(&mut results) {
                         let index = index + k * positions;
                         let own = population.first_compartment().map(|first| core_of[CompartmentId(first.0 + index)]);
-                        told.push(f(number + index, own, reached));
+                        results.push(f(number + index, own, reached));
                     }
                 }
-                told
+                results
             },
         )
         .collect();
     let mut counted: Vec<(u32, Vec<T>)> = counted.into_iter().flatten().collect();
     counted.sort_unstable_by_key(|(first, _)| *first);
-    counted.into_iter().flat_map(|(_, told)| told).collect()
+    counted.into_iter().flat_map(|(_, results)| results).collect()
 }
 
 /// Output axon slots of all compartments of a core together.
 #[must_use]
-pub fn slots_of(held: &[CompartmentId], sent: &Sent) -> u64 {
-    held.iter().map(|id| u64::from(sent.slots[id.index()])).sum()
+pub fn slots_of_core(held: &[CompartmentId], fan_out: &FanOut) -> u64 {
+    held.iter().map(|id| u64::from(fan_out.slots[id.index()])).sum()
 }

@@ -12,7 +12,7 @@ pub struct Formats {
 impl Formats {
     /// The formats of a network.
     #[must_use]
-    pub fn of(network: &Quantised) -> Self {
+    pub fn for_network(network: &Quantised) -> Self {
         let mut distinct: Vec<SynapseFormat> = network.projections().iter().map(|p| p.format).collect();
         distinct.sort_unstable();
         distinct.dedup();

@@ -16,7 +16,6 @@ use crate::base::fixed::{Delay, WeightBits};
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::compile::resources::axon_sharing::{self, Class, Places};
-use crate::compile::resources::axon_table::AxonOf;
 use crate::compile::resources::counter::{CoreTotals, FormatCounts, LISTS, Profiles, stored};
 use crate::compile::resources::fan_in::FanIn;
 use crate::compile::resources::formats::Formats;
@@ -53,7 +52,7 @@ struct Axon {
     placed: Option<PlacedAxon>,
 }
 
-/// The list of a source that has a place, as far as it is to be told from others.
+/// The list of a source that has a place, as far as it is to be distinguished from others.
 #[derive(Debug, Clone, Copy)]
 struct PlacedAxon {
     place: u32,
@@ -62,14 +61,14 @@ struct PlacedAxon {
     base: u16,
     /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they are. Two different lists
     /// with the same digest would be found out when the cores are counted exactly.
-    told: u64,
+    digest: u64,
 }
 
 impl PlacedAxon {
     fn tell(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
         let from_base = u64::from(slot - self.base);
         let which = from_base << 48 | u64::from(format) << 32 | projection as u64;
-        self.told = rng::digest(rng::digest(self.told, which), part);
+        self.digest = rng::digest(rng::digest(self.digest, which), part);
     }
 }
 
@@ -114,7 +113,10 @@ pub struct Filling<'a> {
     formats: Formats,
     weight_bits: Vec<WeightBits>,
     delays: Vec<Delay>,
-    axon_of: AxonOf,
+    /// The input axon that each source has, and the core by count on which it has it.
+    axon_of: Vec<(u32, u32)>,
+    /// The present core by count.
+    core: u32,
     members: Vec<CompartmentId>,
     axons: Vec<Axon>,
     entries: Vec<Entry>,
@@ -139,13 +141,14 @@ impl<'a> Filling<'a> {
     /// An empty core.
     #[must_use]
     pub fn new(network: &Quantised, fan_in: &'a FanIn, limits: &'a Limits) -> Self {
-        let formats = Formats::of(network);
+        let formats = Formats::for_network(network);
         Filling {
             fan_in,
             limits,
             weight_bits: network.projections().iter().map(|p| p.format.bits).collect(),
             delays: network.projections().iter().map(|p| p.delay).collect(),
-            axon_of: AxonOf::new(),
+            axon_of: vec![(0, 0); (network.channels() + network.compartments()) as usize],
+            core: 1,
             members: Vec::new(),
             axons: Vec::new(),
             entries: Vec::new(),
@@ -153,10 +156,10 @@ impl<'a> Filling<'a> {
             last: vec![None; formats.len()],
             formats,
             profiles: Profiles::default(),
-            widths: Widths::of(0, Delay::MIN, limits.packing),
+            widths: Widths::for_core(0, Delay::MIN, limits.packing),
             totals: CoreTotals::new(0, Delay::MIN),
             slots_out: 0,
-            places: Places::of(network),
+            places: Places::for_network(network),
             begins: HashMap::new(),
             shares: false,
         }
@@ -164,12 +167,12 @@ impl<'a> Filling<'a> {
 
     /// Begins another core and hands out the compartments of this one.
     pub fn next_core(&mut self) -> Vec<CompartmentId> {
-        self.axon_of.clear();
+        self.core += 1;
         self.axons.clear();
         self.entries.clear();
         self.format_counts.iter_mut().for_each(FormatCounts::clear);
         self.profiles.clear();
-        self.widths = Widths::of(0, Delay::MIN, self.limits.packing);
+        self.widths = Widths::for_core(0, Delay::MIN, self.limits.packing);
         (self.totals, self.slots_out) = (CoreTotals::new(0, Delay::MIN), 0);
         self.begins.clear();
         self.shares = false;
@@ -230,7 +233,7 @@ impl<'a> Filling<'a> {
             self.totals.longest_delay = self.totals.longest_delay.max(self.delays[projection]);
             self.synapse((source, bundle), projection, part, slot);
         });
-        let widths = Widths::of(self.members.len() as u32, self.totals.longest_delay, self.limits.packing);
+        let widths = Widths::for_core(self.members.len() as u32, self.totals.longest_delay, self.limits.packing);
         if widths != self.widths {
             self.widths = widths;
             self.recount();
@@ -256,15 +259,17 @@ impl<'a> Filling<'a> {
     fn synapse(&mut self, (source, bundle): (u32, u32), projection: usize, part: u64, slot: u16) {
         let format = self.formats.by_projection()[projection];
         let weight_bits = self.weight_bits[projection];
-        let axon_index = self.axon_of.get_or_insert(source, self.axons.len() as u32);
-        if axon_index as usize == self.axons.len() {
+        let known = &mut self.axon_of[source as usize];
+        if known.1 != self.core {
+            *known = (self.axons.len() as u32, self.core);
             let placed = self.places.of_source(source).map(|(place, atom)| {
                 let first_slot = *self.begins.entry(place).or_insert(slot);
-                PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot), told: 0 }
+                PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot), digest: 0 }
             });
             self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
             self.totals.lists.iter_mut().for_each(|lists| lists.axons += u64::from(bundle));
         }
+        let axon_index = known.0;
         let axon = &mut self.axons[axon_index as usize];
         if let Some(placed) = &mut axon.placed {
             placed.tell(slot, format, projection, part);
@@ -367,9 +372,9 @@ impl<'a> Filling<'a> {
         let mut classes: [Vec<Class>; 2] = Default::default();
         let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
-            let told = of_place.iter().map(|(placed, _)| (placed.atom, placed.told)).collect();
+            let digests = of_place.iter().map(|(placed, _)| (placed.atom, placed.digest)).collect();
             let next = classes[0].len();
-            let class = *known.entry(told).or_insert(next);
+            let class = *known.entry(digests).or_insert(next);
             for (way, classes) in classes.iter_mut().enumerate() {
                 if class == next {
                     let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
@@ -442,7 +447,7 @@ mod tests {
             let mut order: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();
             // Parts of a kernel that happen to have the same weights are told apart while a core is filled, so lists that
             // are shared are compared whole and in the order of the file only.
-            let shared = !Places::of(&network).is_empty();
+            let shared = !Places::for_network(&network).is_empty();
             if !shared {
                 order.sort_by_key(|id| rng::digest(seed, u64::from(id.0)));
             }

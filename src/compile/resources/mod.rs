@@ -1,7 +1,6 @@
 //! What a core has, and what compartments use of it.
 
 pub mod axon_sharing;
-pub mod axon_table;
 pub mod by_core;
 pub mod closed_form;
 pub mod counter;

@@ -90,7 +90,7 @@ impl Widths {
     /// The widths of a core with so many compartments and this longest delay. Above [`MOST_SLOTS`] the index stays at its
     /// widest; such a core fits no target.
     #[must_use]
-    pub fn of(compartments: u32, longest: Delay, packing: Packing) -> Self {
+    pub fn for_core(compartments: u32, longest: Delay, packing: Packing) -> Self {
         Widths { index: index_bits(compartments).unwrap_or(12), delay: delay_bits(longest, packing) }
     }
 }

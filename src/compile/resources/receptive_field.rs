@@ -1,7 +1,7 @@
 //! One axis of a window: who reaches whom.
 //!
 //! In comes a window (convolution or pooling); out go, for its rows or its columns alone, the targets of a source, and the
-//! patterns in which the sources of a part of the targets reach it. A window reaches rows and columns independently, so
+//! fields in which the sources of a part of the targets reach it. A window reaches rows and columns independently, so
 //! both are counted in the length of an axis instead of the area.
 
 use std::collections::BTreeMap;
@@ -11,7 +11,7 @@ use crate::ir::graph::Window;
 
 /// One axis of a window.
 #[derive(Debug, Clone, Copy)]
-pub struct Axis {
+pub struct WindowAxis {
     kernel: u64,
     stride: u64,
     padding: u64,
@@ -22,31 +22,31 @@ pub struct Axis {
 }
 
 /// Targets that a source reaches in a part of an axis, ascending, each with its place in the kernel.
-pub type Pattern = Vec<(u16, u32)>;
+pub type ReceptiveField = Vec<(u16, u32)>;
 
-impl Axis {
+impl WindowAxis {
     /// From north to south.
     #[must_use]
     pub fn rows(window: &Window) -> Self {
-        Axis::of(window, |pair| pair.0, window.source.1, window.target.1)
+        WindowAxis::along(window, |pair| pair.0, window.source.1, window.target.1)
     }
 
     /// With the same weight at every place of the kernel.
     #[must_use]
     pub fn uniform(self, uniform: bool) -> Self {
-        Axis { uniform, ..self }
+        WindowAxis { uniform, ..self }
     }
 
     /// From west to east.
     #[must_use]
     pub fn columns(window: &Window) -> Self {
-        Axis::of(window, |pair| pair.1, window.source.2, window.target.2)
+        WindowAxis::along(window, |pair| pair.1, window.source.2, window.target.2)
     }
 
-    fn of(window: &Window, side: fn((u32, u32)) -> u32, source: u32, target: u32) -> Self {
+    fn along(window: &Window, side: fn((u32, u32)) -> u32, source: u32, target: u32) -> Self {
         let of = |pair| u64::from(side(pair));
         let (kernel, stride) = (of(window.kernel), of(window.stride));
-        Axis {
+        WindowAxis {
             kernel,
             stride,
             padding: of(window.padding),
@@ -83,22 +83,22 @@ impl Axis {
 
     /// What sources reach of a part, and how many sources reach the same.
     #[must_use]
-    pub fn patterns(self, part: &Range<u32>) -> Vec<(Pattern, u64)> {
-        let mut patterns: BTreeMap<Pattern, u64> = BTreeMap::new();
+    pub fn fields(self, part: &Range<u32>) -> Vec<(ReceptiveField, u64)> {
+        let mut fields: BTreeMap<ReceptiveField, u64> = BTreeMap::new();
         for source in self.under(part) {
             let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
-            let pattern: Pattern = inside.map(|(at, k)| ((at - part.start) as u16, k)).collect();
-            if !pattern.is_empty() {
-                *patterns.entry(pattern).or_default() += 1;
+            let field: ReceptiveField = inside.map(|(at, k)| ((at - part.start) as u16, k)).collect();
+            if !field.is_empty() {
+                *fields.entry(field).or_default() += 1;
             }
         }
-        patterns.into_iter().collect()
+        fields.into_iter().collect()
     }
 }
 
 /// Targets of a source, counted from where they begin, each with its place in the kernel.
 #[must_use]
-pub fn relative(pattern: &Pattern) -> Pattern {
-    let first = pattern.first().map_or(0, |&(at, _)| at);
-    pattern.iter().map(|&(at, k)| (at - first, k)).collect()
+pub fn relative(field: &ReceptiveField) -> ReceptiveField {
+    let first = field.first().map_or(0, |&(at, _)| at);
+    field.iter().map(|&(at, k)| (at - first, k)).collect()
 }
