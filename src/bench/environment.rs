@@ -3,7 +3,7 @@
 use std::fmt;
 
 /// What a figure of time depends on besides the question.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Environment {
     /// The processor, as it names itself.
     pub cpu: String,

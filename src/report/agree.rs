@@ -1,9 +1,8 @@
 //! The result of `nsim agree` as text, JSON, CSV and SVG.
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
-use super::text::{count, wrapped};
+use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of, wrapped};
 use crate::agree::attribution::{Attribution, Share};
 use crate::agree::compare::LayerRow;
 use crate::compile::frontend::analytic::Fit;
@@ -61,6 +60,29 @@ fn score_json(score: &ConversionScore) -> Value {
         "count_error": rounded(score.count_error),
     })
 }
+
+const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
+    ("layer", |row| row.name.clone()),
+    ("shift", |row| row.shift.to_string()),
+    ("spikes a", |row| row.comparison.tally.spikes_a.to_string()),
+    ("spikes b", |row| row.comparison.tally.spikes_b.to_string()),
+    ("coincidence", |row| four(row.comparison.tally.coincidence())),
+    ("van Rossum", |row| four(row.comparison.tally.van_rossum())),
+    ("Victor-Purpura", |row| four(row.comparison.tally.victor_purpura())),
+    ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
+];
+
+/// The last is left out where there is little room.
+const SHARE_COLUMNS: [Column<Share>; 8] = [
+    ("cause", |share| share.cause.name().to_string()),
+    ("share", |share| format!("{:.1} %", 100.0 * share.share)),
+    ("forward", |share| four(share.forward)),
+    ("reversed", |share| four(share.reversed)),
+    ("interaction", |share| four(share.interaction())),
+    ("classes agree", |share| four(share.rung.class_agreement)),
+    ("coincidence", |share| four(share.rung.coincidence)),
+    ("potential rmse", |share| or_empty(share.rung.potential_rmse.map(four))),
+];
 
 impl AgreeReport<'_> {
     /// Share of samples with the same class.
@@ -152,38 +174,20 @@ impl AgreeReport<'_> {
     /// # Errors
     /// Never in practice: the rows are built in memory.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record([
-            "layer",
-            "shift",
-            "spikes_a",
-            "spikes_b",
-            "coincidence",
-            "van_rossum",
-            "victor_purpura",
-            "potential_rmse",
-            "sample",
-            "timestep",
-            "neuron",
-        ])?;
-        for row in self.layers {
-            let (tally, first) = (&row.comparison.tally, row.comparison.first_divergence);
-            let text = |x: Option<f64>| x.map_or(String::new(), |x| rounded(x).to_string());
-            out.write_record([
-                row.name.clone(),
-                row.shift.to_string(),
-                tally.spikes_a.to_string(),
-                tally.spikes_b.to_string(),
-                rounded(tally.coincidence()).to_string(),
-                rounded(tally.van_rossum()).to_string(),
-                rounded(tally.victor_purpura()).to_string(),
-                text(tally.potential_rmse()),
-                first.map_or(String::new(), |d| d.sample.to_string()),
-                first.map_or(String::new(), |d| d.timestep.to_string()),
-                first.map_or(String::new(), |d| d.neuron.to_string()),
-            ])?;
-        }
-        super::text::csv_text(out)
+        let columns: [Column<LayerRow>; 11] = [
+            ("layer", |row| row.name.clone()),
+            ("shift", |row| row.shift.to_string()),
+            ("spikes_a", |row| row.comparison.tally.spikes_a.to_string()),
+            ("spikes_b", |row| row.comparison.tally.spikes_b.to_string()),
+            ("coincidence", |row| rounded(row.comparison.tally.coincidence()).to_string()),
+            ("van_rossum", |row| rounded(row.comparison.tally.van_rossum()).to_string()),
+            ("victor_purpura", |row| rounded(row.comparison.tally.victor_purpura()).to_string()),
+            ("potential_rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(rounded))),
+            ("sample", |row| or_empty(row.comparison.first_divergence.map(|d| d.sample))),
+            ("timestep", |row| or_empty(row.comparison.first_divergence.map(|d| d.timestep))),
+            ("neuron", |row| or_empty(row.comparison.first_divergence.map(|d| d.neuron))),
+        ];
+        csv_of(self.layers, &columns)
     }
 
     fn conversion_text(&self) -> String {
@@ -232,29 +236,7 @@ impl AgreeReport<'_> {
 
     fn attribution_text(&self) -> String {
         let Some(attribution) = self.attribution else { return String::new() };
-        let mut table = super::text::table([
-            "cause",
-            "share",
-            "forward",
-            "reversed",
-            "interaction",
-            "classes agree",
-            "coincidence",
-            "potential rmse",
-        ]);
-        for share in &attribution.shares {
-            table.add_row([
-                share.cause.name().to_string(),
-                format!("{:.1} %", 100.0 * share.share),
-                format!("{:.4}", share.forward),
-                format!("{:.4}", share.reversed),
-                format!("{:.4}", share.interaction()),
-                format!("{:.4}", share.rung.class_agreement),
-                format!("{:.4}", share.rung.coincidence),
-                share.rung.potential_rmse.map_or(String::new(), |x| format!("{x:.4}")),
-            ]);
-        }
-        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        let table = table_of(&attribution.shares, &SHARE_COLUMNS, 1);
         let intro = format!(
             "why: disagreement {:.4} (1 - coincidence over all layers) over {}, from the trained network to the machine; each \
              row is the ladder once its cause is switched on, its share the mean of climbing forward and reversed",
@@ -297,22 +279,7 @@ impl AgreeReport<'_> {
             }
             out.push('\n');
         }
-        out += "| layer | shift | spikes a | spikes b | coincidence | van Rossum | Victor-Purpura | potential rmse |\n";
-        out += "| --- | --- | --- | --- | --- | --- | --- | --- |\n";
-        for row in self.layers {
-            let tally = &row.comparison.tally;
-            out += &format!(
-                "| {} | {} | {} | {} | {:.4} | {:.4} | {:.4} | {} |\n",
-                row.name,
-                row.shift,
-                tally.spikes_a,
-                tally.spikes_b,
-                tally.coincidence(),
-                tally.van_rossum(),
-                tally.victor_purpura(),
-                tally.potential_rmse().map_or(String::new(), |x| format!("{x:.4}"))
-            );
-        }
+        out += &markdown_of(self.layers, &LAYER_COLUMNS);
         let Some(attribution) = self.attribution else { return out };
         out += &format!(
             "\nDisagreement {:.4} over {}:\n\n",
@@ -320,21 +287,7 @@ impl AgreeReport<'_> {
             count(self.attribution_samples as u64, "sample")
         );
         out += &format!("![causes of {}]({picture})\n\n", self.model);
-        out += "| cause | share | forward | reversed | interaction | classes agree | coincidence |\n";
-        out += "| --- | --- | --- | --- | --- | --- | --- |\n";
-        for share in &attribution.shares {
-            out += &format!(
-                "| {} | {:.1} % | {:.4} | {:.4} | {:.4} | {:.4} | {:.4} |\n",
-                share.cause.name(),
-                100.0 * share.share,
-                share.forward,
-                share.reversed,
-                share.interaction(),
-                share.rung.class_agreement,
-                share.rung.coincidence
-            );
-        }
-        out
+        out + &markdown_of(&attribution.shares, &SHARE_COLUMNS[..7])
     }
 
     /// For people.
@@ -348,30 +301,7 @@ impl AgreeReport<'_> {
         out += &format!("\n{}\n", count(self.samples as u64, "sample"));
         out += &self.conversion_text();
         out.push('\n');
-        let mut table = super::text::table([
-            "layer",
-            "shift",
-            "spikes a",
-            "spikes b",
-            "coincidence",
-            "van Rossum",
-            "Victor-Purpura",
-            "potential rmse",
-        ]);
-        for row in self.layers {
-            let tally = &row.comparison.tally;
-            table.add_row([
-                row.name.clone(),
-                row.shift.to_string(),
-                tally.spikes_a.to_string(),
-                tally.spikes_b.to_string(),
-                format!("{:.4}", tally.coincidence()),
-                format!("{:.4}", tally.van_rossum()),
-                format!("{:.4}", tally.victor_purpura()),
-                tally.potential_rmse().map_or(String::new(), |x| format!("{x:.4}")),
-            ]);
-        }
-        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        let table = table_of(self.layers, &LAYER_COLUMNS, 1);
         out += &format!("{table}\n\n");
         for row in self.layers {
             let Some(d) = row.comparison.first_divergence else {

@@ -29,6 +29,22 @@ pub struct FindingsTable {
     pub rows: Vec<Vec<Value>>,
 }
 
+impl FindingsTable {
+    /// A table of rows that are JSON arrays, a value for each column.
+    #[must_use]
+    pub fn new(
+        key: &'static str,
+        columns: &'static [&'static str],
+        rows: impl IntoIterator<Item = Value>,
+    ) -> FindingsTable {
+        let values = |row| match row {
+            Value::Array(values) => values,
+            single => vec![single],
+        };
+        FindingsTable { key, columns, rows: rows.into_iter().map(values).collect() }
+    }
+}
+
 /// A number as people write it: without a fraction when it has none.
 #[must_use]
 pub fn number(x: f64) -> Value {
@@ -73,9 +89,9 @@ impl Findings {
 
     /// `nsim.inspect/1`.
     #[must_use]
-    pub fn json(&self, file: &str) -> Value {
+    pub fn json(&self, schema: &str, file: &str) -> Value {
         let mut object = Map::new();
-        object.insert("schema".into(), json!("nsim.inspect/1"));
+        object.insert("schema".into(), json!(schema));
         object.insert("kind".into(), json!(self.kind));
         object.insert("file".into(), json!(file));
         for (key, value) in &self.facts {

@@ -6,9 +6,10 @@
 use std::fmt::Write;
 
 use comfy_table::CellAlignment;
+use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::text::{count, wrapped};
+use super::text::{Column, count, table_of, wrapped};
 use crate::compile::explore::cost_estimate::Score;
 use crate::compile::explore::remedy::Remedy;
 use crate::compile::explore::search::{Found, front};
@@ -94,7 +95,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
             object["described"] = (compiled.form() == Form::Symbolic).into();
             object["checked_how"] = compiled.checked.how.into();
             object["checked_share"] = compiled.checked.share.into();
-            object["cores"] = rows(compiled).map(|row| row.json()).collect();
+            object["cores"] = rows(compiled).map(|row| json!(row)).collect();
             object["traffic"] = json!(traffic);
             object["expected"] = json!(score);
             object["expected"]["static_mw_of_paper"] = json!(published_static_mw(question, &score));
@@ -162,30 +163,19 @@ pub fn pareto_text(found: &[Found]) -> String {
         return String::new();
     }
     let front = front(found);
-    let mut table = super::text::table([
-        "strategy",
-        "cores filled to",
-        "placed",
-        "cores",
-        "powered",
-        "uJ a step",
-        "us a step",
-        "front",
-    ]);
-    for one in found {
-        let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
-        table.add_row([
-            one.candidate.strategy.name().to_string(),
-            format!("1/{}", one.candidate.divisor),
-            if one.candidate.placed { "yes" } else { "no" }.to_string(),
-            one.score.cores.to_string(),
-            one.score.cores_powered.to_string(),
-            format!("{:.4}", one.score.energy_uj),
-            format!("{:.3}", one.score.step_us),
-            if on_front { "*" } else { "" }.to_string(),
-        ]);
-    }
-    table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+    let columns: [Column<(&Found, bool)>; 8] = [
+        ("strategy", |(one, _)| one.candidate.strategy.name().to_string()),
+        ("cores filled to", |(one, _)| format!("1/{}", one.candidate.divisor)),
+        ("placed", |(one, _)| if one.candidate.placed { "yes" } else { "no" }.to_string()),
+        ("cores", |(one, _)| one.score.cores.to_string()),
+        ("powered", |(one, _)| one.score.cores_powered.to_string()),
+        ("uJ a step", |(one, _)| format!("{:.4}", one.score.energy_uj)),
+        ("us a step", |(one, _)| format!("{:.3}", one.score.step_us)),
+        ("front", |(_, on_front)| if *on_front { "*" } else { "" }.to_string()),
+    ];
+    let on_front = |one| front.iter().any(|other| std::ptr::eq(*other, one));
+    let rows: Vec<(&Found, bool)> = found.iter().map(|one| (one, on_front(one))).collect();
+    let table = table_of(&rows, &columns, 1);
     format!("\n{}\n", table.trim_fmt())
 }
 
@@ -255,6 +245,7 @@ pub fn reason_json(reason: &Reason) -> Value {
 }
 
 /// A core of the result.
+#[derive(Serialize)]
 struct Row {
     core: u32,
     chip: u32,
@@ -265,16 +256,6 @@ struct Row {
     axons_out: u64,
     synapses: u64,
     synapse_words: u64,
-}
-
-impl Row {
-    fn json(&self) -> Value {
-        json!({
-            "core": self.core, "chip": self.chip, "x": self.x, "y": self.y,
-            "compartments": self.compartments, "axons_in": self.axons_in, "axons_out": self.axons_out,
-            "synapses": self.synapses, "synapse_words": self.synapse_words,
-        })
-    }
 }
 
 fn rows(compiled: &Mapping) -> impl Iterator<Item = Row> {

@@ -1,8 +1,8 @@
 //! The result of `nsim scene` as text, JSON (`nsim.scene/1`) and CSV.
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
+use super::text::{Column, csv_of, or_empty, table_of};
 use crate::scene::wire::Carried;
 
 /// What the samples of one class hold.
@@ -41,6 +41,10 @@ pub struct SceneReport {
     pub manifest: Option<String>,
 }
 
+fn percent(share: f64) -> String {
+    if share.is_nan() { "-".to_string() } else { format!("{:.2}", 100.0 * share) }
+}
+
 impl SceneReport {
     /// Density over all classes: spikes a channel and step.
     fn density(&self, sense: usize) -> f64 {
@@ -53,31 +57,18 @@ impl SceneReport {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = super::text::table([
-            "class",
-            "samples",
-            "touch spikes",
-            "touch %",
-            "vision spikes",
-            "vision %",
-            "onset ms",
-        ]);
-        let percent = |x: f64| if x.is_nan() { "-".to_string() } else { format!("{:.2}", 100.0 * x) };
-        for class in &self.classes {
-            let onset = class.onset_ms.map_or("-".to_string(), |[a, b, c]| format!("{a:.0} .. {b:.0} .. {c:.0}"));
-            table.add_row([
-                class.name.clone(),
-                class.samples.to_string(),
-                class.spikes[0].to_string(),
-                percent(class.density[0]),
-                class.spikes[1].to_string(),
-                percent(class.density[1]),
-                onset,
-            ]);
-        }
-        for column in table.column_iter_mut().skip(1) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
+        let columns: [Column<ClassSummary>; 7] = [
+            ("class", |class| class.name.clone()),
+            ("samples", |class| class.samples.to_string()),
+            ("touch spikes", |class| class.spikes[0].to_string()),
+            ("touch %", |class| percent(class.density[0])),
+            ("vision spikes", |class| class.spikes[1].to_string()),
+            ("vision %", |class| percent(class.density[1])),
+            ("onset ms", |class| {
+                class.onset_ms.map_or("-".to_string(), |[a, b, c]| format!("{a:.0} .. {b:.0} .. {c:.0}"))
+            }),
+        ];
+        let table = table_of(&self.classes, &columns, 1);
         let mut out = format!(
             "{}: {} samples of {} steps of {} ms, seed {}\n\n{}\n\n",
             self.scene,
@@ -147,36 +138,21 @@ impl SceneReport {
     /// # Errors
     /// When a row cannot be written.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record([
-            "label",
-            "class",
-            "samples",
-            "touch_spikes",
-            "touch_density",
-            "vision_spikes",
-            "vision_density",
-            "onset_first_ms",
-            "onset_median_ms",
-            "onset_last_ms",
-        ])?;
-        for (label, class) in self.classes.iter().enumerate() {
-            let density = |x: f64| if x.is_nan() { String::new() } else { x.to_string() };
-            let onset = class.onset_ms.map_or([const { String::new() }; 3], |times| times.map(|t| t.to_string()));
-            let [first, median, last] = onset;
-            out.write_record([
-                label.to_string(),
-                class.name.clone(),
-                class.samples.to_string(),
-                class.spikes[0].to_string(),
-                density(class.density[0]),
-                class.spikes[1].to_string(),
-                density(class.density[1]),
-                first,
-                median,
-                last,
-            ])?;
+        fn density(class: &ClassSummary, sense: usize) -> String {
+            or_empty(Some(class.density[sense]).filter(|density| !density.is_nan()))
         }
-        super::text::csv_text(out)
+        let columns: [Column<(usize, &ClassSummary)>; 10] = [
+            ("label", |(label, _)| label.to_string()),
+            ("class", |(_, class)| class.name.clone()),
+            ("samples", |(_, class)| class.samples.to_string()),
+            ("touch_spikes", |(_, class)| class.spikes[0].to_string()),
+            ("touch_density", |(_, class)| density(class, 0)),
+            ("vision_spikes", |(_, class)| class.spikes[1].to_string()),
+            ("vision_density", |(_, class)| density(class, 1)),
+            ("onset_first_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[0]))),
+            ("onset_median_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[1]))),
+            ("onset_last_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[2]))),
+        ];
+        csv_of(&self.classes.iter().enumerate().collect::<Vec<_>>(), &columns)
     }
 }

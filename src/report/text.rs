@@ -1,6 +1,6 @@
 //! What every report is made of: tables, CSV, counted things, paragraphs.
 
-use comfy_table::{Cell, ContentArrangement, Table};
+use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 
 /// The width of text for people.
 const WIDTH: usize = 100;
@@ -11,6 +11,58 @@ pub(super) fn table(header: impl IntoIterator<Item = impl Into<Cell>>) -> Table 
     table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
     table.set_header(header.into_iter().map(Into::into).collect::<Vec<Cell>>());
     table
+}
+
+/// One column of a table: its heading, and its cell in a row.
+pub(super) type Column<R> = (&'static str, fn(&R) -> String);
+
+/// A table with a line per row, aligned to the right from the column `numbers` on.
+pub(super) fn table_of<'r, R: 'r>(
+    rows: impl IntoIterator<Item = &'r R>,
+    columns: &[Column<R>],
+    numbers: usize,
+) -> Table {
+    let mut table = table(columns.iter().map(|(heading, _)| *heading));
+    rows.into_iter().for_each(|row| _ = table.add_row(columns.iter().map(|(_, cell)| cell(row))));
+    right_from(&mut table, numbers);
+    table
+}
+
+/// Aligns the columns from the given one on to the right.
+pub(super) fn right_from(table: &mut Table, first: usize) {
+    table.column_iter_mut().skip(first).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+}
+
+/// The same as CSV.
+pub(super) fn csv_of<'r, R: 'r>(
+    rows: impl IntoIterator<Item = &'r R>,
+    columns: &[Column<R>],
+) -> Result<String, csv::Error> {
+    let mut out = csv::Writer::from_writer(Vec::new());
+    out.write_record(columns.iter().map(|(heading, _)| heading))?;
+    for row in rows {
+        out.write_record(columns.iter().map(|(_, cell)| cell(row)))?;
+    }
+    csv_text(out)
+}
+
+/// The same in Markdown.
+pub(super) fn markdown_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
+    let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+    let mut out = line(columns.iter().map(|(heading, _)| (*heading).to_string()).collect());
+    out += &line(vec!["---".to_string(); columns.len()]);
+    out.extend(rows.into_iter().map(|row| line(columns.iter().map(|(_, cell)| cell(row)).collect())));
+    out
+}
+
+/// A cell of a value that may be missing.
+pub(super) fn or_empty(value: Option<impl ToString>) -> String {
+    value.map_or(String::new(), |value| value.to_string())
+}
+
+/// Four digits after the point.
+pub(super) fn four(x: f64) -> String {
+    format!("{x:.4}")
 }
 
 /// What was written as CSV.

@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use comfy_table::CellAlignment;
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
+use super::text::{Column, csv_of, right_from};
 use crate::base::diagnostic::SourceText;
 use crate::train::fit::EpochRow;
 
@@ -137,12 +138,13 @@ pub fn history_csv(history: &[EpochRow]) -> String {
     std::iter::once("epoch,loss,accuracy\n".to_string()).chain(rows).collect()
 }
 
-/// One training of a study.
-#[derive(Debug, Clone, PartialEq)]
+/// One training of a study, as kept in its folder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StudyRun {
     /// The fields that were set.
     pub setting: String,
     /// Number of the combination of fields.
+    #[serde(skip)]
     pub number: usize,
     /// The seed.
     pub seed: u64,
@@ -151,31 +153,13 @@ pub struct StudyRun {
     /// Share of the tested samples that is right.
     pub accuracy: f64,
     /// Seconds that it took.
+    #[serde(serialize_with = "six_digits")]
     pub seconds: f64,
 }
 
-impl StudyRun {
-    /// As kept in a study's folder.
-    #[must_use]
-    pub fn json(&self) -> Value {
-        json!({
-            "setting": self.setting, "seed": self.seed, "fold": self.fold, "accuracy": self.accuracy,
-            "seconds": rounded(self.seconds),
-        })
-    }
-
-    /// From what was kept.
-    #[must_use]
-    pub fn from_json(value: &Value) -> Option<StudyRun> {
-        Some(StudyRun {
-            setting: value["setting"].as_str()?.to_string(),
-            number: 0,
-            seed: value["seed"].as_u64()?,
-            fold: value["fold"].as_u64().map(|fold| fold as u32),
-            accuracy: value["accuracy"].as_f64()?,
-            seconds: value["seconds"].as_f64()?,
-        })
-    }
+/// Serialises to six digits after the point.
+fn six_digits<S: Serializer>(x: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(rounded(*x))
 }
 
 /// Everything that the report of a study says.
@@ -199,7 +183,7 @@ impl StudyReport<'_> {
             let (mean, sd) = mean_sd(&runs.iter().map(|run| run.accuracy).collect::<Vec<_>>());
             json!({
                 "setting": name, "mean": rounded(mean), "sd": rounded(sd),
-                "runs": runs.iter().map(|run| run.json()).collect::<Vec<_>>(),
+                "runs": runs,
             })
         };
         json!({
@@ -214,19 +198,14 @@ impl StudyReport<'_> {
     /// # Errors
     /// Never in practice: the rows are built in memory.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record(["setting", "seed", "fold", "accuracy", "seconds"])?;
-        for run in self.runs {
-            let fold = run.fold.map_or("test".to_string(), |fold| fold.to_string());
-            out.write_record([
-                run.setting.clone(),
-                run.seed.to_string(),
-                fold,
-                run.accuracy.to_string(),
-                rounded(run.seconds).to_string(),
-            ])?;
-        }
-        super::text::csv_text(out)
+        let columns: [Column<StudyRun>; 5] = [
+            ("setting", |run| run.setting.clone()),
+            ("seed", |run| run.seed.to_string()),
+            ("fold", |run| run.fold.map_or("test".to_string(), |fold| fold.to_string())),
+            ("accuracy", |run| run.accuracy.to_string()),
+            ("seconds", |run| rounded(run.seconds).to_string()),
+        ];
+        csv_of(self.runs, &columns)
     }
 
     /// For people.
@@ -250,7 +229,7 @@ impl StudyReport<'_> {
                 format!("{seconds:.1}"),
             ]);
         }
-        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        right_from(&mut table, 1);
         format!("{}\n\n{table}\n", self.name)
     }
 }

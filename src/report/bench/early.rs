@@ -1,10 +1,10 @@
 //! The result of `nsim bench early` as text, JSON, CSV and charts.
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::bench::early::{Trial, TrialGroup};
 use crate::report::charts::plot::{Axis, Series, chart};
+use crate::report::text::{Column, four, or_empty, table_of};
 use crate::report::train::mean_sd;
 
 /// Everything that the report says.
@@ -139,33 +139,23 @@ impl EarlyReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = crate::report::text::table([
-            "models",
-            "number",
-            "accuracy",
-            "sd",
-            "right for good at, ms",
-            "median",
-            "mean over time",
-            "uJ a sample",
-        ]);
-        for group in self.groups {
-            let points = group.points();
-            let Some(last) = points.last() else { continue };
-            let decided = group.decided_ms();
-            let shown = |value: Option<f64>| value.map_or("never".to_string(), |ms| format!("{ms:.1}"));
-            table.add_row([
-                group.name.clone(),
-                group.trials.len().to_string(),
-                format!("{:.4}", last.accuracy.0),
-                format!("{:.4}", last.accuracy.1),
-                shown(decided.map(|d| d.0)),
-                shown(decided.map(|d| d.1)),
-                format!("{:.4}", group.area()),
-                format!("{:.3}", last.energy_uj.0),
-            ]);
+        fn at_end(group: &TrialGroup, figure: fn(&Point) -> String) -> String {
+            or_empty(group.points().last().map(figure))
         }
-        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        fn decided(group: &TrialGroup, figure: fn((f64, f64)) -> f64) -> String {
+            group.decided_ms().map_or("never".to_string(), |decided| format!("{:.1}", figure(decided)))
+        }
+        let columns: [Column<TrialGroup>; 8] = [
+            ("models", |group| group.name.clone()),
+            ("number", |group| group.trials.len().to_string()),
+            ("accuracy", |group| at_end(group, |last| four(last.accuracy.0))),
+            ("sd", |group| at_end(group, |last| four(last.accuracy.1))),
+            ("right for good at, ms", |group| decided(group, |(mean, _)| mean)),
+            ("median", |group| decided(group, |(_, median)| median)),
+            ("mean over time", |group| four(group.area())),
+            ("uJ a sample", |group| at_end(group, |last| format!("{:.3}", last.energy_uj.0))),
+        ];
+        let table = table_of(self.groups.iter().filter(|group| !group.points().is_empty()), &columns, 1);
         let mode = if self.realtime { "steps held to the timestep" } else { "as fast as possible" };
         format!("{} copies packed, figures of one, {mode}\n\n{table}\n", self.copies)
     }

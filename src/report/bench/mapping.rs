@@ -1,12 +1,12 @@
 //! The result of `nsim bench map` as text, JSON and CSV.
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use super::step::{rounded, significant};
 use crate::bench::Environment;
 use crate::bench::mapping::MeasuredMapping;
 use crate::compile::{Objective, Strategy};
+use crate::report::text::{Column, or_empty, table_of};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -83,7 +83,7 @@ impl MapReport<'_> {
         json!({
             "schema": "nsim.bench/1",
             "name": "map",
-            "environment": super::environment::json(self.environment),
+            "environment": self.environment,
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -112,42 +112,23 @@ impl MapReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = crate::report::text::table([
-            "network",
-            "strategy",
-            "placed",
-            "for",
-            "cores",
-            "chips",
-            "spikes cut",
-            "hops",
-            "multicast",
-            "busiest link",
-            "uJ a step",
-            "us a step",
-            "s",
-            "MiB",
-        ]);
-        for row in self.rows {
-            let traffic = &row.traffic;
-            table.add_row([
-                row.network.to_string(),
-                row.strategy.name().to_string(),
-                if row.placed { "yes" } else { "no" }.to_string(),
-                row.objective.name().to_string(),
-                row.cores.to_string(),
-                row.chips.to_string(),
-                significant(traffic.cut_spikes_per_step),
-                significant(traffic.hops_per_step),
-                significant(traffic.hops_multicast_per_step),
-                significant(traffic.max_link_load),
-                of_step(row.energy_uj, row.simulated),
-                of_step(row.step_us, row.simulated),
-                significant(row.seconds),
-                row.peak_mib.map_or(String::new(), |mib| format!("{mib:.0}")),
-            ]);
-        }
-        table.column_iter_mut().skip(4).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        let columns: [Column<MeasuredMapping>; 14] = [
+            ("network", |row| row.network.to_string()),
+            ("strategy", |row| row.strategy.name().to_string()),
+            ("placed", |row| if row.placed { "yes" } else { "no" }.to_string()),
+            ("for", |row| row.objective.name().to_string()),
+            ("cores", |row| row.cores.to_string()),
+            ("chips", |row| row.chips.to_string()),
+            ("spikes cut", |row| significant(row.traffic.cut_spikes_per_step)),
+            ("hops", |row| significant(row.traffic.hops_per_step)),
+            ("multicast", |row| significant(row.traffic.hops_multicast_per_step)),
+            ("busiest link", |row| significant(row.traffic.max_link_load)),
+            ("uJ a step", |row| of_step(row.energy_uj, row.simulated)),
+            ("us a step", |row| of_step(row.step_us, row.simulated)),
+            ("s", |row| significant(row.seconds)),
+            ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
+        ];
+        let table = table_of(self.rows, &columns, 4);
         let mut text = format!("{}\n\n{table}\n\n", self.environment);
         for strategy in [Strategy::Greedy, Strategy::Multilevel] {
             let AgainstSequential { networks, hops_multicast, worse } =

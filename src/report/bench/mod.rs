@@ -1,7 +1,6 @@
 //! Results of `nsim bench`.
 
 pub mod early;
-pub mod environment;
 pub mod mapping;
 pub mod pareto;
 pub mod step;

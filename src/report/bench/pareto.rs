@@ -1,11 +1,11 @@
 //! The result of `nsim bench pareto` as text, JSON, CSV, Markdown and SVG.
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::bench::Environment;
 use crate::bench::pareto::VariantRow;
 use crate::report::charts::plot::{self, Axis, Series};
+use crate::report::text::{Column, csv_of, four, markdown_of, or_empty, table_of};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -28,34 +28,19 @@ fn rounded(x: f64) -> f64 {
     format!("{x:.6}").parse().unwrap_or(x)
 }
 
-const HEAD: [&str; 9] = [
-    "variant",
-    "us a step",
-    "quartiles apart",
-    "classes agree",
-    "accuracy",
-    "coincidence",
-    "potential rmse",
-    "exact",
-    "front",
+const COLUMNS: [Column<VariantRow>; 9] = [
+    ("variant", |row| row.variant.name()),
+    ("us a step", |row| format!("{:.3}", row.us_per_timestep)),
+    ("quartiles apart", |row| format!("{:.3}", row.spread)),
+    ("classes agree", |row| four(row.class_agreement)),
+    ("accuracy", |row| or_empty(row.accuracy.map(four))),
+    ("coincidence", |row| four(row.coincidence)),
+    ("potential rmse", |row| or_empty(row.potential_rmse.map(four))),
+    ("exact", |row| or_empty(row.exact.map(|exact| if exact { "yes" } else { "NO" }))),
+    ("front", |row| if row.on_front { "*" } else { "" }.to_string()),
 ];
 
 impl ParetoReport<'_> {
-    fn cells(row: &VariantRow) -> [String; 9] {
-        let or_none = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.4}"));
-        [
-            row.variant.name(),
-            format!("{:.3}", row.us_per_timestep),
-            format!("{:.3}", row.spread),
-            format!("{:.4}", row.class_agreement),
-            or_none(row.accuracy),
-            format!("{:.4}", row.coincidence),
-            or_none(row.potential_rmse),
-            row.exact.map_or("", |exact| if exact { "yes" } else { "NO" }).to_string(),
-            if row.on_front { "*" } else { "" }.to_string(),
-        ]
-    }
-
     /// `nsim.bench/1`.
     #[must_use]
     pub fn json(&self) -> Value {
@@ -80,7 +65,7 @@ impl ParetoReport<'_> {
             "input": self.input,
             "seed": self.seed,
             "samples": self.samples,
-            "environment": super::environment::json(self.environment),
+            "environment": self.environment,
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -90,24 +75,11 @@ impl ParetoReport<'_> {
     /// # Errors
     /// Never in practice: the rows are built in memory.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record([
-            "variant",
-            "us_per_timestep",
-            "spread",
-            "class_agreement",
-            "accuracy",
-            "coincidence",
-            "potential_rmse",
-            "exact",
-            "on_front",
-        ])?;
-        for row in self.rows {
-            let mut cells = Self::cells(row);
-            cells[8] = row.on_front.to_string();
-            out.write_record(&cells)?;
-        }
-        crate::report::text::csv_text(out)
+        let mut columns = COLUMNS;
+        let keys = ["us_per_timestep", "spread", "class_agreement", "accuracy", "coincidence", "potential_rmse"];
+        columns[1..7].iter_mut().zip(keys).for_each(|(column, key)| column.0 = key);
+        columns[8] = ("on_front", |row| row.on_front.to_string());
+        csv_of(self.rows, &columns)
     }
 
     fn what(&self) -> String {
@@ -118,9 +90,7 @@ impl ParetoReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = crate::report::text::table(HEAD);
-        self.rows.iter().for_each(|row| _ = table.add_row(Self::cells(row)));
-        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        let table = table_of(self.rows, &COLUMNS, 1);
         format!(
             "{}\n{}\nagainst the trained network in doubles; one thread\n\n{table}\n",
             self.environment,
@@ -131,13 +101,9 @@ impl ParetoReport<'_> {
     /// A section of a document, with a chart under `picture`.
     #[must_use]
     pub fn markdown(&self, picture: &str) -> String {
-        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
         let mut out = format!("{}; {}.\n\n", self.what(), self.environment);
         out += &format!("![run time against error of {}]({picture})\n\n", self.model);
-        out += &line(&HEAD.map(String::from));
-        out += &line(&HEAD.map(|_| "---".to_string()));
-        self.rows.iter().for_each(|row| out += &line(&Self::cells(row)));
-        out
+        out + &markdown_of(self.rows, &COLUMNS)
     }
 
     /// Run time against error, with the front.

@@ -1,9 +1,9 @@
 //! The result of `nsim bench` as text, JSON and CSV.
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::bench::{Environment, StepTiming};
+use crate::report::text::{Column, csv_of, table_of};
 
 /// A row of `nsim bench step`.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,7 +70,7 @@ impl StepReport<'_> {
         json!({
             "schema": "nsim.bench/1",
             "name": "step",
-            "environment": super::environment::json(self.environment),
+            "environment": self.environment,
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
         })
     }
@@ -80,63 +80,39 @@ impl StepReport<'_> {
     /// # Errors
     /// Never in practice: the rows are built in memory.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record([
-            "network",
-            "threads",
-            "skip",
-            "us_per_timestep",
-            "spread",
-            "synaptic_events_per_step",
-            "bytes_per_synapse",
-        ])?;
-        for row in self.rows {
-            out.write_record([
-                row.network.to_string(),
-                row.threads.to_string(),
-                row.skip.to_string(),
-                rounded(row.measured.us_per_timestep).to_string(),
-                rounded(row.measured.spread).to_string(),
-                rounded(row.events()).to_string(),
-                rounded(row.bytes_per_synapse).to_string(),
-            ])?;
-        }
-        crate::report::text::csv_text(out)
+        let columns: [Column<StepRow>; 7] = [
+            ("network", |row| row.network.to_string()),
+            ("threads", |row| row.threads.to_string()),
+            ("skip", |row| row.skip.to_string()),
+            ("us_per_timestep", |row| rounded(row.measured.us_per_timestep).to_string()),
+            ("spread", |row| rounded(row.measured.spread).to_string()),
+            ("synaptic_events_per_step", |row| rounded(row.events()).to_string()),
+            ("bytes_per_synapse", |row| rounded(row.bytes_per_synapse).to_string()),
+        ];
+        csv_of(self.rows, &columns)
     }
 
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut table = crate::report::text::table([
-            "network",
-            "threads",
-            "skip",
-            "us a step",
-            "quartiles apart",
-            "fastest",
-            "synaptic events",
-            "spikes",
-            "ns an event",
-            "bytes a synapse",
-            "ms for sums",
-        ]);
-        for row in self.rows {
-            let (us, events) = (row.measured.us_per_timestep, row.events());
-            table.add_row([
-                row.network.to_string(),
-                row.threads.to_string(),
-                if row.skip { "on" } else { "off" }.to_string(),
-                significant(us),
-                significant(row.measured.spread),
-                significant(row.measured.fastest),
-                format!("{events:.0}"),
-                format!("{:.1}", row.spikes()),
-                if events > 0.0 { significant(us * 1e3 / events) } else { String::new() },
-                significant(row.bytes_per_synapse),
-                significant(row.sums_ms),
-            ]);
-        }
-        table.column_iter_mut().skip(1).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+        let ns_an_event = |row: &StepRow| match row.events() {
+            events if events > 0.0 => significant(row.measured.us_per_timestep * 1e3 / events),
+            _ => String::new(),
+        };
+        let columns: [Column<StepRow>; 11] = [
+            ("network", |row| row.network.to_string()),
+            ("threads", |row| row.threads.to_string()),
+            ("skip", |row| if row.skip { "on" } else { "off" }.to_string()),
+            ("us a step", |row| significant(row.measured.us_per_timestep)),
+            ("quartiles apart", |row| significant(row.measured.spread)),
+            ("fastest", |row| significant(row.measured.fastest)),
+            ("synaptic events", |row| format!("{:.0}", row.events())),
+            ("spikes", |row| format!("{:.1}", row.spikes())),
+            ("ns an event", ns_an_event),
+            ("bytes a synapse", |row| significant(row.bytes_per_synapse)),
+            ("ms for sums", |row| significant(row.sums_ms)),
+        ];
+        let table = table_of(self.rows, &columns, 1);
         format!("{}\n\n{table}\n", self.environment)
     }
 }

@@ -16,7 +16,7 @@ use crate::cost::estimate::{Convention, EnergyRow, Estimate};
 use crate::desc::published::baseline::Mode;
 use crate::desc::target::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
-use crate::report::text::{count, wrapped};
+use crate::report::text::{Column, count, csv_of, or_empty, wrapped};
 
 /// What ending samples when they are decided would save of the run: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -184,49 +184,26 @@ impl EnergyReport {
     /// # Errors
     /// When the writer fails, which for one in memory it does not.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        writer.write_record([
-            "hardware",
-            "unit",
-            "convention",
-            "static_mw",
-            "dynamic_mw",
-            "total_mw",
-            "latency_us",
-            "energy_uj",
-            "edp_pjs",
-            "total_mw_low",
-            "latency_us_low",
-            "energy_uj_low",
-            "total_mw_high",
-            "latency_us_high",
-            "energy_uj_high",
-            "source",
-            "power_source",
-        ])?;
-        for row in self.rows() {
-            let (low, high) = (row.low, row.high);
-            let figures = [
-                row.static_mw,
-                row.dynamic_mw,
-                row.total_mw,
-                row.latency_us,
-                row.energy_uj,
-                row.edp_pjs,
-                low.and_then(|b| b.total_mw),
-                low.and_then(|b| b.latency_us),
-                low.and_then(|b| b.energy_uj),
-                high.and_then(|b| b.total_mw),
-                high.and_then(|b| b.latency_us),
-                high.and_then(|b| b.energy_uj),
-            ];
-            let mut record = vec![row.hardware.clone(), row.unit.to_string(), row.convention.name().to_string()];
-            record.extend(figures.map(|figure| figure.map_or_else(String::new, |x| x.to_string())));
-            record.push(row.source.name().to_string());
-            record.push(row.power_source.name().to_string());
-            writer.write_record(record)?;
-        }
-        crate::report::text::csv_text(writer)
+        let columns: [Column<EnergyRow>; 17] = [
+            ("hardware", |row| row.hardware.clone()),
+            ("unit", |row| row.unit.to_string()),
+            ("convention", |row| row.convention.name().to_string()),
+            ("static_mw", |row| or_empty(row.static_mw)),
+            ("dynamic_mw", |row| or_empty(row.dynamic_mw)),
+            ("total_mw", |row| or_empty(row.total_mw)),
+            ("latency_us", |row| or_empty(row.latency_us)),
+            ("energy_uj", |row| or_empty(row.energy_uj)),
+            ("edp_pjs", |row| or_empty(row.edp_pjs)),
+            ("total_mw_low", |row| or_empty(row.low.and_then(|low| low.total_mw))),
+            ("latency_us_low", |row| or_empty(row.low.and_then(|low| low.latency_us))),
+            ("energy_uj_low", |row| or_empty(row.low.and_then(|low| low.energy_uj))),
+            ("total_mw_high", |row| or_empty(row.high.and_then(|high| high.total_mw))),
+            ("latency_us_high", |row| or_empty(row.high.and_then(|high| high.latency_us))),
+            ("energy_uj_high", |row| or_empty(row.high.and_then(|high| high.energy_uj))),
+            ("source", |row| row.source.name().to_string()),
+            ("power_source", |row| row.power_source.name().to_string()),
+        ];
+        csv_of(self.rows(), &columns)
     }
 
     /// The report for people.
