@@ -56,11 +56,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         ],
         tables: Vec::new(),
     };
-    let schema = |mut value: serde_json::Value| {
-        value["schema"] = json!("nsim.export/1");
-        value
-    };
     let file = args.output.display().to_string();
-    output::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
+    output::print(context.format, || found.text(&file), || found.json("nsim.export/1", &file), || found.csv())?;
     Ok(Answer::Yes)
 }

@@ -98,11 +98,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     };
     let found = findings(&imported, &files);
     let file = args.file.display().to_string();
-    let schema = |mut value: serde_json::Value| {
-        value["schema"] = json!("nsim.import/1");
-        value
-    };
-    output::print(context.format, || found.text(&file), || schema(found.json(&file)), || found.csv())?;
+    output::print(context.format, || found.text(&file), || found.json("nsim.import/1", &file), || found.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -130,13 +126,8 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             (None, Some(_)) => "srm",
             (None, None) => "input",
         };
-        vec![
-            json!(population.name),
-            json!(kind),
-            json!(population.shape),
-            json!(population.start_step),
-            json!(parameters.chain(real).collect::<Vec<_>>().join(", ")),
-        ]
+        let parameters = parameters.chain(real).collect::<Vec<_>>().join(", ");
+        json!([population.name, kind, population.shape, population.start_step, parameters])
     });
     let projections = projections.iter().map(|projection| {
         let (kind, weights) = match &projection.kind {
@@ -145,14 +136,8 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             ProjectionKind::Conv2d { weights, .. } => ("conv2d", weights.shape().to_vec()),
             ProjectionKind::SumPool2d { kernel, .. } => ("sumpool2d", vec![kernel.0 as usize, kernel.1 as usize]),
         };
-        vec![
-            json!(projection.from.join(" + ")),
-            json!(projection.to),
-            json!(kind),
-            json!(weights),
-            json!(projection.delay),
-            json!(projection.weight_exp),
-        ]
+        let from = projection.from.join(" + ");
+        json!([from, projection.to, kind, weights, projection.delay, projection.weight_exp])
     });
     Findings {
         kind: imported.kind,
@@ -167,16 +152,8 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             ("written", if files.is_empty() { json!(null) } else { json!(files) }),
         ],
         tables: vec![
-            FindingsTable {
-                key: "populations",
-                columns: &["name", "kind", "shape", "start_step", "parameters"],
-                rows: populations.collect(),
-            },
-            FindingsTable {
-                key: "projections",
-                columns: &["from", "to", "kind", "weights", "delay", "weight_exp"],
-                rows: projections.collect(),
-            },
+            FindingsTable::new("populations", &["name", "kind", "shape", "start_step", "parameters"], populations),
+            FindingsTable::new("projections", &["from", "to", "kind", "weights", "delay", "weight_exp"], projections),
         ],
     }
 }

@@ -14,6 +14,7 @@ use crate::drive::inputs;
 use crate::drive::samples::firing_rates;
 use crate::error::Error;
 use crate::io;
+use crate::io::shipped;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 use crate::report::charts::board;
@@ -171,13 +172,10 @@ fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Resu
 
 /// Shipped targets with more cores than this one, ascending.
 fn larger(target: &Target) -> Result<Vec<Target>, Error> {
-    let mut boards = Vec::new();
-    for name in ["loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs"] {
-        let board = io::target::load_target(name)?;
-        if board.cores() > target.cores() {
-            boards.push(board);
-        }
-    }
+    let mut boards =
+        shipped::TARGETS.iter().map(|board| io::target::load_target(board.name)).collect::<Result<Vec<_>, _>>()?;
+    boards.retain(|board| board.cores() > target.cores());
+    boards.sort_by_key(Target::cores);
     Ok(boards)
 }
 

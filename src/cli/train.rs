@@ -323,7 +323,7 @@ fn combinations<'a>(fields: &[(&'a str, &'a str)]) -> Vec<Vec<(&'a str, &'a str)
 /// A run of a study from its file, when it is there and of the same training.
 fn kept(path: &Path, print: &str) -> Option<StudyRun> {
     let value: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-    (value["fingerprint"] == print).then(|| StudyRun::from_json(&value)).flatten()
+    (value["fingerprint"] == print).then(|| serde_json::from_value(value).ok()).flatten()
 }
 
 fn study(
@@ -379,7 +379,7 @@ fn study(
                             accuracy,
                             seconds,
                         };
-                        let mut value = run.json();
+                        let mut value = serde_json::json!(run);
                         value["fingerprint"] = print.clone().into();
                         value["name"] = file.name.clone().into();
                         value["tested"] = fold.cloned().into();

@@ -141,6 +141,24 @@ pub struct Case<'a> {
     pub steps_per_sample: Option<u32>,
 }
 
+impl<'a> Case<'a> {
+    /// All copies of a deployment as fast as possible, energy physical, under the first preset.
+    #[must_use]
+    pub fn new(activity: &'a Activity, meter: &'a StepMeter, deployment: &'a Deployment, timestep_ms: f64) -> Self {
+        Case {
+            activity,
+            meter,
+            preset: 0,
+            copies_counted: deployment.copies,
+            deployment,
+            mode: Mode::Offline,
+            timestep: Picoseconds((timestep_ms * 1e9).round() as u64),
+            convention: Convention::Physical,
+            steps_per_sample: None,
+        }
+    }
+}
+
 /// What came out.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {

@@ -7,11 +7,9 @@ use std::sync::Arc;
 use super::samples::{Run, Running, fast};
 use super::{Keep, Outcome};
 use crate::base::diagnostic::Diagnostic;
-use crate::base::units::Picoseconds;
 use crate::compile::Compiled;
-use crate::cost::estimate::{Case, Convention, Estimate, estimate};
+use crate::cost::estimate::{Case, Estimate, estimate};
 use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
-use crate::desc::published::baseline::Mode;
 use crate::desc::target::Target;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::program::Program;
@@ -74,16 +72,7 @@ pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> R
     let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
     let running = Running { keep: &keep, skip: true, per_step: true, progress: &|| () };
     let (run, meter) = run_metered(program, &copied.iter().collect::<Vec<_>>(), &metered, running)?;
-    let estimate = estimate(&Case {
-        activity: &run.activity,
-        meter: &meter,
-        preset: 0,
-        copies_counted: copies,
-        deployment: &deployment,
-        mode: Mode::Offline,
-        timestep: Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64),
-        convention: Convention::Physical,
-        steps_per_sample: steps_per_sample(samples),
-    });
+    let case = Case::new(&run.activity, &meter, &deployment, compiled.one.parts().timestep_ms);
+    let estimate = estimate(&Case { steps_per_sample: steps_per_sample(samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })
 }

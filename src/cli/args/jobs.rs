@@ -142,10 +142,7 @@ impl Job {
     /// The program, when it is mapped.
     #[must_use]
     pub fn program(&self) -> Option<&Program> {
-        match self {
-            Job::Mapped(compiled, _, _) => Some(&compiled.program),
-            Job::Quantised(..) | Job::Real(..) => None,
-        }
+        self.mapped().map(|(compiled, _)| &compiled.program)
     }
 
     /// The compiled network and its target, when it is mapped.
@@ -160,19 +157,13 @@ impl Job {
     /// The target's name.
     #[must_use]
     pub fn target_name(&self) -> &str {
-        match self {
-            Job::Mapped(_, target, _) => target.name(),
-            Job::Quantised(..) | Job::Real(..) => "",
-        }
+        self.mapped().map_or("", |(_, target)| target.name())
     }
 
     /// Copies of the model.
     #[must_use]
     pub fn copies(&self) -> u32 {
-        match self {
-            Job::Mapped(compiled, ..) => compiled.options.copies,
-            Job::Quantised(..) | Job::Real(..) => 1,
-        }
+        self.mapped().map_or(1, |(compiled, _)| compiled.options.copies)
     }
 
     /// The model's own stimulus.

@@ -2,15 +2,14 @@
 
 use std::path::PathBuf;
 
-use crate::base::units::Picoseconds;
 use crate::bench::early::{StudyModel, Trial, TrialGroup, TrialRun, study_models};
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::context::{Answer, Context};
-use crate::cli::energy::options::{tables, with_preset};
+use crate::cli::energy::options::tables;
 use crate::cli::energy::workload::Workload;
 use crate::cli::output;
-use crate::cost::estimate::{Case, Convention, spent_by_step_uj};
+use crate::cost::estimate::{Case, spent_by_step_uj};
 use crate::cost::{Deployment, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::error::Error;
@@ -71,9 +70,8 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
         }
     };
     let workload = Workload::new(&job, copies, &InputArgs::from_sources(&args.input))?;
-    let (target, preset) = with_preset(workload.target.clone(), None)?;
-    let (tables, preset) = tables(&target, preset.as_deref())?;
-    let deployment = Deployment::from_placement("packed", &workload.compiled.placement, target.chip(), copies);
+    let (tables, preset) = tables(workload.target, None)?;
+    let deployment = Deployment::from_placement("packed", &workload.compiled.placement, workload.target.chip(), copies);
     let metered = workload.metered(tables, &deployment, Transport::Analytic);
     let (run, meter) = workload.simulate(&metered, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
@@ -81,15 +79,10 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
     };
     let timestep_ms = workload.compiled.one.parts().timestep_ms;
     let spent = spent_by_step_uj(&Case {
-        activity: &run.activity,
-        meter: &meter,
         preset,
-        copies_counted: copies,
-        deployment: &deployment,
         mode: if args.realtime { Mode::Realtime } else { Mode::Offline },
-        timestep: Picoseconds((timestep_ms * 1e9).round() as u64),
-        convention: Convention::Physical,
         steps_per_sample: Some(steps),
+        ..Case::new(&run.activity, &meter, &deployment, timestep_ms)
     });
     let chosen = model.tested.clone().unwrap_or_else(|| (0..workload.samples.len()).collect());
     let samples = &workload.samples;

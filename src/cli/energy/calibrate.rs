@@ -1,7 +1,6 @@
 //! `nsim energy --calibrate TABLE`: named constants fitted to a table, or a table only compared.
 
 use crate::base::diagnostic::Diagnostic;
-use crate::base::units::Picoseconds;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
@@ -41,15 +40,11 @@ impl Bench<'_> {
         let (run, meter) = self.workload.simulate(&metered, None, skip, self.context)?;
         let timestep_ms = self.workload.compiled.one.parts().timestep_ms;
         let case = |preset| Case {
-            activity: &run.activity,
-            meter: &meter,
             preset,
-            copies_counted: self.table.copies,
-            deployment: &self.deployment,
             mode: self.table.mode,
-            timestep: Picoseconds((timestep_ms * 1e9).round() as u64),
             convention: self.convention,
             steps_per_sample: Some(self.table.steps_per_sample),
+            ..Case::new(&run.activity, &meter, &self.deployment, timestep_ms)
         };
         Ok((0..presets.len()).map(|preset| estimate(&case(preset)).rows).collect())
     }

@@ -2,15 +2,13 @@
 
 use std::ops::Range;
 
-use crate::base::units::Picoseconds;
+use crate::cost::Deployment;
 use crate::cost::estimate::{Case, Convention, EnergyRow, estimate, spent};
-use crate::cost::{Deployment, StepMeter};
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::target::Target;
 use crate::drive::Outcome;
 use crate::drive::decision::Rule;
-use crate::ir::activity::Activity;
 use crate::report::energy::compared::{Packing, PerDecision, per_sample, ratios};
 use crate::report::energy::table::{EnergyReport, Saved, constant_entries};
 
@@ -21,24 +19,8 @@ pub struct EnergyJob<'a> {
     pub model: &'a str,
     /// Where it ran.
     pub target: &'a Target,
-    /// The preset of the figures, an index into the target's (from `tables`).
-    pub preset: usize,
-    /// Counts of the run.
-    pub activity: &'a Activity,
-    /// Its steps, under all of the target's presets and with the deployment's tiles in the barrier.
-    pub meter: &'a StepMeter,
-    /// Copies whose activity was counted: 1 when one stands for all.
-    pub copies_counted: u32,
-    /// Where all copies are.
-    pub deployment: &'a Deployment,
-    /// Offline or real time.
-    pub mode: Mode,
-    /// What energy means.
-    pub convention: Convention,
-    /// Length of the model's timestep.
-    pub timestep: Picoseconds,
-    /// Timesteps of a sample; `None` when samples differ.
-    pub steps_per_sample: Option<u32>,
+    /// Its counts and the conditions of the estimate; the meter has a lane for each of the target's presets.
+    pub case: Case<'a>,
     /// Samples that were run, repeats included.
     pub samples: u64,
     /// Seed of the input, if it was made from one.
@@ -55,22 +37,6 @@ pub struct EnergyJob<'a> {
     pub early_exit: Option<Saved>,
 }
 
-impl<'a> EnergyJob<'a> {
-    pub(super) fn case(&self) -> Case<'a> {
-        Case {
-            activity: self.activity,
-            meter: self.meter,
-            preset: self.preset,
-            copies_counted: self.copies_counted,
-            deployment: self.deployment,
-            mode: self.mode,
-            timestep: self.timestep,
-            convention: self.convention,
-            steps_per_sample: self.steps_per_sample,
-        }
-    }
-}
-
 /// The steps of each sample until it is decided, in the order of the meter; whole samples where it is not.
 fn until_decided(outcomes: &[Outcome]) -> Vec<Range<usize>> {
     let mut first = 0;
@@ -84,8 +50,8 @@ fn until_decided(outcomes: &[Outcome]) -> Vec<Range<usize>> {
 
 /// What ending samples when they are decided would save of the whole run: equation (16).
 pub(super) fn saved(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> Saved {
-    let whole = spent(&job.case(), [0..job.activity.steps() as usize]);
-    let early = spent(&job.case(), until_decided(outcomes));
+    let whole = spent(&job.case, [0..job.case.activity.steps() as usize]);
+    let early = spent(&job.case, until_decided(outcomes));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
     Saved {
         rule,
@@ -99,7 +65,7 @@ pub(super) fn saved(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> Sa
 
 /// The mean cost of a sample until it is decided.
 pub(super) fn per_decision(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> PerDecision {
-    let (spent, samples) = (spent(&job.case(), until_decided(outcomes)), outcomes.len().max(1) as f64);
+    let (spent, samples) = (spent(&job.case, until_decided(outcomes)), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
     PerDecision {
         rule: rule.to_string(),
@@ -112,14 +78,14 @@ pub(super) fn per_decision(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]
 /// The same run under other numbers of cores; the barrier's time stays that of this deployment.
 fn packing(job: &EnergyJob<'_>, other: &Deployment) -> Option<Packing> {
     let physical = |deployment| {
-        let rows = estimate(&Case { deployment, convention: Convention::Physical, ..job.case() }).rows;
+        let rows = estimate(&Case { deployment, convention: Convention::Physical, ..job.case }).rows;
         let total = rows.into_iter().find(|row| row.unit == "total")?;
         Some([total.static_mw?, total.total_mw?, total.energy_uj?])
     };
-    let (this, that) = (physical(job.deployment)?, physical(other)?);
+    let (this, that) = (physical(job.case.deployment)?, physical(other)?);
     Some(Packing {
         compared_with: other.name.clone(),
-        cores_powered: [job.deployment.cores_powered, other.cores_powered],
+        cores_powered: [job.case.deployment.cores_powered, other.cores_powered],
         static_mw: [this[0], that[0]],
         total_mw: [this[1], that[1]],
         energy_uj: [this[2], that[2]],
@@ -129,17 +95,17 @@ fn packing(job: &EnergyJob<'_>, other: &Deployment) -> Option<Packing> {
 /// From a finished run to its report. Its notes belong on stderr when the output is for programs.
 #[must_use]
 pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
-    let estimate = estimate(&job.case());
+    let estimate = estimate(&job.case);
     let mut notes = estimate.notes.clone();
-    let tables = job.meter.tables();
-    if tables[job.preset].injection_time.0 == 0 && job.mode == Mode::Offline {
+    let tables = job.case.meter.tables();
+    if tables[job.case.preset].injection_time.0 == 0 && job.case.mode == Mode::Offline {
         notes.push(
             "these constants give no time for injecting a spike, which bounds offline runs on the board: the latency is that \
              of the neuron cores alone"
                 .to_string(),
         );
     }
-    if job.mode == Mode::Realtime {
+    if job.case.mode == Mode::Realtime {
         notes.push(
             "a step is held to the model's timestep; what the host adds to it is not modelled (39.9 us in the VT-SNN paper's \
              table, which no offline figure contains)"
@@ -152,29 +118,29 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
     let baselines = job.baselines.to_vec();
     let total = estimate.rows.iter().find(|row| row.unit == "total");
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
-    let steps = job.activity.steps() as f64 / job.samples.max(1) as f64;
+    let steps = job.case.activity.steps() as f64 / job.samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
     let per_sample = per_sample(rows, steps);
     let packing = job.other.and_then(|other| packing(job, other));
     EnergyReport {
         model: job.model.to_string(),
         target: job.target.name().to_string(),
-        deployment: job.deployment.clone(),
-        mode: job.mode,
-        preset: tables[job.preset].name().to_string(),
+        deployment: job.case.deployment.clone(),
+        mode: job.case.mode,
+        preset: tables[job.case.preset].name().to_string(),
         presets: tables.iter().map(|table| table.name().to_string()).collect(),
         seed: job.seed,
         samples: job.samples,
-        timesteps: job.activity.steps(),
+        timesteps: job.case.activity.steps(),
         estimate,
-        transport: job.meter.transport(),
+        transport: job.case.meter.transport(),
         ratios,
         per_sample,
         per_decision: job.per_decision.cloned(),
         packing,
         baselines,
         early_exit: job.early_exit,
-        constants: constant_entries(&job.target.constants()[job.preset]),
+        constants: constant_entries(&job.target.constants()[job.case.preset]),
         notes,
     }
 }

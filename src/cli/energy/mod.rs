@@ -16,12 +16,12 @@ use self::job::{EnergyJob, per_decision, saved};
 use self::options::{DeploymentArg, DeploymentSource, baselines, tables, with_preset};
 use self::other_hardware::OneCopy;
 use self::workload::Workload;
-use crate::base::units::Picoseconds;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cost::Deployment;
+use crate::cost::estimate::Case;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::error::Error;
 use crate::io;
@@ -76,7 +76,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let rule = args.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
     let (run, meter) = workload.simulate(&metered, Some(watched), args.skip == Switch::On, context)?;
-    let timestep = Picoseconds((compiled.one.parts().timestep_ms * 1e9).round() as u64);
+    let case = Case::new(&run.activity, &meter, &deployment, compiled.one.parts().timestep_ms);
     let steps_per_sample = workload.steps_per_sample();
     let alone = match asked.cpu && copies > 1 {
         true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, 1)?),
@@ -87,8 +87,13 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         Some(Prepared::Ready(job)) => job.program(),
         Some(Prepared::DoesNotFit(_)) => None,
     };
-    let one =
-        OneCopy { network: &compiled.one, program, samples: &workload.samples, steps: steps_per_sample, timestep };
+    let one = OneCopy {
+        network: &compiled.one,
+        program,
+        samples: &workload.samples,
+        steps: steps_per_sample,
+        timestep: case.timestep,
+    };
     #[cfg_attr(not(feature = "nvml"), allow(unused_mut))]
     let mut others = other_hardware::rows(&asked, one, mode, convention, args.cpu_watts);
     #[cfg(feature = "nvml")]
@@ -98,15 +103,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let whole = EnergyJob {
         model,
         target: &target,
-        preset,
-        activity: &run.activity,
-        meter: &meter,
-        copies_counted: copies,
-        deployment: &deployment,
-        mode,
-        convention,
-        timestep,
-        steps_per_sample,
+        case: Case { preset, mode, convention, steps_per_sample, ..case },
         samples: workload.samples.len() as u64,
         seed: workload.seed,
         baselines: &others.rows,
@@ -226,15 +223,14 @@ mod tests {
         f(job::report(&EnergyJob {
             model: "vtsnn-slip",
             target: &target,
-            preset,
-            activity: &activity,
-            meter: &meter,
-            copies_counted: 1,
-            deployment,
-            mode,
-            convention,
-            timestep: MS,
-            steps_per_sample: Some(150),
+            case: Case {
+                preset,
+                copies_counted: 1,
+                mode,
+                convention,
+                steps_per_sample: Some(150),
+                ..Case::new(&activity, &meter, deployment, 1.0)
+            },
             samples: 1,
             seed: Some(7),
             baselines: &[(row, gpu.source())],

@@ -2,38 +2,32 @@
 //!
 //! Input: parsed files. Output: facts and tables, each constant with unit, source and status.
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::cost::baseline::Baseline;
 use crate::desc::published::scenario::ScenarioFile;
-use crate::desc::target::{Chip, Constants, Target};
+use crate::desc::target::{Chip, Constant, Constants, Target};
 use crate::report::inspect::{Findings, FindingsTable};
 
 fn limits_table(chip: &Chip) -> FindingsTable {
     let row = |(name, value): (String, Value)| {
         let origin = chip.limit_sources.iter().find(|entry| entry.limit.value == name);
         let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
-        vec![json!(name), value, json!(status), json!(source)]
+        json!([name, value, status, source])
     };
-    let rows = match json!(chip.limits) {
-        Value::Object(map) => map.into_iter().map(row).collect(),
-        _ => Vec::new(),
+    let limits = match json!(chip.limits) {
+        Value::Object(limits) => limits,
+        _ => Map::new(),
     };
-    FindingsTable { key: "limits", columns: &["limit", "value", "status", "source"], rows }
+    FindingsTable::new("limits", &["limit", "value", "status", "source"], limits.into_iter().map(row))
 }
 
 fn constants_table(presets: &[Constants]) -> FindingsTable {
     let mut rows = Vec::new();
     for preset in presets {
-        let mut add = |name: String, constant: &crate::desc::target::Constant| {
-            rows.push(vec![
-                json!(preset.name),
-                json!(name),
-                json!(constant.value.value),
-                json!(constant.unit),
-                json!(constant.status),
-                json!(constant.source),
-            ]);
+        let mut add = |name: String, constant: &Constant| {
+            let Constant { value, unit, status, source } = constant;
+            rows.push(json!([preset.name, name, value.value, unit, status, source]));
         };
         for (name, constant) in preset.list() {
             add(name.to_string(), constant);
@@ -42,7 +36,7 @@ fn constants_table(presets: &[Constants]) -> FindingsTable {
             add(format!("barrier, {} tiles", entry.tiles), &entry.time);
         }
     }
-    FindingsTable { key: "constants", columns: &["preset", "name", "value", "unit", "status", "source"], rows }
+    FindingsTable::new("constants", &["preset", "name", "value", "unit", "status", "source"], rows)
 }
 
 fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {

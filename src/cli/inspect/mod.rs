@@ -18,7 +18,7 @@ use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cost::baseline::{Baseline, SHIPPED};
-use crate::desc::mapping::{MappingFile, PrunedFile};
+use crate::desc::mapping::{MappingFile, PrunedFile, Run};
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
@@ -49,7 +49,12 @@ pub struct Args {
 /// When the file cannot be read, or its kind is not known.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let findings = inspect(&args.file)?;
-    output::print(context.format, || findings.text(&args.file), || findings.json(&args.file), || findings.csv())?;
+    output::print(
+        context.format,
+        || findings.text(&args.file),
+        || findings.json("nsim.inspect/1", &args.file),
+        || findings.csv(),
+    )?;
     Ok(Answer::Yes)
 }
 
@@ -118,43 +123,26 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
 }
 
 fn mapping_findings(mapping: &MappingFile) -> Findings {
-    let rows = mapping
-        .cores
-        .iter()
-        .map(|core| {
-            let compartments: u64 = core.holds.iter().map(|run| u64::from(run.count)).sum();
-            let holds: Vec<String> = core
-                .holds
-                .iter()
-                .map(|run| {
-                    format!("{}[{}..{}]", run.population, run.first, u64::from(run.first) + u64::from(run.count))
-                })
-                .collect();
-            vec![
-                json!(core.chip),
-                json!(core.x),
-                json!(core.y),
-                json!(core.core),
-                json!(compartments),
-                json!(holds.join(" ")),
-            ]
-        })
-        .collect();
+    let rows = mapping.cores.iter().map(|core| {
+        let compartments: u64 = core.holds.iter().map(|run| u64::from(run.count)).sum();
+        let run =
+            |run: &Run| format!("{}[{}..{}]", run.population, run.first, u64::from(run.first) + u64::from(run.count));
+        let holds: Vec<String> = core.holds.iter().map(run).collect();
+        json!([core.chip, core.x, core.y, core.core, compartments, holds.join(" ")])
+    });
     let boxed = mapping.layers.iter().map(|layer| {
         let chips: BTreeSet<u32> = layer.places.iter().map(|on| on.chip).collect();
         let (channels, rows, columns) = layer.size;
-        vec![
-            json!(layer.population),
-            json!(format!("{channels} x {rows} x {columns}")),
-            json!(layer.places().count()),
-            json!(chips.len()),
-        ]
+        let size = format!("{channels} x {rows} x {columns}");
+        json!([layer.population, size, layer.places().count(), chips.len()])
     });
-    let boxes =
-        FindingsTable { key: "layers", columns: &["population", "box", "cores", "chips"], rows: boxed.collect() };
     let chips: BTreeSet<u32> =
         mapping.cores.iter().map(|core| core.chip).chain(mapping.places().map(|(chip, _)| chip)).collect();
-    let listed = FindingsTable { key: "cores", columns: &["chip", "x", "y", "core", "compartments", "holds"], rows };
+    let table = if mapping.layers.is_empty() {
+        FindingsTable::new("cores", &["chip", "x", "y", "core", "compartments", "holds"], rows)
+    } else {
+        FindingsTable::new("layers", &["population", "box", "cores", "chips"], boxed)
+    };
     Findings {
         kind: "mapping",
         facts: vec![
@@ -167,7 +155,7 @@ fn mapping_findings(mapping: &MappingFile) -> Findings {
             ("cores_used", json!(mapping.cores.len() + mapping.places().count())),
             ("chips_used", json!(chips.len())),
         ],
-        tables: if mapping.layers.is_empty() { vec![listed] } else { vec![boxes] },
+        tables: vec![table],
     }
 }
 
@@ -185,14 +173,11 @@ fn labels_table(labels: impl Iterator<Item = Option<u32>>, names: &[String]) -> 
     for label in labels {
         *counts.entry(label).or_default() += 1;
     }
-    let rows = counts
-        .into_iter()
-        .map(|(label, count)| {
-            let name = label.and_then(|label| names.get(label as usize));
-            vec![json!(label), json!(name), json!(count)]
-        })
-        .collect();
-    FindingsTable { key: "labels", columns: &["label", "class", "samples"], rows }
+    let row = |(label, count): (Option<u32>, u64)| {
+        let name = label.and_then(|label| names.get(label as usize));
+        json!([label, name, count])
+    };
+    FindingsTable::new("labels", &["label", "class", "samples"], counts.into_iter().map(row))
 }
 
 fn dataset_findings(manifest: &spikes::Manifest) -> Findings {
@@ -244,11 +229,11 @@ fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {
 
 fn inspect_safetensors(path: &Path) -> Result<Findings, Diagnostic> {
     let entries = safetensors::open(path)?.entries()?;
-    let rows = entries.iter().map(|entry| vec![json!(entry.key), json!(entry.dtype), json!(entry.shape)]).collect();
+    let rows = entries.iter().map(|entry| json!([entry.key, entry.dtype, entry.shape]));
     Ok(Findings {
         kind: "safetensors",
         facts: vec![("tensor_count", json!(entries.len()))],
-        tables: vec![FindingsTable { key: "tensors", columns: &["key", "dtype", "shape"], rows }],
+        tables: vec![FindingsTable::new("tensors", &["key", "dtype", "shape"], rows)],
     })
 }
 
@@ -321,7 +306,7 @@ mod tests {
     }
 
     fn object(findings: &Findings) -> Value {
-        findings.json("f")
+        findings.json("nsim.inspect/1", "f")
     }
 
     const MODEL: &str = r#"/* a */ // b

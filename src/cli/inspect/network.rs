@@ -70,7 +70,7 @@ fn synapses(network: &Network, projection: &ProjectionDesc) -> Option<u64> {
 
 pub(super) fn network_findings(network: &Network) -> Findings {
     let file = network.file();
-    let populations = file
+    let populations: Vec<Value> = file
         .populations
         .iter()
         .map(|population| {
@@ -93,10 +93,10 @@ pub(super) fn network_findings(network: &Network) -> Findings {
                 }
             };
             let shape = &desc.shape().value;
-            vec![json!(desc.name().value), json!(kind), json!(shape), json!(units_of(shape)), json!(parameters)]
+            json!([desc.name().value, kind, shape, units_of(shape), parameters])
         })
         .collect();
-    let projections: Vec<Vec<Value>> = file
+    let projections: Vec<Value> = file
         .projections
         .iter()
         .map(|projection| {
@@ -111,13 +111,7 @@ pub(super) fn network_findings(network: &Network) -> Findings {
             let ends = desc.synapse();
             let from: Vec<&str> = ends.from.iter().map(|name| name.value.as_str()).collect();
             let delay = ends.delay.map_or(0, |delay| delay.value);
-            vec![
-                json!(from.join(" + ")),
-                json!(ends.to.value),
-                json!(kind),
-                json!(synapses(network, desc)),
-                json!(delay),
-            ]
+            json!([from.join(" + "), ends.to.value, kind, synapses(network, desc), delay])
         })
         .collect();
     let together = projections.iter().map(|row| row[3].as_u64()).try_fold(0u64, |sum, n| sum.checked_add(n?));
@@ -136,16 +130,8 @@ pub(super) fn network_findings(network: &Network) -> Findings {
             ("provenance", json!(file.provenance)),
         ],
         tables: vec![
-            FindingsTable {
-                key: "populations",
-                columns: &["name", "kind", "shape", "units", "parameters"],
-                rows: populations,
-            },
-            FindingsTable {
-                key: "projections",
-                columns: &["from", "to", "kind", "synapses", "delay"],
-                rows: projections,
-            },
+            FindingsTable::new("populations", &["name", "kind", "shape", "units", "parameters"], populations),
+            FindingsTable::new("projections", &["from", "to", "kind", "synapses", "delay"], projections),
         ],
     }
 }
