@@ -20,6 +20,7 @@ use crate::reference::kernel::{Alpha, EPSILON};
 use crate::reference::synapses::Synapses;
 
 use super::trace::{Layer, Trace};
+use crate::base::names::named_variants;
 
 /// Something in which the machine differs from the trained network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -40,32 +41,15 @@ pub enum Cause {
     State,
 }
 
-impl Cause {
-    /// Every cause in the order of the ladder.
-    pub const ALL: [Cause; 7] = [
-        Cause::Untruncated,
-        Cause::Kernel,
-        Cause::HardReset,
-        Cause::Decays,
-        Cause::Calibration,
-        Cause::Weights,
-        Cause::State,
-    ];
-
-    /// Its name in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Cause::Untruncated => "exact-kernel",
-            Cause::Kernel => "cuba-kernel",
-            Cause::HardReset => "hard-reset",
-            Cause::Decays => "quantised-decays",
-            Cause::Calibration => "calibration",
-            Cause::Weights => "quantised-weights",
-            Cause::State => "integer-state",
-        }
-    }
-}
+named_variants!(Cause {
+    Untruncated = "exact-kernel",
+    Kernel = "cuba-kernel",
+    HardReset = "hard-reset",
+    Decays = "quantised-decays",
+    Calibration = "calibration",
+    Weights = "quantised-weights",
+    State = "integer-state",
+});
 
 /// Which causes are switched on.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -7,5 +7,6 @@ pub mod diagnostic;
 pub mod fixed;
 pub mod folds;
 pub mod id;
+pub(crate) mod names;
 pub mod rng;
 pub mod units;

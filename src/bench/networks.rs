@@ -19,6 +19,7 @@ use crate::base::fixed::{
     Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
 };
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
+use crate::base::names::named_variants;
 use crate::base::rng;
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::graph::{PerCompartment, Shape};
@@ -67,28 +68,15 @@ pub struct BenchNetwork {
     pub target: &'static str,
 }
 
+named_variants!(StandardNetwork {
+    VtSnn1Pct = "vtsnn-1pct",
+    VtSnn5Pct = "vtsnn-5pct",
+    Random32k = "random-32k",
+    Random1m = "random-1m",
+    Silent1m = "silent-1m",
+});
+
 impl StandardNetwork {
-    /// Every standard network.
-    pub const ALL: [StandardNetwork; 5] = [
-        StandardNetwork::VtSnn1Pct,
-        StandardNetwork::VtSnn5Pct,
-        StandardNetwork::Random32k,
-        StandardNetwork::Random1m,
-        StandardNetwork::Silent1m,
-    ];
-
-    /// Its name in arguments and results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            StandardNetwork::VtSnn1Pct => "vtsnn-1pct",
-            StandardNetwork::VtSnn5Pct => "vtsnn-5pct",
-            StandardNetwork::Random32k => "random-32k",
-            StandardNetwork::Random1m => "random-1m",
-            StandardNetwork::Silent1m => "silent-1m",
-        }
-    }
-
     /// The network of a name.
     #[must_use]
     pub fn named(name: &str) -> Option<StandardNetwork> {

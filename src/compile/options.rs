@@ -1,5 +1,7 @@
 //! What the caller decides about a mapping: copies, strategy, objective, seed, effort.
 
+use crate::base::names::named_variants;
+
 /// Spikes of a source in a step, when nothing is known: one in 100 steps.
 pub const DEFAULT_RATE: f64 = 0.01;
 /// The effort of a mapping unless another is given, in seconds.
@@ -17,20 +19,7 @@ pub enum Objective {
     Latency,
 }
 
-impl Objective {
-    /// Every objective.
-    pub const ALL: [Objective; 3] = [Objective::Cores, Objective::Energy, Objective::Latency];
-
-    /// Its name on the command line and in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Objective::Cores => "cores",
-            Objective::Energy => "energy",
-            Objective::Latency => "latency",
-        }
-    }
-}
+named_variants!(Objective { Cores = "cores", Energy = "energy", Latency = "latency" });
 
 /// How compartments are grouped into cores.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
@@ -45,20 +34,7 @@ pub enum Strategy {
     Multilevel,
 }
 
-impl Strategy {
-    /// Every strategy.
-    pub const ALL: [Strategy; 3] = [Strategy::Sequential, Strategy::Greedy, Strategy::Multilevel];
-
-    /// Its name on the command line and in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Strategy::Sequential => "sequential",
-            Strategy::Greedy => "greedy",
-            Strategy::Multilevel => "multilevel",
-        }
-    }
-}
+named_variants!(Strategy { Sequential = "sequential", Greedy = "greedy", Multilevel = "multilevel" });
 
 /// How to compile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
+use crate::base::names::named_variants;
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
@@ -46,19 +47,13 @@ pub enum FigureSource {
     Assumed,
 }
 
-impl FigureSource {
-    /// As it is printed.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            FigureSource::Simulated => "simulated",
-            FigureSource::Measured => "measured",
-            FigureSource::Published => "published",
-            FigureSource::Modelled => "modelled",
-            FigureSource::Assumed => "assumed",
-        }
-    }
-}
+named_variants!(FigureSource {
+    Simulated = "simulated",
+    Measured = "measured",
+    Published = "published",
+    Modelled = "modelled",
+    Assumed = "assumed",
+});
 
 /// One end of the range of a row's figures over the presets.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

@@ -14,6 +14,7 @@ use std::collections::BinaryHeap;
 
 use crate::base::csr::Csr;
 use crate::base::id::{CoreId, Id};
+use crate::base::names::named_variants;
 use crate::base::units::Picoseconds;
 use crate::cost::constants::CostTable;
 use crate::cost::model::{StepTime, core_time, route_time, times};
@@ -32,19 +33,7 @@ pub enum Transport {
     Queued,
 }
 
-impl Transport {
-    /// Both, the faster first.
-    pub const ALL: [Transport; 2] = [Transport::Analytic, Transport::Queued];
-
-    /// As it is typed and printed.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Transport::Analytic => "analytic",
-            Transport::Queued => "queued",
-        }
-    }
-}
+named_variants!(Transport { Analytic = "analytic", Queued = "queued" });
 
 /// A link in one direction, or a sender's link into its router.
 type Link = u32;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Deserializer};
 
 use super::lists::{Triple, blank, numbers, triples};
 use super::neurons::NeuronKind;
-use super::spanned::{Shape, Spanned, list_at, parse_blanked, parse_shape, raw, refuse, shape_of};
+use super::spanned::{Shape, Spanned, list_at, parse_at, parse_blanked, raw, refuse, shape_of};
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::base::fixed::SignMode;
@@ -105,7 +105,7 @@ impl<'de> Deserialize<'de> for Weights {
         let (shape, span) = shape_of(deserializer)?;
         let source = match shape {
             Shape::List => in_place(span)?,
-            Shape::Named(text) => parse_shape::<NamedSource, _>(text, span)?.into(),
+            Shape::Named(text) => parse_at::<NamedSource, _>(text, span)?.into(),
             Shape::Number(_) => {
                 return refuse(span, "weights are a list of rows or a source such as Npy(\"file.npy\")");
             }
@@ -138,7 +138,7 @@ impl<'de> Deserialize<'de> for Parameter {
         let value = match shape {
             Shape::Number(x) => ParameterValue::Same(x),
             Shape::List => ParameterValue::Each(in_place(span)?),
-            Shape::Named(text) => ParameterValue::Each(parse_shape::<NamedSource, _>(text, span)?.into()),
+            Shape::Named(text) => ParameterValue::Each(parse_at::<NamedSource, _>(text, span)?.into()),
         };
         Ok(Parameter { value, span })
     }

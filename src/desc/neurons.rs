@@ -7,11 +7,13 @@
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Field, Refractory, ThresholdMantissa, VmaxExponent, VminExponent,
 };
+use crate::base::names::named_variants;
 
 /// A kind of neuron with integer state.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum NeuronKind {
     /// A compartment of Loihi 1: decaying current and voltage.
+    #[default]
     Loihi,
     /// Integrate-and-fire: no memory in the current, no leak of the voltage.
     If,
@@ -76,19 +78,9 @@ const REFRACTORY: ParameterField = optional("refractory", Refractory::FIELD, 1);
 const VMIN: ParameterField = optional("vmin_exp", VminExponent::FIELD, 23);
 const VMAX: ParameterField = optional("vmax_exp", VmaxExponent::FIELD, 7);
 
+named_variants!(NeuronKind { Loihi = "Loihi", If = "If" });
+
 impl NeuronKind {
-    /// Every kind.
-    pub const ALL: [NeuronKind; 2] = [NeuronKind::Loihi, NeuronKind::If];
-
-    /// Its name in model files.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            NeuronKind::Loihi => "Loihi",
-            NeuronKind::If => "If",
-        }
-    }
-
     /// Its parameters, in the order in which they are written.
     #[must_use]
     pub const fn parameters(self) -> &'static [ParameterField] {

@@ -85,7 +85,8 @@ fn offset_of(text: &str, position: ron::error::Position) -> usize {
     text.len()
 }
 
-fn nested<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
+/// Parses the text of a value that stands at `span`, such as that of a [`Shape`].
+pub(crate) fn parse_at<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
     options().from_str(text).map_err(|error| {
         if INNERMOST.get().is_none() {
             let start = span.start + offset_of(text, error.span.start);
@@ -113,8 +114,8 @@ fn message_for<T>(error: &ron::Error, text: &str) -> String {
     }
 }
 
-/// Fails at this place.
-fn fail<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> Result<T, E> {
+/// Fails at this place, while parsing.
+pub(crate) fn refuse<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> Result<T, E> {
     if INNERMOST.get().is_none() {
         INNERMOST.set(Some(span));
     }
@@ -124,7 +125,7 @@ fn fail<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> 
 impl<'de, T: DeserializeOwned> Deserialize<'de> for Spanned<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let (text, span) = place_of(<&RawValue>::deserialize(deserializer)?);
-        Ok(Spanned { value: nested(text, span)?, span })
+        Ok(Spanned { value: parse_at(text, span)?, span })
     }
 }
 
@@ -154,18 +155,13 @@ pub(crate) fn shape_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Sh
     let (text, span) = raw(deserializer)?;
     let shape = match text.chars().next() {
         Some('[') => Shape::List,
-        Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => Shape::Number(nested(text, span)?),
+        Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => Shape::Number(parse_at(text, span)?),
         Some(c) if c.is_ascii_alphabetic() && !text.starts_with("inf") && !text.starts_with("NaN") => {
             Shape::Named(text)
         }
-        _ => return fail(span, "expected a number, a list, or a source such as Npy(\"file.npy\")"),
+        _ => return refuse(span, "expected a number, a list, or a source such as Npy(\"file.npy\")"),
     };
     Ok((shape, span))
-}
-
-/// Parses the text of a [`Shape`].
-pub(crate) fn parse_shape<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
-    nested(text, span)
 }
 
 /// Reads a list from the original text.
@@ -214,11 +210,6 @@ fn plain(error: &ron::Error) -> String {
         message.push_str(" ...");
     }
     message
-}
-
-/// An error for a value that is out of its range, raised while parsing.
-pub(crate) fn refuse<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> Result<T, E> {
-    fail(span, message)
 }
 
 /// The name in front of the first bracket of a RON text, past comments and attributes.

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::resource::{Limits, Resource};
 use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
+use crate::base::names::named_variants;
 
 /// How far a constant can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -25,17 +26,7 @@ pub enum Status {
     Assumed,
 }
 
-impl Status {
-    /// As files write it.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Status::Published => "published",
-            Status::Calibrated => "calibrated",
-            Status::Assumed => "assumed",
-        }
-    }
-}
+named_variants!(Status { Published = "published", Calibrated = "calibrated", Assumed = "assumed" });
 
 /// The unit of a constant as it is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]

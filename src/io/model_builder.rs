@@ -68,7 +68,7 @@ impl Parameter {
 }
 
 /// A population that is being built.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct PopulationBuilder {
     /// Its name.
     pub name: String,
@@ -88,14 +88,7 @@ impl PopulationBuilder {
     /// Channels that a stimulus drives.
     #[must_use]
     pub fn input(name: &str, shape: Vec<u64>) -> Self {
-        PopulationBuilder {
-            name: name.to_string(),
-            shape,
-            kind: NeuronKind::Loihi,
-            loihi: None,
-            srm: None,
-            start_step: 0,
-        }
+        PopulationBuilder { name: name.to_string(), shape, ..PopulationBuilder::default() }
     }
 
     /// Compartments with these parameters.
@@ -189,7 +182,7 @@ impl ProjectionBuilder {
 }
 
 /// A model that is being built.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct ModelBuilder {
     /// The network's name.
     pub name: String,
@@ -221,20 +214,7 @@ impl ModelBuilder {
     /// A network without populations.
     #[must_use]
     pub fn new(name: &str, timestep_ms: f64) -> Self {
-        ModelBuilder {
-            name: name.to_string(),
-            timestep_ms,
-            populations: Vec::new(),
-            projections: Vec::new(),
-            output: String::new(),
-            classes: Vec::new(),
-            reset: None,
-            threshold: ThresholdTest::Strict,
-            semantics: Semantics::Hardware,
-            weight_rounding: WeightRounding::Even,
-            scene: None,
-            provenance: None,
-        }
+        ModelBuilder { name: name.to_string(), timestep_ms, ..ModelBuilder::default() }
     }
 
     /// A model that was read, with its arrays in full.
@@ -347,20 +327,15 @@ impl ModelBuilder {
         if let Some(reset) = self.reset {
             let _ = writeln!(out, "    reset: (interval: {}, offset: {}),", reset.interval, reset.offset);
         }
-        if self.threshold != ThresholdTest::Strict {
-            let _ = writeln!(out, "    threshold: {:?},", self.threshold);
-        }
-        if self.semantics != Semantics::Hardware {
-            let _ = writeln!(out, "    semantics: {:?},", self.semantics);
-        }
-        if self.weight_rounding != WeightRounding::Even {
-            let _ = writeln!(out, "    weight_rounding: {:?},", self.weight_rounding);
-        }
-        if let Some(scene) = &self.scene {
-            let _ = writeln!(out, "    scene: {},", quoted(scene));
-        }
-        if let Some(provenance) = &self.provenance {
-            let _ = writeln!(out, "    provenance: {},", quoted(provenance));
+        let settings = [
+            ("threshold", unless_default(&self.threshold)),
+            ("semantics", unless_default(&self.semantics)),
+            ("weight_rounding", unless_default(&self.weight_rounding)),
+            ("scene", self.scene.as_deref().map(quoted)),
+            ("provenance", self.provenance.as_deref().map(quoted)),
+        ];
+        for (key, value) in settings.into_iter().filter_map(|(key, value)| Some((key, value?))) {
+            let _ = writeln!(out, "    {key}: {value},");
         }
         out.push_str(")\n");
         (out, writer.arrays)
@@ -485,6 +460,11 @@ fn number(x: f64) -> String {
     }
 }
 
+/// A setting as it is written, unless it is what a file without it means.
+fn unless_default<T: Default + PartialEq + std::fmt::Debug>(value: &T) -> Option<String> {
+    (*value != T::default()).then(|| format!("{value:?}"))
+}
+
 fn list(values: &[f64]) -> String {
     format!("[{}]", values.iter().map(|&value| number(value)).collect::<Vec<_>>().join(", "))
 }
@@ -509,26 +489,16 @@ impl Writer<'_> {
     }
 
     fn population(&mut self, population: &PopulationBuilder, out: &mut String) {
-        if let Some(parameters) = population.srm {
-            let _ = write!(out, "        Srm(name: {}, shape: {:?}", quoted(&population.name), population.shape);
-            for (key, value) in parameters {
-                let _ = write!(out, ", {key}: {}", number(value));
-            }
-            out.push_str("),\n");
-            return;
-        }
-        let Some(parameters) = &population.loihi else {
-            let _ = writeln!(out, "        Input(name: {}, shape: {:?}),", quoted(&population.name), population.shape);
-            return;
+        let kind = match (population.srm, &population.loihi) {
+            (Some(_), _) => "Srm",
+            (None, Some(_)) => population.kind.name(),
+            (None, None) => "Input",
         };
-        let _ = write!(
-            out,
-            "        {}(name: {}, shape: {:?}",
-            population.kind.name(),
-            quoted(&population.name),
-            population.shape
-        );
-        for (key, value) in parameters {
+        let _ = write!(out, "        {kind}(name: {}, shape: {:?}", quoted(&population.name), population.shape);
+        for (key, value) in population.srm.into_iter().flatten() {
+            let _ = write!(out, ", {key}: {}", number(value));
+        }
+        for (key, value) in population.loihi.iter().flatten() {
             let value = match value {
                 Parameter::Same(value) => number(*value),
                 Parameter::Each(values) if values.len() <= IN_PLACE => list(values),
@@ -580,20 +550,16 @@ impl Writer<'_> {
                 let _ = write!(out, ", kernel: {kernel:?}, stride: {stride:?}, padding: {padding:?}, weight: {weight}");
             }
         }
-        if projection.weight_exp != 0 {
-            let _ = write!(out, ", weight_exp: {}", projection.weight_exp);
-        }
-        if projection.sign != SignMode::Mixed {
-            let _ = write!(out, ", sign: {:?}", projection.sign);
-        }
-        if projection.weight_bits != 8 {
-            let _ = write!(out, ", weight_bits: {}", projection.weight_bits);
-        }
-        if projection.delay != 0 {
-            let _ = write!(out, ", delay: {}", projection.delay);
-        }
-        if let Some(scale) = projection.weight_scale {
-            let _ = write!(out, ", weight_scale: {}", number(scale));
+        let ProjectionBuilder { delay, weight_exp, sign, weight_bits, weight_scale, .. } = projection;
+        let settings = [
+            ("weight_exp", unless_default(weight_exp)),
+            ("sign", (*sign != SignMode::Mixed).then(|| format!("{sign:?}"))),
+            ("weight_bits", (*weight_bits != 8).then(|| weight_bits.to_string())),
+            ("delay", unless_default(delay)),
+            ("weight_scale", weight_scale.map(number)),
+        ];
+        for (key, value) in settings.into_iter().filter_map(|(key, value)| Some((key, value?))) {
+            let _ = write!(out, ", {key}: {value}");
         }
         out.push_str("),\n");
     }

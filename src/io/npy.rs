@@ -115,14 +115,11 @@ fn kind_of(dtype: &DType) -> &'static str {
 fn check_header(path: &Path, bytes: &[u8]) -> Result<usize> {
     let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
     if !bytes.starts_with(NPY_MAGIC) {
-        return match Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY")
-            .in_file(path)
-        {
-            d if bytes.starts_with(b"PK\x03\x04") => {
-                Err(d.help("this is an archive (.npz?); save each array with numpy.save"))
-            }
-            d => Err(d),
-        };
+        let archive =
+            bytes.starts_with(b"PK\x03\x04").then(|| "this is an archive (.npz?); save each array with numpy.save");
+        let mut other = Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY");
+        other.help = archive.map(str::to_string);
+        return Err(other.in_file(path));
     }
     let (length, start) = match *bytes.get(6..).unwrap_or_default() {
         [1, 0, a, b, ..] => (usize::from(u16::from_le_bytes([a, b])), 10),
@@ -321,6 +318,7 @@ impl Array {
 
     /// Calls `f` with every number as an integer of the hardware's width.
     fn each_integer(&self, mut f: impl FnMut(usize, i32) -> Result<()>) -> Result<()> {
+        let narrow = |index, x: i128| i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE));
         match self.element {
             Element::Bool => self.each::<bool>(|index, x| f(index, i32::from(x))),
             Element::I1 => self.each::<i8>(|index, x| f(index, i32::from(x))),
@@ -328,15 +326,9 @@ impl Array {
             Element::I4 => self.each::<i32>(f),
             Element::U1 => self.each::<u8>(|index, x| f(index, i32::from(x))),
             Element::U2 => self.each::<u16>(|index, x| f(index, i32::from(x))),
-            Element::U4 => {
-                self.each::<u32>(|index, x| f(index, i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE))?))
-            }
-            Element::I8 => {
-                self.each::<i64>(|index, x| f(index, i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE))?))
-            }
-            Element::U8 => {
-                self.each::<u64>(|index, x| f(index, i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE))?))
-            }
+            Element::U4 => self.each::<u32>(|index, x| f(index, narrow(index, x.into())?)),
+            Element::I8 => self.each::<i64>(|index, x| f(index, narrow(index, x.into())?)),
+            Element::U8 => self.each::<u64>(|index, x| f(index, narrow(index, x.into())?)),
             Element::F2 | Element::F4 | Element::F8 => Err(self.failed("they are floating-point numbers")),
         }
     }

@@ -29,18 +29,28 @@ macro_rules! shipped {
     };
 }
 
-/// The weights of models that `nsim train` wrote, one file each.
-macro_rules! weights {
+/// Models, and their weights as `nsim train` wrote them: one file each.
+macro_rules! models {
     ($($name:literal),* $(,)?) => {
-        &[$((
+        /// Shipped models.
+        pub const MODELS: &[Shipped] = shipped!("models": $($name),*);
+        /// The arrays that shipped models refer to: path within `models/`, content.
+        pub const ARRAYS: &[(&str, &[u8])] = &[$((
             concat!($name, ".safetensors"),
             include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/", $name, ".safetensors")).as_slice(),
-        )),*]
+        )),*];
     };
 }
 
-/// Shipped models.
-pub const MODELS: &[Shipped] = shipped!("models": "container-tactile", "container-tactile-srm", "slip-tactile", "slip-vision", "vtsnn-container", "vtsnn-slip", "vtsnn-slip-srm");
+models!(
+    "container-tactile",
+    "container-tactile-srm",
+    "slip-tactile",
+    "slip-vision",
+    "vtsnn-container",
+    "vtsnn-slip",
+    "vtsnn-slip-srm",
+);
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
     shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");
@@ -53,17 +63,6 @@ pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-off
 
 /// Shipped scenarios.
 pub const SCENARIOS: &[Shipped] = shipped!("mapping/scenarios": "vtsnn-slip-paper");
-
-/// The arrays that shipped models refer to: path within `models/`, content.
-pub const ARRAYS: &[(&str, &[u8])] = weights!(
-    "container-tactile",
-    "container-tactile-srm",
-    "slip-tactile",
-    "slip-vision",
-    "vtsnn-container",
-    "vtsnn-slip",
-    "vtsnn-slip-srm"
-);
 
 /// Where a text came from, which decides where the files that it names are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -53,19 +53,24 @@ impl Trace<'_> {
         })
     }
 
+    /// Refuses what a file that is made in memory does not take.
+    fn check_size(&self, format: &str) -> Result<()> {
+        let [samples, units, steps] = self.shape;
+        if samples * units * steps <= MOST_GRIDDED {
+            return Ok(());
+        }
+        let message =
+            format!("{samples} x {units} x {steps} numbers are more than a {format} file takes, {MOST_GRIDDED}");
+        Err(Diagnostic::new("write.too-large", message).help("choose fewer --samples, or --probe-format npy"))
+    }
+
     /// Writes a file of NIR data, with the population as its node and the register as its observable.
     ///
     /// # Errors
     /// `write.too-large` beyond 2^26 numbers; as [`write::file`].
     pub fn nir(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
+        self.check_size("NIR")?;
         let [samples, units, steps] = self.shape;
-        if samples * units * steps > MOST_GRIDDED {
-            let message =
-                format!("{samples} x {units} x {steps} numbers are more than a NIR file takes, {MOST_GRIDDED}");
-            return Err(
-                Diagnostic::new("write.too-large", message).help("choose fewer --samples, or --probe-format npy")
-            );
-        }
         let data = if self.register == "spikes" {
             let mut events = vec![Vec::new(); samples];
             for (at, _) in numbers.enumerate().filter(|(_, number)| *number != 0.0) {
@@ -94,14 +99,8 @@ impl Trace<'_> {
     /// `write.too-large` beyond 2^26 numbers; as [`write::file`].
     #[cfg(feature = "parquet")]
     pub fn parquet(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
-        let [samples, units, steps] = self.shape;
-        if samples * units * steps > MOST_GRIDDED {
-            let message =
-                format!("{samples} x {units} x {steps} numbers are more than a Parquet file takes, {MOST_GRIDDED}");
-            return Err(
-                Diagnostic::new("write.too-large", message).help("choose fewer --samples, or --probe-format npy")
-            );
-        }
+        self.check_size("Parquet")?;
+        let [_, units, steps] = self.shape;
         let spikes = self.register == "spikes";
         let (mut places, mut values) = ([Vec::new(), Vec::new(), Vec::new()], Vec::new());
         for (at, number) in numbers.enumerate().filter(|(_, number)| !spikes || *number != 0.0) {

@@ -1,5 +1,7 @@
 //! What pruning left out of a network, and why.
 
+use crate::base::names::named_variants;
+
 /// Why something was left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
@@ -15,23 +17,13 @@ pub enum Kind {
     LooseSynapse,
 }
 
-impl Kind {
-    /// Every kind, in the order of results.
-    pub const ALL: [Kind; 5] =
-        [Kind::DeadInput, Kind::ZeroSynapse, Kind::SilentCompartment, Kind::UnreachableCompartment, Kind::LooseSynapse];
-
-    /// Its name in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Kind::DeadInput => "dead_input",
-            Kind::ZeroSynapse => "zero_synapse",
-            Kind::SilentCompartment => "silent_compartment",
-            Kind::UnreachableCompartment => "unreachable_compartment",
-            Kind::LooseSynapse => "loose_synapse",
-        }
-    }
-}
+named_variants!(Kind {
+    DeadInput = "dead_input",
+    ZeroSynapse = "zero_synapse",
+    SilentCompartment = "silent_compartment",
+    UnreachableCompartment = "unreachable_compartment",
+    LooseSynapse = "loose_synapse",
+});
 
 /// How many of a kind were left out, and where.
 #[derive(Debug, Clone, PartialEq, Eq)]

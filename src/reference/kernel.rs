@@ -7,6 +7,8 @@
 //! One timestep takes `k exp(-k dt / tau)` to `(k + 1) exp(-(k + 1) dt / tau)`, so that two coupled decays give the kernel
 //! exactly: [`Alpha::decay`] and [`Alpha::gain`] are what they need.
 
+use crate::base::names::named_variants;
+
 /// How a kernel is applied.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Kernel {
@@ -17,16 +19,7 @@ pub enum Kernel {
     Truncated,
 }
 
-impl Kernel {
-    /// Its name on the command line and in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Kernel::Exact => "exact",
-            Kernel::Truncated => "truncated",
-        }
-    }
-}
+named_variants!(Kernel { Exact = "exact", Truncated = "truncated" });
 
 /// Below this SLAYER cuts a kernel, its factor included (slayerPytorch `src/slayer.py`, `_calculateAlphaKernel`; with
 /// `fullRefKernel`, which is off by default, it keeps the refractory kernel to 0.0001).

@@ -67,6 +67,11 @@ enum Unbuildable {
     Compile(#[from] CompileError),
 }
 
+/// What is wrong with a case that cannot be built.
+fn fault(error: &dyn std::fmt::Display) -> (u64, String) {
+    (0, format!("the case cannot be built: {error}"))
+}
+
 impl Plan {
     fn network(&self) -> Result<Quantised, Unbuildable> {
         let neuron = |p: &Parameters| {
@@ -133,9 +138,27 @@ impl Plan {
         Ok((network, compiled.program))
     }
 
+    /// The outcome of a case that reaches its edge when `met` says so.
+    fn outcome(
+        &self,
+        target: &Target,
+        steps: u32,
+        drive: impl Fn(u32) -> Vec<u32>,
+        met: impl Fn(&Seen) -> bool,
+    ) -> Outcome {
+        let seen = self.run(target, steps, drive)?;
+        let Seen { spikes, q_wrapped, u_wrapped, v_clipped, .. } = seen;
+        let detail = format!(
+            "{spikes} spikes; {q_wrapped} accumulators and {u_wrapped} currents wrapped, {v_clipped} voltages clipped, as counted by all"
+        );
+        match met(&seen) {
+            true => Ok((steps.into(), detail)),
+            false => Err((steps.into(), format!("the edge was not met: {detail}"))),
+        }
+    }
+
     /// Runs the three over so many steps and compares everything in each.
     fn run(&self, target: &Target, steps: u32, drive: impl Fn(u32) -> Vec<u32>) -> Result<Seen, (u64, String)> {
-        let fault = |error: &dyn std::fmt::Display| (0, format!("the case cannot be built: {error}"));
         let (network, program) = self.program(target).map_err(|e| fault(&e))?;
         let image = Image::new(&program, 1).map_err(|e| fault(&e))?;
         let machine = |skip| Machine::new(&image, Settings { skip, per_step: false });
@@ -205,17 +228,6 @@ fn send(coming: &mut HashMap<(u32, usize), i128>, link: &Link, source: usize, st
     }
 }
 
-fn done(steps: u32, seen: &Seen, met: bool) -> Outcome {
-    let Seen { spikes, q_wrapped, u_wrapped, v_clipped, .. } = seen;
-    let detail = format!(
-        "{spikes} spikes; {q_wrapped} accumulators and {u_wrapped} currents wrapped, {v_clipped} voltages clipped, as counted by all"
-    );
-    match met {
-        true => Ok((steps.into(), detail)),
-        false => Err((steps.into(), format!("the edge was not met: {detail}"))),
-    }
-}
-
 /// Every channel with the same weight to every compartment.
 fn uniform(channels: u32, targets: usize, weight: i16, exponent: i32) -> Link {
     Link { recurrent: false, weights: vec![vec![weight; targets]; channels as usize], exponent, delay: 0 }
@@ -233,7 +245,7 @@ fn noise(channels: u32, seed: u64, chance: f64) -> impl Fn(u32) -> Vec<u32> {
     move |step| (0..channels).filter(|&c| rng::unit(seed, c.into(), step.into()) < chance).collect()
 }
 
-fn fan_in(target: &Target, weight: i16) -> Outcome {
+pub(super) fn fan_in(target: &Target, weight: i16) -> Outcome {
     const AXONS: u32 = 4096;
     // Of 4,096 equal weights the sum is a multiple of the accumulator's period for -256; fewer axons show the rest of the way.
     let drive = |step: u32| match step % 3 {
@@ -246,16 +258,7 @@ fn fan_in(target: &Target, weight: i16) -> Outcome {
         neurons: vec![PLAIN, Parameters { du: 4096, dv: 0, vth: 131_071, ..PLAIN }],
         links: vec![uniform(AXONS, 2, weight, 0)],
     };
-    let seen = plan.run(target, 96, drive)?;
-    done(96, &seen, seen.q_wrapped > 32)
-}
-
-pub(super) fn fan_in_negative(target: &Target) -> Outcome {
-    fan_in(target, -256)
-}
-
-pub(super) fn fan_in_positive(target: &Target) -> Outcome {
-    fan_in(target, 254)
+    plan.outcome(target, 96, drive, |seen| seen.q_wrapped > 32)
 }
 
 fn exponent(target: &Target, exponent: i32, met: fn(&Seen) -> bool) -> Outcome {
@@ -266,8 +269,7 @@ fn exponent(target: &Target, exponent: i32, met: fn(&Seen) -> bool) -> Outcome {
         neurons: vec![PLAIN, Parameters { du: 1, dv: 4095, vth: 0, ..PLAIN }],
         links: vec![Link { recurrent: false, weights, exponent, delay: 0 }],
     };
-    let seen = plan.run(target, 600, noise(256, 3, 0.2))?;
-    done(600, &seen, met(&seen))
+    plan.outcome(target, 600, noise(256, 3, 0.2), met)
 }
 
 pub(super) fn exponent_least(target: &Target) -> Outcome {
@@ -290,8 +292,7 @@ pub(super) fn decays(target: &Target) -> Outcome {
             delay: 0,
         }],
     };
-    let seen = plan.run(target, 2000, noise(8, 5, 0.3))?;
-    done(2000, &seen, seen.spikes > 0)
+    plan.outcome(target, 2000, noise(8, 5, 0.3), |seen| seen.spikes > 0)
 }
 
 pub(super) fn thresholds(target: &Target) -> Outcome {
@@ -304,8 +305,7 @@ pub(super) fn thresholds(target: &Target) -> Outcome {
             Link { recurrent: false, weights: vec![vec![254; 4], vec![0; 4]], exponent: 5, delay: 1 },
         ],
     };
-    let seen = plan.run(target, 3000, |step| if step % 5 == 4 { vec![0, 1] } else { vec![0] })?;
-    done(3000, &seen, seen.spikes > 0)
+    plan.outcome(target, 3000, |step| if step % 5 == 4 { vec![0, 1] } else { vec![0] }, |seen| seen.spikes > 0)
 }
 
 pub(super) fn biases(target: &Target) -> Outcome {
@@ -314,35 +314,29 @@ pub(super) fn biases(target: &Target) -> Outcome {
         |&(bias_mant, bias_exp)| [0, 128].map(|dv| Parameters { bias_mant, bias_exp, dv, vth: 131_071, ..PLAIN });
     let plan =
         Plan { channels: 1, neurons: ends.iter().flat_map(neuron).collect(), links: vec![uniform(1, 12, -256, 3)] };
-    let seen = plan.run(target, 2000, |step| if step % 7 == 0 { vec![0] } else { Vec::new() })?;
-    done(2000, &seen, seen.v_clipped > 0 && seen.spikes > 0)
+    plan.outcome(
+        target,
+        2000,
+        |step| if step % 7 == 0 { vec![0] } else { Vec::new() },
+        |seen| seen.v_clipped > 0 && seen.spikes > 0,
+    )
 }
 
 pub(super) fn refractory(target: &Target) -> Outcome {
     let of = |refractory| Parameters { refractory, ..PLAIN };
     let plan = Plan { channels: 1, neurons: [0, 1, 2, 62, 63].map(of).to_vec(), links: vec![uniform(1, 5, 254, 0)] };
-    let seen = plan.run(target, 1000, |_| vec![0])?;
     // One that spikes whenever it may does so 1000, 1000, 500, 17 and 16 times.
-    done(1000, &seen, seen.spikes == 1000 + 1000 + 500 + 17 + 16)
+    plan.outcome(target, 1000, |_| vec![0], |seen| seen.spikes == 1000 + 1000 + 500 + 17 + 16)
 }
 
-fn overflow(target: &Target, weight: i16) -> Outcome {
+pub(super) fn overflow(target: &Target, weight: i16) -> Outcome {
     let of = |du, dv| Parameters { du, dv, vth: 131_071, ..PLAIN };
     let plan = Plan {
         channels: 1,
         neurons: vec![of(0, 4096), of(1, 4096), of(0, 0), of(1, 128)],
         links: vec![uniform(1, 4, weight, 6)],
     };
-    let seen = plan.run(target, 500, |_| vec![0])?;
-    done(500, &seen, seen.u_wrapped > 20)
-}
-
-pub(super) fn overflow_up(target: &Target) -> Outcome {
-    overflow(target, 254)
-}
-
-pub(super) fn overflow_down(target: &Target) -> Outcome {
-    overflow(target, -256)
+    plan.outcome(target, 500, |_| vec![0], |seen| seen.u_wrapped > 20)
 }
 
 pub(super) fn clips(target: &Target) -> Outcome {
@@ -352,8 +346,7 @@ pub(super) fn clips(target: &Target) -> Outcome {
     let count = neurons.len();
     let weights = vec![vec![254; count], vec![-256; count]];
     let plan = Plan { channels: 2, neurons, links: vec![Link { recurrent: false, weights, exponent: 6, delay: 0 }] };
-    let seen = plan.run(target, 400, |step| vec![step / 50 % 2])?;
-    done(400, &seen, seen.v_clipped > 1000)
+    plan.outcome(target, 400, |step| vec![step / 50 % 2], |seen| seen.v_clipped > 1000)
 }
 
 pub(super) fn alternating(target: &Target) -> Outcome {
@@ -364,8 +357,7 @@ pub(super) fn alternating(target: &Target) -> Outcome {
         neurons: every_decay(),
         links: vec![Link { recurrent: false, weights, exponent: 0, delay: 0 }],
     };
-    let seen = plan.run(target, 2000, |step| (step % 2 * 128..step % 2 * 128 + 128).collect())?;
-    done(2000, &seen, seen.spikes > 0)
+    plan.outcome(target, 2000, |step| (step % 2 * 128..step % 2 * 128 + 128).collect(), |seen| seen.spikes > 0)
 }
 
 pub(super) fn delays(target: &Target) -> Outcome {
@@ -376,8 +368,12 @@ pub(super) fn delays(target: &Target) -> Outcome {
         links: vec![all(62, 40, false), all(61, -20, false), all(62, 254, true), all(0, -2, true)],
     };
     // The last spikes' deliveries fall after the end.
-    let seen = plan.run(target, 1000, |step| if step % 61 < 3 || step > 930 { vec![0, 1] } else { Vec::new() })?;
-    done(1000, &seen, seen.spikes > 100)
+    plan.outcome(
+        target,
+        1000,
+        |step| if step % 61 < 3 || step > 930 { vec![0, 1] } else { Vec::new() },
+        |seen| seen.spikes > 100,
+    )
 }
 
 pub(super) fn ten_million(target: &Target) -> Outcome {
@@ -385,7 +381,6 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
     const DRIVE: u64 = 7;
     let p = Parameters { du: 301, dv: 17, vth: 900, bias_mant: -23, bias_exp: 2, refractory: 3, ..PLAIN };
     let plan = Plan { channels: 1, neurons: vec![p], links: vec![uniform(1, 1, 254, 0)] };
-    let fault = |error: &dyn std::fmt::Display| (0, format!("the case cannot be built: {error}"));
     // State and phase of the input decide everything that follows: once both return, the trace is periodic for ever.
     let (mut exact, mut trace, mut met) = (Compartment::default(), Vec::new(), HashMap::new());
     let (before, period) = loop {

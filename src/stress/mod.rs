@@ -12,6 +12,7 @@ mod outcome;
 mod reals;
 
 use outcome::Outcome;
+use reals::{REFRACTORY, RESPONSE, filter};
 
 use crate::desc::target::Target;
 
@@ -49,24 +50,30 @@ impl Case {
 
 /// The whole suite, in the order in which it is reported.
 pub const CASES: [Case; 20] = [
-    Case { name: "fan-in-4096-negative", run: integers::fan_in_negative },
-    Case { name: "fan-in-4096-positive", run: integers::fan_in_positive },
+    Case { name: "fan-in-4096-negative", run: |target| integers::fan_in(target, -256) },
+    Case { name: "fan-in-4096-positive", run: |target| integers::fan_in(target, 254) },
     Case { name: "weight-exponent-least", run: integers::exponent_least },
     Case { name: "weight-exponent-greatest", run: integers::exponent_greatest },
     Case { name: "decays-at-both-ends", run: integers::decays },
     Case { name: "thresholds-at-both-ends", run: integers::thresholds },
     Case { name: "biases-at-both-ends", run: integers::biases },
     Case { name: "refractory-1-and-63", run: integers::refractory },
-    Case { name: "current-overflows-upward", run: integers::overflow_up },
-    Case { name: "current-overflows-downward", run: integers::overflow_down },
+    Case { name: "current-overflows-upward", run: |target| integers::overflow(target, 254) },
+    Case { name: "current-overflows-downward", run: |target| integers::overflow(target, -256) },
     Case { name: "voltage-clips-at-every-limit", run: integers::clips },
     Case { name: "alternating-extremes", run: integers::alternating },
     Case { name: "delays-at-the-ring-s-end", run: integers::delays },
     Case { name: "ten-million-steps", run: integers::ten_million },
-    Case { name: "million-steps-f64", run: reals::million_f64 },
-    Case { name: "million-steps-f32", run: reals::million_f32 },
-    Case { name: "refractory-million-steps-f64", run: reals::refractory_f64 },
-    Case { name: "current-based-million-steps-f64", run: reals::cuba_f64 },
-    Case { name: "denormals-f64", run: reals::denormals_f64 },
-    Case { name: "denormals-f32", run: reals::denormals_f32 },
+    Case { name: "million-steps-f64", run: |_| filter::<f64>(RESPONSE, f64::EPSILON, "alpha kernel, tau 10, f64") },
+    Case {
+        name: "million-steps-f32",
+        run: |_| filter::<f32>(RESPONSE, f32::EPSILON.into(), "alpha kernel, tau 10, f32"),
+    },
+    Case {
+        name: "refractory-million-steps-f64",
+        run: |_| filter::<f64>(REFRACTORY, f64::EPSILON, "refractory kernel, tau 1, peak -20, f64"),
+    },
+    Case { name: "current-based-million-steps-f64", run: |_| reals::cuba_f64() },
+    Case { name: "denormals-f64", run: |_| reals::denormals::<f64>(f64::MIN_POSITIVE, "f64") },
+    Case { name: "denormals-f32", run: |_| reals::denormals::<f32>(f32::MIN_POSITIVE.into(), "f32") },
 ];

@@ -90,31 +90,20 @@ fn taps(alpha: &Alpha) -> Vec<f64> {
     (1..(alpha.tau * TAILS) as u32 + 10).map(|k| alpha.at(k)).collect()
 }
 
-fn filter<F: Real>(alpha: Alpha, unit: f64) -> Growth {
+pub(super) const RESPONSE: Alpha = Alpha { peak: 1.0, tau: 10.0 };
+pub(super) const REFRACTORY: Alpha = Alpha { peak: -20.0, tau: 1.0 };
+
+pub(super) fn filter<F: Real>(alpha: Alpha, epsilon: f64, what: &str) -> Outcome {
     let mut filter = Filter::<F>::new(&alpha, Kernel::Exact, 1);
-    growth(unit, &taps(&alpha), |x| {
+    growth(epsilon / 2.0, &taps(&alpha), |x| {
         let mut out = [F::default()];
         filter.step(&[F::of(x)], &mut out);
         out[0].f64()
     })
+    .verdict(what)
 }
 
-const RESPONSE: Alpha = Alpha { peak: 1.0, tau: 10.0 };
-
-pub(super) fn million_f64(_: &crate::desc::target::Target) -> Outcome {
-    filter::<f64>(RESPONSE, f64::EPSILON / 2.0).verdict("alpha kernel, tau 10, f64")
-}
-
-pub(super) fn million_f32(_: &crate::desc::target::Target) -> Outcome {
-    filter::<f32>(RESPONSE, f64::from(f32::EPSILON) / 2.0).verdict("alpha kernel, tau 10, f32")
-}
-
-pub(super) fn refractory_f64(_: &crate::desc::target::Target) -> Outcome {
-    filter::<f64>(Alpha { peak: -20.0, tau: 1.0 }, f64::EPSILON / 2.0)
-        .verdict("refractory kernel, tau 1, peak -20, f64")
-}
-
-pub(super) fn cuba_f64(_: &crate::desc::target::Target) -> Outcome {
+pub(super) fn cuba_f64() -> Outcome {
     let p = RealForm {
         keep_u: 0.75,
         keep_v: 0.96875,
@@ -138,7 +127,7 @@ pub(super) fn cuba_f64(_: &crate::desc::target::Target) -> Outcome {
 }
 
 /// One arrival, then nothing: the states sink through the denormal numbers to zero and must stay harmless there.
-fn denormals<F: Real>(smallest_normal: f64, what: &str) -> Outcome {
+pub(super) fn denormals<F: Real>(smallest_normal: f64, what: &str) -> Outcome {
     let parameters = srm::Parameters { tau_sr: 10.0, tau_ref: 1.0, scale_ref: 2.0, theta: 10.0 };
     let mut population = Srm::<F>::new(&parameters, Kernel::Exact, 2);
     let (mut spikes, mut denormal, mut last) = (0u64, 0u64, f64::MAX);
@@ -164,12 +153,4 @@ fn denormals<F: Real>(smallest_normal: f64, what: &str) -> Outcome {
         true => Ok((STEPS, detail)),
         false => Err((STEPS, detail)),
     }
-}
-
-pub(super) fn denormals_f64(_: &crate::desc::target::Target) -> Outcome {
-    denormals::<f64>(f64::MIN_POSITIVE, "f64")
-}
-
-pub(super) fn denormals_f32(_: &crate::desc::target::Target) -> Outcome {
-    denormals::<f32>(f32::MIN_POSITIVE.into(), "f32")
 }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::names::named_variants;
 use crate::desc::spanned::Spanned;
 use crate::desc::target::Status;
 
@@ -16,19 +17,7 @@ pub enum Mode {
     Realtime,
 }
 
-impl Mode {
-    /// Both, the default first.
-    pub const ALL: [Mode; 2] = [Mode::Offline, Mode::Realtime];
-
-    /// As it is typed and printed.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Mode::Offline => "offline",
-            Mode::Realtime => "realtime",
-        }
-    }
-}
+named_variants!(Mode { Offline = "offline", Realtime = "realtime" });
 
 /// All-to-all synapses between two populations, by their sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::names::named_variants;
 use crate::desc::spanned::Spanned;
 
 /// What "energy per timestep" and "energy-delay product" mean.
@@ -15,19 +16,7 @@ pub enum Convention {
     Published,
 }
 
-impl Convention {
-    /// Both, the default first.
-    pub const ALL: [Convention; 2] = [Convention::Physical, Convention::Published];
-
-    /// As it is typed and printed.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Convention::Physical => "physical",
-            Convention::Published => "published",
-        }
-    }
-}
+named_variants!(Convention { Physical = "physical", Published = "published" });
 
 /// Numbers of cores of a deployment, all copies together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]

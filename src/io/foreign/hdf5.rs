@@ -82,7 +82,7 @@ impl Numbers {
     /// How many.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.bytes.len() / self.size()
+        self.bytes.len() / self.element.bytes()
     }
 
     /// Whether there is none.
@@ -130,13 +130,9 @@ impl Numbers {
         numbers
     }
 
-    fn size(&self) -> usize {
-        self.element.bytes()
-    }
-
     /// Each number as a real. Integers beyond 2^53 are rounded.
     pub fn reals(&self) -> impl Iterator<Item = f64> + '_ {
-        self.bytes.chunks_exact(self.size()).map(|bytes| self.element.real(bytes))
+        self.bytes.chunks_exact(self.element.bytes()).map(|bytes| self.element.real(bytes))
     }
 }
 
@@ -329,7 +325,7 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Ite
             bytes.chunks_exact_mut(width as usize).for_each(<[u8]>::reverse);
         }
         let numbers = Numbers { shape, element, bytes };
-        if length != Some(numbers.len() as u64) || !numbers.bytes.len().is_multiple_of(numbers.size()) {
+        if length != Some(numbers.len() as u64) || !numbers.bytes.len().is_multiple_of(numbers.element.bytes()) {
             return Err(wrong(budget, &"its bytes do not fill its shape"));
         }
         return Ok(Item::Numbers(numbers));
@@ -367,9 +363,6 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Ite
 /// # Errors
 /// `hdf5.write` for what the format cannot hold.
 pub fn write(root: &Group) -> Result<Vec<u8>> {
-    let failed = |error: &dyn std::fmt::Display| {
-        Diagnostic::new("hdf5.write", format!("the HDF5 file cannot be written: {error}"))
-    };
     let mut file = FileBuilder::new();
     for (name, item) in &root.items {
         match item {
@@ -383,7 +376,7 @@ pub fn write(root: &Group) -> Result<Vec<u8>> {
     for (name, attribute) in &root.attributes {
         file.set_attr(name, attribute.written());
     }
-    file.finish().map_err(|error| failed(&error))
+    file.finish().map_err(|error| Diagnostic::new("hdf5.write", format!("the HDF5 file cannot be written: {error}")))
 }
 
 impl Attribute {

@@ -58,3 +58,8 @@ pub struct Imported {
 pub(super) fn listed(names: &[&str]) -> String {
     if names.is_empty() { "no members".to_string() } else { names.join(", ") }
 }
+
+/// A name that a population may have.
+pub(super) fn population_name(name: &str) -> String {
+    name.chars().map(|c| if c.is_alphanumeric() || c == '_' || c == '-' { c } else { '_' }).collect()
+}

@@ -12,6 +12,8 @@ use std::collections::HashMap;
 
 /// Values, places of the stack and entries of lists that one pickle may have.
 const MOST_VALUES: usize = 1 << 20;
+/// What is wrong with a line that should hold a number.
+const NO_NUMBER: &str = "a number that is none";
 
 /// A value's place in the arena.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -140,6 +142,10 @@ impl<'a> Machine<'a> {
         Ok(array)
     }
 
+    fn size1(&mut self) -> Result<usize> {
+        Ok(u8::from_le_bytes(self.fixed()?).into())
+    }
+
     fn size4(&mut self) -> Result<usize> {
         Ok(u32::from_le_bytes(self.fixed()?) as usize)
     }
@@ -157,11 +163,6 @@ impl<'a> Machine<'a> {
             Ok(line) => Ok(line.trim_end_matches('\r')),
             Err(_) => self.wrong("a line that is not text"),
         }
-    }
-
-    fn text(&mut self, size: usize) -> Result<Value> {
-        let bytes = self.take(size)?;
-        Ok(Value::Text(String::from_utf8_lossy(bytes).into_owned()))
     }
 
     fn push(&mut self, value: Value) -> Result<()> {
@@ -183,10 +184,8 @@ impl<'a> Machine<'a> {
 
     fn pop(&mut self) -> Result<ValueId> {
         let floor = self.marks.last().copied().unwrap_or(0);
-        if self.stack.len() <= floor {
-            return self.wrong("a value is missing");
-        }
-        self.stack.pop().map_or_else(|| self.wrong("a value is missing"), Ok)
+        let above = (self.stack.len() > floor).then(|| self.stack.pop()).flatten();
+        above.map_or_else(|| self.wrong("a value is missing"), Ok)
     }
 
     fn top(&self) -> Result<ValueId> {
@@ -243,10 +242,6 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn key(&mut self) -> Result<u32> {
-        self.line()?.parse().or_else(|_| self.wrong("a number that is none"))
-    }
-
     /// The name at a place, and whether calls of it are data.
     fn name_of(&self, id: ValueId) -> Result<(&str, &str)> {
         match &self.values[id.0 as usize] {
@@ -291,216 +286,151 @@ impl<'a> Machine<'a> {
     }
 
     /// One opcode; whether it was the last.
-    #[allow(clippy::too_many_lines)]
     fn step(&mut self) -> Result<bool> {
         let [opcode] = self.fixed()?;
-        match opcode {
-            b'.' => return Ok(true),
-            0x80 => {
-                let [version] = self.fixed()?;
-                if version > 5 {
-                    return self.wrong("a protocol that is not known");
-                }
-            }
-            0x95 => {
-                self.take(8)?;
-            }
-            b'(' => {
-                if self.marks.len() >= MOST_VALUES {
-                    return Err(PickleError::TooLarge);
-                }
-                self.marks.push(self.stack.len());
-            }
-            b'0' => {
-                // POP takes a mark when one is on top.
-                if self.marks.last() == Some(&self.stack.len()) {
-                    self.marks.pop();
-                } else {
-                    self.pop()?;
-                }
-            }
-            b'1' => {
-                self.marked()?;
-            }
-            b'2' => {
-                let top = self.top()?;
-                self.put(top)?;
-            }
-            b'N' => self.push(Value::None)?,
-            0x88 => self.push(Value::Bool(true))?,
-            0x89 => self.push(Value::Bool(false))?,
-            b'K' => {
-                let [x] = self.fixed()?;
-                self.push(Value::Int(x.into()))?;
-            }
-            b'M' => {
-                let x = u16::from_le_bytes(self.fixed()?);
-                self.push(Value::Int(x.into()))?;
-            }
-            b'J' => {
-                let x = i32::from_le_bytes(self.fixed()?);
-                self.push(Value::Int(x.into()))?;
-            }
-            b'I' | b'L' => {
-                let line = self.line()?;
-                let value = match (opcode, line) {
-                    (b'I', "00") => Value::Bool(false),
-                    (b'I', "01") => Value::Bool(true),
-                    _ => match line.trim_end_matches('L').parse() {
-                        Ok(x) => Value::Int(x),
-                        Err(_) => return self.wrong("a number that is none"),
-                    },
-                };
-                self.push(value)?;
-            }
+        match self.literal(opcode)? {
+            Some(value) => self.push(value)?,
+            None if opcode == b'.' => return Ok(true),
+            None => self.operate(opcode)?,
+        }
+        Ok(false)
+    }
+
+    /// The value of an opcode that makes one of the bytes behind it.
+    fn literal(&mut self, opcode: u8) -> Result<Option<Value>> {
+        Ok(Some(match opcode {
+            b'N' => Value::None,
+            0x88 => Value::Bool(true),
+            0x89 => Value::Bool(false),
+            b'K' => Value::Int(u8::from_le_bytes(self.fixed()?).into()),
+            b'M' => Value::Int(u16::from_le_bytes(self.fixed()?).into()),
+            b'J' => Value::Int(i32::from_le_bytes(self.fixed()?).into()),
+            b'I' | b'L' => match (opcode, self.line()?) {
+                (b'I', "00") => Value::Bool(false),
+                (b'I', "01") => Value::Bool(true),
+                (_, line) => Value::Int(line.trim_end_matches('L').parse().or_else(|_| self.wrong(NO_NUMBER))?),
+            },
             0x8a | 0x8b => {
-                let size = if opcode == 0x8a { usize::from(self.fixed::<1>()?[0]) } else { self.size4()? };
+                let size = if opcode == 0x8a { self.size1()? } else { self.size4()? };
                 let bytes = self.take(size)?;
-                let value = if size <= 8 {
+                if size <= 8 {
                     let negative = bytes.last().is_some_and(|byte| byte & 0x80 != 0);
                     let mut wide = [if negative { 0xff } else { 0 }; 8];
                     wide[..size].copy_from_slice(bytes);
                     Value::Int(i64::from_le_bytes(wide))
                 } else {
                     Value::Long(bytes.to_vec())
-                };
-                self.push(value)?;
+                }
             }
-            b'G' => {
-                let x = f64::from_be_bytes(self.fixed()?);
-                self.push(Value::Float(x))?;
-            }
-            b'F' => {
-                let x = self.line()?.parse().or_else(|_| self.wrong("a number that is none"))?;
-                self.push(Value::Float(x))?;
-            }
-            b'V' | b'S' => {
-                let line = self.line()?.trim_matches(['\'', '"']).to_string();
-                self.push(Value::Text(line))?;
-            }
-            b'X' | b'T' => {
-                let size = self.size4()?;
-                let text = self.text(size)?;
-                self.push(text)?;
-            }
-            0x8c | b'U' => {
-                let size = usize::from(self.fixed::<1>()?[0]);
-                let text = self.text(size)?;
-                self.push(text)?;
-            }
-            0x8d => {
-                let size = self.size8()?;
-                let text = self.text(size)?;
-                self.push(text)?;
-            }
-            b'B' | b'C' | 0x8e | 0x96 => {
+            b'G' => Value::Float(f64::from_be_bytes(self.fixed()?)),
+            b'F' => Value::Float(self.line()?.parse().or_else(|_| self.wrong(NO_NUMBER))?),
+            b'V' | b'S' => Value::Text(self.line()?.trim_matches(['\'', '"']).to_string()),
+            b'X' | b'T' | 0x8c | b'U' | 0x8d | b'B' | b'C' | 0x8e | 0x96 => {
                 let size = match opcode {
-                    b'B' => self.size4()?,
-                    b'C' => usize::from(self.fixed::<1>()?[0]),
+                    0x8c | b'U' | b'C' => self.size1()?,
+                    b'X' | b'T' | b'B' => self.size4()?,
                     _ => self.size8()?,
                 };
-                let bytes = self.take(size)?.to_vec();
-                self.push(Value::Bytes(bytes))?;
+                let bytes = self.take(size)?;
+                match opcode {
+                    b'B' | b'C' | 0x8e | 0x96 => Value::Bytes(bytes.to_vec()),
+                    _ => Value::Text(String::from_utf8_lossy(bytes).into_owned()),
+                }
             }
-            b']' | 0x8f => self.push(Value::List(Vec::new()))?,
-            b'}' => self.push(Value::Dict(Vec::new()))?,
-            b')' => self.push(Value::Tuple(Vec::new()))?,
+            b']' | 0x8f => Value::List(Vec::new()),
+            b'}' => Value::Dict(Vec::new()),
+            b')' => Value::Tuple(Vec::new()),
+            b'c' => Value::Name(self.line()?.to_string(), self.line()?.to_string()),
+            _ => return Ok(None),
+        }))
+    }
+
+    /// An opcode that works on the stack, the marks or the memo.
+    fn operate(&mut self, opcode: u8) -> Result<()> {
+        match opcode {
+            0x80 => match self.size1()? {
+                0..=5 => Ok(()),
+                _ => self.wrong("a protocol that is not known"),
+            },
+            0x95 => self.take(8).map(drop),
+            b'(' if self.marks.len() >= MOST_VALUES => Err(PickleError::TooLarge),
+            b'(' => {
+                self.marks.push(self.stack.len());
+                Ok(())
+            }
+            // POP takes a mark when one is on top.
+            b'0' if self.marks.last() == Some(&self.stack.len()) => {
+                self.marks.pop();
+                Ok(())
+            }
+            b'0' => self.pop().map(drop),
+            b'1' => self.marked().map(drop),
+            b'2' => self.top().and_then(|top| self.put(top)),
             b't' | b'l' | 0x91 => {
                 let items = self.marked()?;
                 self.grow(items.len())?;
-                self.push(if opcode == b't' { Value::Tuple(items) } else { Value::List(items) })?;
+                self.push(if opcode == b't' { Value::Tuple(items) } else { Value::List(items) })
             }
             b'd' => {
                 let items = self.marked()?;
                 self.push(Value::Dict(Vec::new()))?;
-                self.set(&items)?;
+                self.set(&items)
             }
             0x85..=0x87 => {
-                let count = usize::from(opcode - 0x84);
-                let mut items = Vec::with_capacity(count);
-                for _ in 0..count {
-                    items.push(self.pop()?);
-                }
+                let mut items = (0x84..opcode).map(|_| self.pop()).collect::<Result<Vec<_>>>()?;
                 items.reverse();
-                self.push(Value::Tuple(items))?;
+                self.push(Value::Tuple(items))
             }
             b'a' => {
                 let item = self.pop()?;
-                self.append(vec![item])?;
+                self.append(vec![item])
             }
             b'e' | 0x90 => {
                 let items = self.marked()?;
-                self.append(items)?;
+                self.append(items)
             }
             b's' => {
                 let (value, key) = (self.pop()?, self.pop()?);
-                self.set(&[key, value])?;
+                self.set(&[key, value])
             }
             b'u' => {
                 let items = self.marked()?;
-                self.set(&items)?;
+                self.set(&items)
             }
-            b'q' => {
-                let [key] = self.fixed()?;
-                self.memoise(key.into())?;
-            }
-            b'r' => {
-                let key = u32::from_le_bytes(self.fixed()?);
-                self.memoise(key)?;
-            }
-            0x94 => {
-                let key = self.memo.len() as u32;
-                self.memoise(key)?;
-            }
-            b'p' => {
-                let key = self.key()?;
-                self.memoise(key)?;
-            }
-            b'h' => {
-                let [key] = self.fixed()?;
-                self.recall(key.into())?;
-            }
-            b'j' => {
-                let key = u32::from_le_bytes(self.fixed()?);
-                self.recall(key)?;
-            }
-            b'g' => {
-                let key = self.key()?;
-                self.recall(key)?;
-            }
-            b'c' => {
-                let (module, name) = (self.line()?.to_string(), self.line()?.to_string());
-                self.push(Value::Name(module, name))?;
+            b'q' | b'r' | 0x94 | b'p' | b'h' | b'j' | b'g' => {
+                let key = match opcode {
+                    b'q' | b'h' => u8::from_le_bytes(self.fixed()?).into(),
+                    b'r' | b'j' => u32::from_le_bytes(self.fixed()?),
+                    0x94 => self.memo.len() as u32,
+                    _ => self.line()?.parse().or_else(|_| self.wrong(NO_NUMBER))?,
+                };
+                if matches!(opcode, b'h' | b'j' | b'g') { self.recall(key) } else { self.memoise(key) }
             }
             0x93 => {
                 let (name, module) = (self.pop()?, self.pop()?);
                 match (&self.values[module.0 as usize], &self.values[name.0 as usize]) {
-                    (Value::Text(module), Value::Text(name)) => {
-                        let name = Value::Name(module.clone(), name.clone());
-                        self.push(name)?;
-                    }
-                    _ => return self.wrong("a name that is no text"),
+                    (Value::Text(module), Value::Text(name)) => self.push(Value::Name(module.clone(), name.clone())),
+                    _ => self.wrong("a name that is no text"),
                 }
             }
-            b'R' => self.reduce()?,
+            b'R' => self.reduce(),
             // Attributes of an ordered dictionary: PyTorch keeps `_metadata` there, which is not needed.
             b'b' => {
-                let state = self.pop()?;
-                let object = self.top()?;
-                if !matches!(self.values[object.0 as usize], Value::Dict(_)) {
-                    return self.wrong("the state of what has none");
+                self.pop()?;
+                match self.values[self.top()?.0 as usize] {
+                    Value::Dict(_) => Ok(()),
+                    _ => self.wrong("the state of what has none"),
                 }
-                let _ = state;
             }
             b'Q' => {
                 let id = self.pop()?;
-                self.push(Value::Persistent(id))?;
+                self.push(Value::Persistent(id))
             }
             b'P' => {
                 let line = self.line()?.to_string();
                 self.push(Value::Text(line))?;
                 let id = self.pop()?;
-                self.push(Value::Persistent(id))?;
+                self.push(Value::Persistent(id))
             }
             // Objects of classes: what a pickled module is made of.
             0x81 | 0x92 | b'i' | b'o' => {
@@ -508,15 +438,14 @@ impl<'a> Machine<'a> {
                     Value::Name(module, name) => Some(format!("{module}.{name}")),
                     _ => None,
                 });
-                return Err(PickleError::Class(class.unwrap_or_else(|| "an object".to_string())));
+                Err(PickleError::Class(class.unwrap_or_else(|| "an object".to_string())))
             }
-            0x82..=0x84 => return Err(PickleError::Class("an extension code".to_string())),
+            0x82..=0x84 => Err(PickleError::Class("an extension code".to_string())),
             _ => {
                 self.at -= 1;
-                return self.wrong("an opcode that is not known");
+                self.wrong("an opcode that is not known")
             }
         }
-        Ok(false)
     }
 }
 

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::encode;
-use super::imported::{Imported, Options};
+use super::imported::{Imported, Options, population_name};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use crate::io::text::{decode, read_bytes};
@@ -197,18 +197,13 @@ pub fn read_checkpoint(bytes: Vec<u8>, name: &str, options: &Options) -> Result<
                 .help("a checkpoint does not say how a convolution steps; export it with lava-dl as .net"));
         };
         let weights = checkpoint.tensor(key)?;
-        matrices.push(Matrix { name: short(layer), targets, sources, weights });
+        matrices.push(Matrix { name: population_name(layer), targets, sources, weights });
     }
     let mut imported = build("PyTorch state dict of SLAYER", name, matrices, options)?;
     if !left.is_empty() {
         imported.notes.push(format!("left out: {}", left.iter().take(12).copied().collect::<Vec<_>>().join(", ")));
     }
     Ok(imported)
-}
-
-/// A name that a population may have.
-fn short(layer: &str) -> String {
-    layer.chars().map(|c| if c.is_alphanumeric() || c == '_' || c == '-' { c } else { '_' }).collect()
 }
 
 /// The names that VT_SNN gives to the files of one network, in order.

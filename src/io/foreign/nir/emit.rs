@@ -234,15 +234,13 @@ impl Reader<'_> {
         self.names.insert(output.clone(), name.clone());
         self.shapes.insert(output.clone(), arrived.shape.clone());
         let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();
-        let parameters = vec![
-            ("du", Parameter::Same(4096.0)),
-            ("dv", Parameter::Same(4096.0)),
-            ("vth_mant", Parameter::Same(NEVER)),
-        ];
+        let memoryless = Parameter::Same(4096.0);
+        let parameters =
+            vec![("du", memoryless.clone()), ("dv", memoryless.clone()), ("vth_mant", Parameter::Same(NEVER))];
         self.model.populations.push(PopulationBuilder::loihi(&name, shape, parameters));
         let neuron = Discrete {
-            du: Parameter::Same(4096.0),
-            dv: Parameter::Same(4096.0),
+            du: memoryless.clone(),
+            dv: memoryless,
             gain: Parameter::Same(1.0),
             threshold: None,
             bias: Parameter::Same(0.0),

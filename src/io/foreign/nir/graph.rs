@@ -8,6 +8,7 @@ use super::neuron::reals;
 use super::reader::{DEEPEST, Flat, MOST_NODES, MOST_PATHS, MOST_UNITS, Node, Reader, is_population, product, wrong};
 use crate::base::diagnostic::Result;
 use crate::io::foreign::hdf5::{Group, Item, Numbers};
+use crate::io::foreign::imported::population_name;
 
 /// Adds a graph's nodes under a prefix; edges that end at a graph end at its inputs, those that leave it leave its outputs.
 pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mut Flat<'a>) -> Result<()> {
@@ -68,8 +69,7 @@ impl Reader<'_> {
     pub(super) fn name_populations(&mut self, populations: &[String]) -> Result<()> {
         let mut taken = BTreeSet::new();
         for name in populations {
-            let plain: String =
-                name.chars().map(|c| if c.is_alphanumeric() || c == '_' || c == '-' { c } else { '_' }).collect();
+            let plain = population_name(name);
             let mut unique = if plain.is_empty() { "node".to_string() } else { plain.clone() };
             let mut count = 1;
             while !taken.insert(unique.clone()) {

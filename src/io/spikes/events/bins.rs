@@ -133,34 +133,16 @@ impl Bins {
 
     fn settle(&mut self) -> Result<()> {
         self.recent.sort_unstable();
-        let mut merged: Vec<(u64, u32)> = Vec::with_capacity(self.settled.len() + self.recent.len());
-        let mut old = self.settled.drain(..).peekable();
-        let mut new = self.recent.drain(..).peekable();
-        loop {
-            let (key, count) = match (old.peek(), new.peek()) {
-                (Some(&(a, count)), Some(&b)) if a <= b => {
-                    old.next();
-                    (a, count)
-                }
-                (Some(&(a, count)), None) => {
-                    old.next();
-                    (a, count)
-                }
-                (_, Some(&b)) => {
-                    new.next();
-                    (b, 1)
-                }
-                (None, None) => break,
-            };
-            match merged.last_mut() {
-                Some(last) if last.0 == key => last.1 = last.1.saturating_add(count),
-                _ => merged.push((key, count)),
-            }
-        }
-        drop(old);
-        drop(new);
-        merged.shrink_to_fit();
-        self.settled = merged;
+        self.settled.reserve_exact(self.recent.len());
+        self.settled.extend(self.recent.drain(..).map(|key| (key, 1)));
+        // Two ascending runs, which a stable sort merges in linear time.
+        self.settled.sort_by_key(|(key, _)| *key);
+        self.settled.dedup_by(|next, kept| {
+            let same = next.0 == kept.0;
+            kept.1 = kept.1.saturating_add(if same { next.1 } else { 0 });
+            same
+        });
+        self.settled.shrink_to_fit();
         if self.settled.len() > MOST_EVENTS {
             return Err(too_many());
         }
