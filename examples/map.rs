@@ -7,6 +7,7 @@ use nsim::desc::resource::Resource;
 use nsim::io::model::load_model;
 use nsim::io::target::load_target;
 
+/// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let network = load_model("vtsnn-slip")?;
     let target = load_target("loihi1-chip")?;

@@ -13,6 +13,7 @@ use nsim::io::target::{load_constants, load_target};
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
 
+/// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let target = load_target("loihi1-chip")?;
     let compiled = compile(front(&load_model("vtsnn-slip")?)?, &target, &Options::default())?;

@@ -10,6 +10,7 @@ use nsim::io::target::load_target;
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
 
+/// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let compiled = compile(front(&load_model("vtsnn-slip")?)?, &load_target("loihi1-chip")?, &Options::default())?;
     let program = &compiled.program;

@@ -210,7 +210,7 @@ impl<'a> Subject<'a> {
     }
 
     fn real_traces<F: Real>(&self, model: &Model<F>) -> Vec<Trace> {
-        let thresholds = model_thresholds(&self.graph);
+        let thresholds = model_thresholds(self.graph);
         let mut engine = Reference::new(model);
         let potential = |e: &Reference<'_, F>, c: CompartmentId| e.potential(c) / thresholds[c.0 as usize];
         self.samples.iter().map(|s| Trace::record(&mut engine, s, thresholds.len() as u32, potential)).collect()

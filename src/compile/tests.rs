@@ -495,7 +495,7 @@ fn a_kernel_is_stored_once() {
             let stored = image.inputs.lists.items().len() as u64;
             assert!(stored * 3 < image.inputs.count(), "{packing:?} {core}: {stored} of {}", image.inputs.count());
             assert!(
-                u64::from(used[Resource::AxonsIn]) * 4 < image.inputs.len() as u64,
+                used[Resource::AxonsIn] * 4 < image.inputs.len() as u64,
                 "{packing:?} {core}: {}",
                 used[Resource::AxonsIn]
             );

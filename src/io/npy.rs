@@ -116,7 +116,7 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<usize> {
     let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
     if !bytes.starts_with(NPY_MAGIC) {
         let archive =
-            bytes.starts_with(b"PK\x03\x04").then(|| "this is an archive (.npz?); save each array with numpy.save");
+            bytes.starts_with(b"PK\x03\x04").then_some("this is an archive (.npz?); save each array with numpy.save");
         let mut other = Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY");
         other.help = archive.map(str::to_string);
         return Err(other.in_file(path));

@@ -50,7 +50,7 @@ fn until_decided(outcomes: &[Outcome]) -> Vec<Range<usize>> {
 
 /// What ending samples when they are decided would save of the whole run: equation (16).
 pub(super) fn saved(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> Saved {
-    let whole = spent(&job.case, [0..job.case.activity.steps() as usize]);
+    let whole = spent(&job.case, std::iter::once(0..job.case.activity.steps() as usize));
     let early = spent(&job.case, until_decided(outcomes));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
     Saved {

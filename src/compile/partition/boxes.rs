@@ -204,8 +204,8 @@ impl Boxes {
     #[must_use]
     pub fn one_of_each_kind(&self) -> Vec<CoreId> {
         let mut seen = BTreeSet::new();
-        let firsts = self.kinds().enumerate().filter_map(|(core, kind)| seen.insert(kind).then(|| CoreId::new(core)));
-        firsts.collect()
+        let firsts = self.kinds().enumerate().filter(|(_, kind)| seen.insert(*kind));
+        firsts.map(|(core, _)| CoreId::new(core)).collect()
     }
 
     /// The boxes as a partition, whose members they then leave to it, with the chip of each given.

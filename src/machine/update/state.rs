@@ -292,7 +292,7 @@ impl CompartmentState {
 
     /// Deliver and Update.
     #[inline(always)]
-    fn step<S: Sum, C: Spike, N: Spike>(
+    fn step<S, C: Spike, N: Spike>(
         &mut self,
         ring: &mut DelayRing<S>,
         image: &Image,
@@ -301,7 +301,7 @@ impl CompartmentState {
         (channels, channel_counts, carried): (&[C], &mut [u32], &[N]),
         vectors: impl Vectors,
     ) where
-        S: Accumulate<C::Payload> + Accumulate<N::Payload>,
+        S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
     {
         let (channels, carried) = ((channels, channel_counts), (carried, &mut [][..]));
         let cursor = input.step as usize % ring.sums.len();
