@@ -58,16 +58,15 @@ pub(crate) struct Step<'a> {
 impl Step<'_> {
     /// Runs it with the widest vectors of the processor.
     pub fn run(self, arch: pulp::Arch) {
-        match (arch, &self.state.rings) {
-            (_, Rings::Bits64(_)) => arch.dispatch(Graded(self)),
+        match arch {
             #[cfg(target_arch = "x86_64")]
-            (pulp::Arch::V4(vectors), _) => vectors.vectorize(With(self, vectors)),
+            pulp::Arch::V4(vectors) => vectors.vectorize(With(self, vectors)),
             _ => arch.dispatch(With(self, Portable)),
         }
     }
 }
 
-/// A step of binary spikes and its vectors.
+/// A step and its vectors.
 struct With<'a, V>(Step<'a>, V);
 
 impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
@@ -80,30 +79,17 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
         match rings {
             Rings::Bits16(ring) => state.step(ring, image, shard, *input, spikes, vectors),
             Rings::Bits32(ring) => state.step(ring, image, shard, *input, spikes, vectors),
-            Rings::Bits64(_) => {}
+            Rings::Bits64(ring) => {
+                let graded = |&id: &ChannelId| GradedSpike { id, payload: image.payloads[id.index()] };
+                let channels: Vec<_> = input.channels.iter().map(graded).collect();
+                let carried = input.carried.iter().zip(input.carried_payloads);
+                let carried: Vec<_> = carried.map(|(&id, &payload)| GradedSpike { id, payload }).collect();
+                state.step(ring, image, shard, *input, (&channels, spikes.1, &carried), vectors);
+                let emitted = state.spikes.iter().map(|id| image.payloads[image.channels as usize + id.index()]);
+                state.payloads.clear();
+                state.payloads.extend(emitted);
+            }
         }
-    }
-}
-
-/// A step of graded spikes. Apart, so that the step of binary spikes is compiled as if there were none: in one function it
-/// took 3 % more instructions.
-struct Graded<'a>(Step<'a>);
-
-impl pulp::NullaryFnOnce for Graded<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let Graded(Step { state: ShardState { state, rings }, image, shard, input, channel_counts }) = self;
-        let Rings::Bits64(ring) = rings else { return };
-        let graded = |&id: &ChannelId| GradedSpike { id, payload: image.payloads[id.index()] };
-        let channels: Vec<_> = input.channels.iter().map(graded).collect();
-        let carried = input.carried.iter().zip(input.carried_payloads);
-        let carried: Vec<_> = carried.map(|(&id, &payload)| GradedSpike { id, payload }).collect();
-        state.step(ring, image, shard, *input, (&channels, channel_counts, &carried), Portable);
-        let emitted = state.spikes.iter().map(|id| image.payloads[image.channels as usize + id.index()]);
-        state.payloads.clear();
-        state.payloads.extend(emitted);
     }
 }
 
