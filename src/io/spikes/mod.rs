@@ -2,7 +2,7 @@
 //!
 //! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population. [`detect`] alone decides which
 //! format a path has; [`source`] is the way in. Each reader stands below it: [`manifest`] reads data sets with the readers
-//! of [`recordings`], which are [`array`], [`csv`], [`folder`] and [`events`].
+//! of [`recordings`], which are [`mod@array`], [`csv`], [`folder`] and [`events`].
 
 pub mod array;
 pub mod csv;
