@@ -204,7 +204,8 @@ impl Vectors for Portable {
         let bias = if PLAIN { 0 } else { shared.bias };
         let Chunks { u: [u], v: [v], sums: [sums] } = chunk;
         let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
-        let [mut fired, mut moved, mut busy, mut overflowed] = [[false; LANES]; 4];
+        let [mut fired, mut moved] = [[false; LANES]; 2];
+        let (mut busy, mut overflowed) = (0, 0);
         for lane in 0..LANES {
             let (sum, old_u, stored) = (sums[lane].value(), u[lane], v[lane]);
             let old_v = if stored < HELD { stored } else { 0 };
@@ -219,17 +220,17 @@ impl Vectors for Portable {
             let unheld = if fires { HELD + refractory } else { clipped };
             new_v[lane] = if is_free { unheld } else { stored - 1 };
             new_u[lane] = next_u;
-            busy[lane] = (next_u | new_v[lane]) != 0;
+            busy |= next_u | new_v[lane];
             fired[lane] = fires;
             moved[lane] = ((old_u | old_v | sum | bias) != 0) | !is_free;
             let wrapped = outside(next_u) | outside(input) | if S::WIDE { (q >> WEIGHT_SHIFT) ^ sum } else { 0 };
-            overflowed[lane] = (wrapped != 0) | (is_free & (clipped != free));
+            overflowed |= wrapped | if is_free { clipped ^ free } else { 0 };
         }
-        if bytes(overflowed) != 0 {
+        if overflowed != 0 {
             return None;
         }
         (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
-        Some(Effect { spiked: bits(fired).into(), moved: bits(moved).into(), busy: bytes(busy) != 0 })
+        Some(Effect { spiked: bits(fired).into(), moved: bits(moved).into(), busy: busy != 0 })
     }
 }
 
