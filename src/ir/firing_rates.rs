@@ -40,20 +40,20 @@ impl Rates {
         Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
     }
 
-    /// Of a source by number, channels first.
+    /// The rate of a source by number, channels first.
     #[inline]
     #[must_use]
-    pub fn of(&self, source: u32) -> u64 {
+    pub fn rate_of(&self, source: u32) -> u64 {
         match self {
             Rates::Assumed(rate) => *rate,
             Rates::Profile { of, .. } => of.get(source as usize).copied().unwrap_or(LEAST),
         }
     }
 
-    /// Of a source of a network with so many channels.
+    /// The rate of a source of a network with so many channels.
     #[must_use]
     pub fn of_source(&self, source: SpikeSource, channels: u32) -> u64 {
-        self.of(match source {
+        self.rate_of(match source {
             SpikeSource::Channel(id) => id.index() as u32,
             SpikeSource::Compartment(id) => channels + id.0,
         })
@@ -81,11 +81,11 @@ mod tests {
     #[test]
     fn rates_of_copies_are_those_of_one() {
         let rates = Rates::profile(&[5, 0], &[10], 100);
-        assert_eq!([0, 1, 2].map(|s| rates.of(s)), [50_000, 1, 100_000]);
+        assert_eq!([0, 1, 2].map(|s| rates.rate_of(s)), [50_000, 1, 100_000]);
         let two = rates.copies(2);
-        assert_eq!([0, 1, 2, 3, 4, 5].map(|s| two.of(s)), [50_000, 1, 50_000, 1, 100_000, 100_000]);
+        assert_eq!([0, 1, 2, 3, 4, 5].map(|s| two.rate_of(s)), [50_000, 1, 50_000, 1, 100_000, 100_000]);
         assert_eq!(two.of_source(SpikeSource::Compartment(CompartmentId(1)), 4), 100_000);
         assert_eq!(two.of_source(SpikeSource::Channel(ChannelId(2)), 4), 50_000);
-        assert_eq!(Rates::assumed(0.01).of(7), 10_000);
+        assert_eq!(Rates::assumed(0.01).rate_of(7), 10_000);
     }
 }

@@ -35,12 +35,12 @@ impl<F: Real> Cuba<F> {
     #[must_use]
     pub fn new(parameters: &[RealForm], test: ThresholdTest) -> Self {
         let neuron = |p: &RealForm| Neuron {
-            keep_u: F::of(p.keep_u),
-            keep_v: F::of(p.keep_v),
-            threshold: F::of(p.threshold),
-            bias: F::of(p.bias),
-            low: F::of(p.clip.0),
-            high: F::of(p.clip.1),
+            keep_u: F::from_f64(p.keep_u),
+            keep_v: F::from_f64(p.keep_v),
+            threshold: F::from_f64(p.threshold),
+            bias: F::from_f64(p.bias),
+            low: F::from_f64(p.clip.0),
+            high: F::from_f64(p.clip.1),
             refractory: p.refractory.max(1),
         };
         let count = parameters.len();

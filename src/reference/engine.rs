@@ -199,8 +199,8 @@ impl<'m, F: Real> Reference<'m, F> {
         let (population, index) = self.model.at(compartment);
         match &self.units[population] {
             Units::Input => 0.0,
-            Units::Srm(srm) => srm.potential()[index].f64(),
-            Units::Cuba(cuba) => cuba.voltage()[index].f64(),
+            Units::Srm(srm) => srm.potential()[index].into(),
+            Units::Cuba(cuba) => cuba.voltage()[index].into(),
         }
     }
 
@@ -209,7 +209,7 @@ impl<'m, F: Real> Reference<'m, F> {
     pub fn current(&self, compartment: CompartmentId) -> f64 {
         let (population, index) = self.model.at(compartment);
         match &self.units[population] {
-            Units::Cuba(cuba) => cuba.current()[index].f64(),
+            Units::Cuba(cuba) => cuba.current()[index].into(),
             Units::Input | Units::Srm(_) => self.potential(compartment),
         }
     }

@@ -16,28 +16,21 @@ pub trait Real:
     + Sub<Output = Self>
     + Mul<Output = Self>
     + Neg<Output = Self>
+    + Into<f64>
     + 'static
 {
     /// The nearest number of this type.
-    fn of(x: f64) -> Self;
-    /// The same number.
-    fn f64(self) -> f64;
+    fn from_f64(x: f64) -> Self;
 }
 
 impl Real for f64 {
-    fn of(x: f64) -> Self {
+    fn from_f64(x: f64) -> Self {
         x
-    }
-    fn f64(self) -> f64 {
-        self
     }
 }
 
 impl Real for f32 {
-    fn of(x: f64) -> Self {
+    fn from_f64(x: f64) -> Self {
         x as f32
-    }
-    fn f64(self) -> f64 {
-        self.into()
     }
 }

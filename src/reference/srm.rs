@@ -70,13 +70,13 @@ impl<F: Real> Filter<F> {
     pub fn new(alpha: &Alpha, kernel: Kernel, inputs: usize) -> Self {
         match kernel {
             Kernel::Exact => Filter::Exact {
-                decay: F::of(alpha.decay()),
-                gain: F::of(alpha.gain()),
+                decay: F::from_f64(alpha.decay()),
+                gain: F::from_f64(alpha.gain()),
                 first: vec![F::default(); inputs],
                 second: vec![F::default(); inputs],
             },
             Kernel::Truncated => {
-                let taps: Vec<F> = alpha.truncated(EPSILON, LONGEST).into_iter().skip(1).map(F::of).collect();
+                let taps: Vec<F> = alpha.truncated(EPSILON, LONGEST).into_iter().skip(1).map(F::from_f64).collect();
                 let past = vec![vec![F::default(); inputs]; taps.len().max(1)];
                 Filter::Truncated { taps, past, newest: 0 }
             }
@@ -135,7 +135,7 @@ impl<F: Real> Srm<F> {
     #[must_use]
     pub fn new(parameters: &Parameters, kernel: Kernel, neurons: usize) -> Self {
         Srm {
-            theta: F::of(parameters.theta),
+            theta: F::from_f64(parameters.theta),
             response: Filter::new(&parameters.response(), kernel, neurons),
             refractory: Filter::new(&parameters.refractory(), kernel, neurons),
             spiked: vec![F::default(); neurons],
@@ -159,7 +159,7 @@ impl<F: Real> Srm<F> {
         self.refractory.step(&self.spiked, &mut self.potential);
         for (neuron, (&u, spiked)) in self.potential.iter().zip(&mut self.spiked).enumerate() {
             let fires = u >= self.theta;
-            *spiked = F::of(f64::from(u8::from(fires)));
+            *spiked = F::from_f64(f64::from(u8::from(fires)));
             if fires {
                 spike(neuron as u32);
             }
@@ -204,8 +204,8 @@ mod tests {
         let mut population = Srm::<F>::new(parameters, kernel, 1);
         let (mut u, mut spikes) = (Vec::new(), Vec::new());
         for (t, &x) in arrivals.iter().enumerate() {
-            population.step(&[F::of(x)], |_| spikes.push(t));
-            u.push(population.potential()[0].f64());
+            population.step(&[F::from_f64(x)], |_| spikes.push(t));
+            u.push(population.potential()[0].into());
         }
         (u, spikes)
     }

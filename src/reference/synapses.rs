@@ -48,18 +48,18 @@ impl<F: Real> Synapses<F> {
                 let (columns, first) = (columns(weights), projection.first_source as usize);
                 let weight = |source: usize, target: usize| weights.real(target * columns + first + source) * factor;
                 let all = (0..sources as usize).flat_map(|s| (0..targets as usize).map(move |t| (s, t)));
-                Synapses::Dense { targets, weights: all.map(|(s, t)| F::of(weight(s, t))).collect() }
+                Synapses::Dense { targets, weights: all.map(|(s, t)| F::from_f64(weight(s, t))).collect() }
             }
             ProjectionKind::Sparse { synapses } => {
                 let each = synapses.iter().map(|&(source, target, weight, _)| (source, target, weight * factor));
                 Self::list(sources, each.collect())
             }
             ProjectionKind::Conv2d { window, weights, .. } => {
-                let kernel = (0..weights.len()).map(|i| F::of(weights.real(i) * factor)).collect();
+                let kernel = (0..weights.len()).map(|i| F::from_f64(weights.real(i) * factor)).collect();
                 Synapses::Conv { window: *window, kernel }
             }
             ProjectionKind::SumPool2d { window, weight } => {
-                Synapses::Pool { window: *window, weight: F::of(weight.value * factor) }
+                Synapses::Pool { window: *window, weight: F::from_f64(weight.value * factor) }
             }
             ProjectionKind::Random { fan_out, low, high, seed } => {
                 // `docs/semantics.md`, projections; weights are multiples of the format's least step.
@@ -83,7 +83,7 @@ impl<F: Real> Synapses<F> {
     pub fn list(sources: u32, mut synapses: Vec<(u32, u32, f64)>) -> Self {
         synapses.sort_by_key(|&(source, target, _)| (source, target));
         let first = (0..=sources).map(|s| synapses.partition_point(|&(source, ..)| source < s)).collect();
-        Synapses::List { first, synapses: synapses.into_iter().map(|(_, t, w)| (t, F::of(w))).collect() }
+        Synapses::List { first, synapses: synapses.into_iter().map(|(_, t, w)| (t, F::from_f64(w))).collect() }
     }
 
     /// Adds a source's spike to the sums of its targets; returns the number of its synapses.

@@ -97,8 +97,8 @@ pub(super) fn filter<F: Real>(alpha: Alpha, epsilon: f64, what: &str) -> Outcome
     let mut filter = Filter::<F>::new(&alpha, Kernel::Exact, 1);
     growth(epsilon / 2.0, &taps(&alpha), |x| {
         let mut out = [F::default()];
-        filter.step(&[F::of(x)], &mut out);
-        out[0].f64()
+        filter.step(&[F::from_f64(x)], &mut out);
+        out[0].into()
     })
     .verdict(what)
 }
@@ -132,9 +132,9 @@ pub(super) fn denormals<F: Real>(smallest_normal: f64, what: &str) -> Outcome {
     let mut population = Srm::<F>::new(&parameters, Kernel::Exact, 2);
     let (mut spikes, mut denormal, mut last) = (0u64, 0u64, f64::MAX);
     for step in 0..STEPS {
-        let arrivals = if step == 0 { [F::of(200.0), F::of(-200.0)] } else { [F::default(); 2] };
+        let arrivals = if step == 0 { [F::from_f64(200.0), F::from_f64(-200.0)] } else { [F::default(); 2] };
         population.step(&arrivals, |neuron| spikes += 1 + 1000 * u64::from(neuron));
-        for (neuron, u) in population.potential().iter().map(|u| u.f64()).enumerate() {
+        for (neuron, u) in population.potential().iter().map(|&u| Into::<f64>::into(u)).enumerate() {
             if !u.is_finite() {
                 return Err((step, format!("{what}: neuron {neuron} is {u} in step {step}")));
             }

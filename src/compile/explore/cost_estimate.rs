@@ -98,7 +98,7 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
         for (core, image) in part.clone().zip(&cores[part]) {
             let core = CoreId::new(core);
             for (slot, messages) in image.axons_out.iter().enumerate() {
-                let rate = rates.of(program.channels() + image.ids[slot].0);
+                let rate = rates.rate_of(program.channels() + image.ids[slot].0);
                 sum.cores[core].spikes += rate;
                 sum.cores[core].messages_out += rate * messages.len() as u64;
                 for message in messages {
@@ -114,7 +114,7 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
     let of_channels = |part: Range<usize>| {
         let mut sum = StepActivity::new(cores.len());
         for channel in part {
-            let (rate, messages) = (rates.of(channel as u32), program.channel(ChannelId::new(channel)));
+            let (rate, messages) = (rates.rate_of(channel as u32), program.channel(ChannelId::new(channel)));
             sum.spikes_in += rate;
             sum.messages_from_inputs += rate * messages.len() as u64;
             for message in messages {
@@ -143,7 +143,7 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
     };
     sum.cores.as_mut_slice().par_iter_mut().zip(cores).enumerate().for_each(|(core, (counts, image))| {
         for (axon, list) in image.inputs.iter().enumerate() {
-            let rate = of_axons.as_ref().map_or_else(|| rates.of(0), |of_axons| of_axons[core][axon]);
+            let rate = of_axons.as_ref().map_or_else(|| rates.rate_of(0), |of_axons| of_axons[core][axon]);
             let list = list.stored;
             let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
             counts.messages_in += rate;
@@ -159,12 +159,12 @@ fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
     let mut leads = |message: &AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
     for image in program.cores() {
         for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {
-            let rate = rates.of(program.channels() + id.0);
+            let rate = rates.rate_of(program.channels() + id.0);
             messages.iter().for_each(|message| leads(message, rate));
         }
     }
     for (channel, messages) in program.parts().channels.iter().enumerate() {
-        messages.iter().for_each(|message| leads(message, rates.of(channel as u32)));
+        messages.iter().for_each(|message| leads(message, rates.rate_of(channel as u32)));
     }
     of_axons
 }

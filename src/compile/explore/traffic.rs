@@ -117,7 +117,7 @@ pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
         let mut counts = Counts::new(program.mesh());
         for (core, image) in part.clone().zip(&cores[part]) {
             for (slot, messages) in image.axons_out.iter().enumerate() {
-                let weight = rates.of(program.channels() + image.ids[slot].0);
+                let weight = rates.rate_of(program.channels() + image.ids[slot].0);
                 counts.spikes(CoreId::new(core), image.site, messages.iter().map(|m| (m.core, site(m))), weight);
             }
         }
@@ -127,7 +127,7 @@ pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
         let mut counts = Counts::new(program.mesh());
         for channel in part {
             let messages = program.channel(ChannelId::new(channel));
-            counts.inputs(messages.iter().map(site), rates.of(channel as u32));
+            counts.inputs(messages.iter().map(site), rates.rate_of(channel as u32));
         }
         counts
     };

@@ -211,14 +211,14 @@ pub type PopulationRates = IdVec<PopulationId, u64>;
 /// The same rate for all populations, as it is assumed.
 #[must_use]
 pub fn everywhere(network: &Quantised, rates: &Rates) -> PopulationRates {
-    vec![rates.of(0); network.populations().len()].into()
+    vec![rates.rate_of(0); network.populations().len()].into()
 }
 
 /// The rate of one population; others have that of what never spiked in a profile run.
 #[must_use]
 pub fn only(network: &Quantised, population: PopulationId, rates: &Rates) -> PopulationRates {
     let never = Rates::assumed(0.0);
-    network.populations().ids().map(|id| if id == population { rates.of(0) } else { never.of(0) }).collect()
+    network.populations().ids().map(|id| if id == population { rates.rate_of(0) } else { never.rate_of(0) }).collect()
 }
 
 #[cfg(test)]

@@ -91,12 +91,12 @@ impl Hypergraph {
                 reached.retain(|&t| !fixed[t as usize]);
                 reached.sort_unstable();
                 let net = nets.len() as u32;
-                let weight = (index..index + at_once).map(|i| rates.of(from + i)).sum();
+                let weight = (index..index + at_once).map(|i| rates.rate_of(from + i)).sum();
                 nets.push(Net { weight, sources: at_once, dense, bits });
                 pins.push(reached.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as u32)));
                 if let Some(first) = population.first_compartment() {
                     for i in index..index + at_once {
-                        own[(first.0 + i) as usize] = Some((net, rates.of(from + i)));
+                        own[(first.0 + i) as usize] = Some((net, rates.rate_of(from + i)));
                     }
                 }
             }

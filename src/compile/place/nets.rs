@@ -107,7 +107,7 @@ impl Nets {
             by_source(network, &core_of, partition.cores(), true, |source, own, reached| {
                 let mut reached: Vec<u32> = reached.iter().map(|core| core.0).collect();
                 reached.sort_unstable();
-                (own.map(|core| core.0), rates.of(source), reached)
+                (own.map(|core| core.0), rates.rate_of(source), reached)
             });
         Nets::from_flows(partition.cores(), flows.into_iter())
     }

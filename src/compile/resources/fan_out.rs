@@ -82,7 +82,7 @@ pub fn axon_slots(
 pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cores: usize, rates: &Rates) -> u64 {
     let of = |source: u32, own: Option<CoreId>, reached: &[CoreId]| {
         let others = reached.iter().filter(|&&core| Some(core) != own).count() as u64;
-        rates.of(source) * others
+        rates.rate_of(source) * others
     };
     by_source(network, core_of, cores, true, of).into_iter().sum()
 }
