@@ -34,8 +34,7 @@ pub fn kind(kind: NeuronKind) -> &'static Kind {
 #[must_use]
 pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.neuron.kind {
-        NeuronKind::Loihi => loihi::update(r, arrived, f),
-        NeuronKind::If => integrate_fire::update(r, arrived, f),
+        NeuronKind::Loihi | NeuronKind::If => loihi::update(r, arrived, f),
     }
 }
 
