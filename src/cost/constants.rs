@@ -24,7 +24,7 @@ macro_rules! integer {
 }
 
 macro_rules! cost_table {
-    ($($(#[$attribute:meta])* $field:ident: $unit:ident,)*) => {
+    ($($(#[$doc:meta])* $field:ident: $unit:ident $(= $default:literal)?,)*) => {
         /// A preset of constants, ready to be multiplied with counts. The fields mean what those of [`Constants`] do.
         #[derive(Debug, Clone, PartialEq, Eq)]
         pub struct CostTable {

@@ -124,34 +124,27 @@ macro_rules! for_each_constant {
             /// A synaptic event of a sparse list.
             synapse_sparse_energy: pJ,
             /// A dendritic accumulator read in a step.
-            #[serde(default = "Constant::no_energy")]
-            dendrite_energy: pJ,
+            dendrite_energy: pJ = "Constant::no_energy",
             /// A compartment visited in a step.
             compartment_energy: pJ,
             /// On top, when it is not at rest.
             compartment_active_energy: pJ,
             /// On top, when it spikes.
-            #[serde(default = "Constant::no_energy")]
-            spike_energy: pJ,
+            spike_energy: pJ = "Constant::no_energy",
             /// A message sent.
-            #[serde(default = "Constant::no_energy")]
-            axon_out_energy: pJ,
+            axon_out_energy: pJ = "Constant::no_energy",
             /// A message received.
-            #[serde(default = "Constant::no_energy")]
-            axon_in_energy: pJ,
+            axon_in_energy: pJ = "Constant::no_energy",
             /// A message that stays within its tile.
-            #[serde(default = "Constant::no_energy")]
-            local_hop_energy: pJ,
+            local_hop_energy: pJ = "Constant::no_energy",
             /// A link crossed east or west.
             hop_ew_energy: pJ,
             /// A link crossed north or south.
             hop_ns_energy: pJ,
             /// On top, for a link between chips.
-            #[serde(default = "Constant::no_energy")]
-            hop_chip_energy: pJ,
+            hop_chip_energy: pJ = "Constant::no_energy",
             /// A powered core in a step.
-            #[serde(default = "Constant::no_energy")]
-            core_step_energy: pJ,
+            core_step_energy: pJ = "Constant::no_energy",
             /// A synaptic event of a dense list.
             synapse_dense_time: ns,
             /// A synaptic event of a sparse list.
@@ -161,24 +154,19 @@ macro_rules! for_each_constant {
             /// On top, when it is not at rest.
             compartment_active_time: ns,
             /// On top, when it spikes.
-            #[serde(default = "Constant::no_time")]
-            spike_time: ns,
+            spike_time: ns = "Constant::no_time",
             /// A message sent.
-            #[serde(default = "Constant::no_time")]
-            axon_out_time: ns,
+            axon_out_time: ns = "Constant::no_time",
             /// A message received.
-            #[serde(default = "Constant::no_time")]
-            axon_in_time: ns,
+            axon_in_time: ns = "Constant::no_time",
             /// A message that stays within its tile.
-            #[serde(default = "Constant::no_time")]
-            local_hop_time: ns,
+            local_hop_time: ns = "Constant::no_time",
             /// A link crossed east or west.
             hop_ew_time: ns,
             /// A link crossed north or south.
             hop_ns_time: ns,
             /// On top, for a link between chips.
-            #[serde(default = "Constant::no_time")]
-            hop_chip_time: ns,
+            hop_chip_time: ns = "Constant::no_time",
             /// A message on a link, which passes them one after the other.
             link_time: ns,
             /// A message on a link between chips.
@@ -186,14 +174,11 @@ macro_rules! for_each_constant {
             /// Messages that wait at a link, before its sender is held up.
             link_buffer: messages,
             /// A spike injected from outside.
-            #[serde(default = "Constant::no_time")]
-            injection_time: ns,
+            injection_time: ns = "Constant::no_time",
             /// The turn of one copy's injection in a step, whether it has spikes or not.
-            #[serde(default = "Constant::no_time")]
-            injection_step_time: ns,
+            injection_step_time: ns = "Constant::no_time",
             /// An output spike read out.
-            #[serde(default = "Constant::no_time")]
-            readout_time: ns,
+            readout_time: ns = "Constant::no_time",
             /// Static power of a powered core.
             core_static_power: mW,
             /// Static power of an x86 core in use.
@@ -206,7 +191,7 @@ macro_rules! for_each_constant {
 pub(crate) use for_each_constant;
 
 macro_rules! constants {
-    ($($(#[$attribute:meta])* $field:ident: $unit:ident,)*) => {
+    ($($(#[$doc:meta])* $field:ident: $unit:ident $(= $default:literal)?,)*) => {
         /// A preset of energies, times and powers. Energies add up: a compartment that is visited, updated and spikes costs
         /// all three.
         #[derive(Debug, Clone, Deserialize)]
@@ -224,7 +209,7 @@ macro_rules! constants {
             /// What a calibration left over, when the preset is the result of one.
             #[serde(default)]
             pub residuals: Vec<Residual>,
-            $($(#[$attribute])* pub $field: Constant,)*
+            $($(#[$doc])* $(#[serde(default = $default)])? pub $field: Constant,)*
         }
         impl Constants {
             /// The names of all single-valued constants, in a fixed order.
