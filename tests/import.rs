@@ -348,7 +348,7 @@ fn a_deep_network_with_an_image_and_resets_gives_what_its_equations_give() {
     // An image of bytes, [height, width, channels].
     let pixels: Vec<u8> = (0..96).map(|i| nsim::base::rng::below(256, 7, i, 0) as u8).collect();
     let image = folder.path().join("image.npy");
-    npy::write_u8(std::fs::File::create(&image).unwrap(), &[8, 6, 2], pixels.iter().copied()).unwrap();
+    npy::write(std::fs::File::create(&image).unwrap(), &[8, 6, 2], pixels.iter().copied()).unwrap();
     let drive: Vec<i64> = (0..96)
         .map(|i| {
             let (c, y, x) = (i / 48, i / 6 % 8, i % 6);

@@ -141,11 +141,9 @@ impl ProbeArgs {
                 ProbeFormat::Npy => io::write::file(&path, force, |out| {
                     let shape = shape.map(|axis| axis as u64);
                     match (named.probe.quantity, recorded) {
-                        (Quantity::Spikes, _) => io::npy::write_u8(out, &shape, numbers.map(|number| number as u8)),
-                        (_, Recorded::Integers(_)) => {
-                            io::npy::write_i32(out, &shape, numbers.map(|number| number as i32))
-                        }
-                        (_, Recorded::Reals(_)) => io::npy::write_f64(out, &shape, numbers),
+                        (Quantity::Spikes, _) => io::npy::write(out, &shape, numbers.map(|number| number as u8)),
+                        (_, Recorded::Integers(_)) => io::npy::write(out, &shape, numbers.map(|number| number as i32)),
+                        (_, Recorded::Reals(_)) => io::npy::write(out, &shape, numbers),
                     }
                 })?,
                 ProbeFormat::Csv => trace.csv(&path, force, numbers)?,

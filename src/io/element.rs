@@ -1,6 +1,14 @@
-//! How the numbers of a foreign file are stored: kind and bytes, little-endian.
+//! How the numbers of a file's arrays are stored: kind and bytes.
+//!
+//! Input: bytes, in either order. Output: a [`Number`], or the [`Numbers`] of a whole array. A model holds integers of the
+//! hardware's width and finite reals; others are refused with their index.
+
+use std::fmt::Display;
 
 use half::{bf16, f16};
+
+use crate::base::diagnostic::{Diagnostic, Result};
+use crate::desc::tensor::Numbers;
 
 /// A kind of number and its bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,6 +23,13 @@ pub(super) enum Element {
     Bf16,
 }
 
+/// A number as it is stored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Number {
+    Integer(i128),
+    Real(f64),
+}
+
 impl Element {
     /// Bytes of a number.
     pub(super) fn bytes(self) -> usize {
@@ -22,6 +37,11 @@ impl Element {
             Element::I(size) | Element::U(size) | Element::F(size) => size.into(),
             Element::Bf16 => 2,
         }
+    }
+
+    /// Whether its numbers are reals.
+    pub(super) fn is_real(self) -> bool {
+        matches!(self, Element::F(_) | Element::Bf16)
     }
 
     /// The type as NumPy writes it, or `bf16`.
@@ -34,21 +54,68 @@ impl Element {
         }
     }
 
-    /// The number in these bytes. Integers beyond 2^53 are rounded.
-    pub(super) fn real(self, bytes: &[u8]) -> f64 {
-        let mut wide = [0; 8];
-        wide[..bytes.len()].copy_from_slice(bytes);
-        let bits = u64::from_le_bytes(wide);
+    /// The number in these bytes, big-endian or little-endian.
+    pub(super) fn number(self, bytes: &[u8], big: bool) -> Number {
+        let append = |bits: u64, &byte: &u8| bits << 8 | u64::from(byte);
+        let bits = if big { bytes.iter().fold(0, append) } else { bytes.iter().rev().fold(0, append) };
         match self {
-            Element::U(_) => bits as f64,
+            Element::U(_) => Number::Integer(bits.into()),
             Element::I(size) => {
                 let unused = 64 - 8 * u32::from(size);
-                ((bits << unused) as i64 >> unused) as f64
+                Number::Integer(((bits << unused) as i64 >> unused).into())
             }
-            Element::F(2) => f16::from_bits(bits as u16).to_f64(),
-            Element::F(4) => f64::from(f32::from_bits(bits as u32)),
-            Element::F(_) => f64::from_bits(bits),
-            Element::Bf16 => bf16::from_bits(bits as u16).to_f64(),
+            Element::F(2) => Number::Real(f16::from_bits(bits as u16).to_f64()),
+            Element::F(4) => Number::Real(f32::from_bits(bits as u32).into()),
+            Element::F(_) => Number::Real(f64::from_bits(bits)),
+            Element::Bf16 => Number::Real(bf16::from_bits(bits as u16).to_f64()),
+        }
+    }
+
+    /// All numbers of an array, in the order of the bytes.
+    ///
+    /// # Errors
+    /// As [`Number::check`]; `wrong` is also given the index.
+    pub(super) fn numbers(
+        self,
+        data: &[u8],
+        big: bool,
+        wrong: impl Fn(usize, &dyn Display, &str) -> Diagnostic,
+    ) -> Result<Numbers> {
+        let stored = data.chunks_exact(self.bytes()).map(|bytes| self.number(bytes, big));
+        let checked = stored.enumerate().map(|(index, x)| x.check(|value, why| wrong(index, value, why)));
+        Ok(match self.is_real() {
+            true => Numbers::Reals(checked.map(|x| Ok(x?.real())).collect::<Result<_>>()?),
+            false => Numbers::Integers(checked.map(|x| Ok(x?.integer())).collect::<Result<_>>()?),
+        })
+    }
+}
+
+impl Number {
+    /// The number as a real. Integers beyond 2^53 are rounded.
+    pub(super) fn real(self) -> f64 {
+        match self {
+            Number::Integer(x) => x as f64,
+            Number::Real(x) => x,
+        }
+    }
+
+    /// The number as an integer of the hardware's width, which [`Number::check`] makes sure of.
+    fn integer(self) -> i32 {
+        match self {
+            Number::Integer(x) => x as i32,
+            Number::Real(x) => x as i32,
+        }
+    }
+
+    /// The number, if it is an integer of 32 bits or a finite real.
+    ///
+    /// # Errors
+    /// What `wrong` makes of the number and of what it is instead.
+    pub(super) fn check(self, wrong: impl FnOnce(&dyn Display, &str) -> Diagnostic) -> Result<Number> {
+        match self {
+            Number::Integer(x) if i32::try_from(x).is_err() => Err(wrong(&x, "outside the 32-bit integers")),
+            Number::Real(x) if !x.is_finite() => Err(wrong(&x, "not a finite number")),
+            number => Ok(number),
         }
     }
 }
@@ -63,13 +130,25 @@ mod tests {
             for size in [1u8, 2, 4, 8] {
                 let bytes = &x.to_le_bytes()[..size.into()];
                 let unused = 64 - 8 * u32::from(size);
-                assert_eq!(Element::I(size).real(bytes), (x << unused >> unused) as f64, "{x} in {size}");
-                assert_eq!(Element::U(size).real(bytes), ((x as u64) << unused >> unused) as f64, "{x} in {size}");
+                assert_eq!(
+                    Element::I(size).number(bytes, false).real(),
+                    (x << unused >> unused) as f64,
+                    "{x} in {size}"
+                );
+                assert_eq!(
+                    Element::U(size).number(bytes, false).real(),
+                    ((x as u64) << unused >> unused) as f64,
+                    "{x} in {size}"
+                );
             }
         }
-        assert_eq!(Element::F(2).real(&0xc000u16.to_le_bytes()), -2.0);
-        assert_eq!(Element::F(4).real(&0.1f32.to_le_bytes()), f64::from(0.1f32));
-        assert_eq!(Element::F(8).real(&(-1e-300f64).to_le_bytes()), -1e-300);
-        assert_eq!(Element::Bf16.real(&0xc040u16.to_le_bytes()), -3.0);
+        assert_eq!(Element::F(2).number(&0xc000u16.to_le_bytes(), false).real(), -2.0);
+        assert_eq!(Element::F(4).number(&0.1f32.to_le_bytes(), false).real(), f64::from(0.1f32));
+        assert_eq!(Element::F(8).number(&(-1e-300f64).to_le_bytes(), false).real(), -1e-300);
+        for size in [1u8, 2, 4, 8] {
+            let (one, bits) = ([1, 0, 0, 0, 0, 0, 0, 0], 8 * (u32::from(size) - 1));
+            assert_eq!(Element::U(size).number(&one[..size.into()], true), Number::Integer(1 << bits), "big-endian");
+        }
+        assert_eq!(Element::Bf16.number(&0xc040u16.to_le_bytes(), false).real(), -3.0);
     }
 }

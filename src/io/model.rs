@@ -137,7 +137,7 @@ Network(
     fn folder() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let npy = std::fs::File::create(folder.path().join("v.npy")).unwrap();
-        npy::write_i32(npy, &[2], [80, 90]).unwrap();
+        npy::write(npy, &[2], [80, 90]).unwrap();
         let json = r#"{"fc.weight":{"dtype":"I8","shape":[2,18],"data_offsets":[0,36]}}"#;
         let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
         bytes.extend(json.bytes());

@@ -4,12 +4,13 @@
 //! it a [`Tensor`] in C order or the indices of its non-zero numbers. Object, complex, text, date and structured arrays
 //! are refused by name; `.npz` archives are not read. Also writes `u1`, `i4` and `f8` arrays as they come.
 
+use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use half::f16;
-use npyz::{DType, Endianness, NpyFile, NpyHeader, Order, TypeChar, WriterBuilder};
+use npyz::{DType, Endianness, NpyHeader, Order, TypeChar, WriterBuilder};
 
+use super::element::Element;
 use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::tensor::{Numbers, Tensor};
@@ -18,9 +19,6 @@ use crate::desc::tensor::{Numbers, Tensor};
 const MOST_HEADER: usize = 64 << 10;
 /// The deepest brackets of a header: a structured type within a structured type.
 const DEEPEST_HEADER: usize = 8;
-
-/// What is wrong with an integer that is too large.
-const WIDE: &str = "outside the 32-bit integers";
 
 /// An array file whose header fits its bytes.
 pub struct Array {
@@ -32,54 +30,15 @@ pub struct Array {
     element: Element,
 }
 
-/// The types of numbers that are read, as NumPy spells them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Element {
-    Bool,
-    I1,
-    I2,
-    I4,
-    I8,
-    U1,
-    U2,
-    U4,
-    U8,
-    F2,
-    F4,
-    F8,
-}
-
-impl Element {
-    fn from_dtype(dtype: &DType) -> Option<Element> {
-        let DType::Plain(plain) = dtype else { return None };
-        Some(match (plain.type_char(), plain.size_field()) {
-            (TypeChar::Bool, 1) => Element::Bool,
-            (TypeChar::Int, 1) => Element::I1,
-            (TypeChar::Int, 2) => Element::I2,
-            (TypeChar::Int, 4) => Element::I4,
-            (TypeChar::Int, 8) => Element::I8,
-            (TypeChar::Uint, 1) => Element::U1,
-            (TypeChar::Uint, 2) => Element::U2,
-            (TypeChar::Uint, 4) => Element::U4,
-            (TypeChar::Uint, 8) => Element::U8,
-            (TypeChar::Float, 2) => Element::F2,
-            (TypeChar::Float, 4) => Element::F4,
-            (TypeChar::Float, 8) => Element::F8,
-            _ => return None,
-        })
-    }
-
-    fn bytes(self) -> usize {
-        match self {
-            Element::Bool | Element::I1 | Element::U1 => 1,
-            Element::I2 | Element::U2 | Element::F2 => 2,
-            Element::I4 | Element::U4 | Element::F4 => 4,
-            Element::I8 | Element::U8 | Element::F8 => 8,
-        }
-    }
-
-    fn is_real(self) -> bool {
-        matches!(self, Element::F2 | Element::F4 | Element::F8)
+/// The kind of numbers that a type stores; none for one that is not read.
+fn element(dtype: &DType) -> Option<Element> {
+    let DType::Plain(plain) = dtype else { return None };
+    match (plain.type_char(), u8::try_from(plain.size_field()).ok()?) {
+        (TypeChar::Bool, 1) => Some(Element::U(1)),
+        (TypeChar::Int, size @ (1 | 2 | 4 | 8)) => Some(Element::I(size)),
+        (TypeChar::Uint, size @ (1 | 2 | 4 | 8)) => Some(Element::U(size)),
+        (TypeChar::Float, size @ (2 | 4 | 8)) => Some(Element::F(size)),
+        _ => None,
     }
 }
 
@@ -205,7 +164,7 @@ impl Array {
             Diagnostic::new("npy.format", format!("the header cannot be read: {error}")).in_file(path)
         })?;
         let dtype = header.dtype();
-        let Some(element) = Element::from_dtype(&dtype) else {
+        let Some(element) = element(&dtype) else {
             return Err(Diagnostic::new(
                 "npy.dtype",
                 format!("the array's type {} holds {}, which are not read", dtype_name(&dtype), kind_of(&dtype)),
@@ -255,10 +214,19 @@ impl Array {
         &self.path
     }
 
+    /// Whether the first axis runs fastest.
+    fn is_fortran(&self) -> bool {
+        self.header.order() == Order::Fortran && self.shape.len() > 1
+    }
+
+    fn is_big_endian(&self) -> bool {
+        matches!(self.header.dtype(), DType::Plain(plain) if plain.endianness() == Endianness::Big)
+    }
+
     /// An index in the order of the file as index in C order.
     fn c_order(&self) -> impl Fn(usize) -> usize + use<> {
         // Last axis of the file's order first: in Fortran order that is the first axis.
-        let fortran = self.header.order() == Order::Fortran && self.shape.len() > 1;
+        let fortran = self.is_fortran();
         let shape = if fortran { self.shape.clone() } else { Vec::new() };
         move |mut index| {
             if !fortran {
@@ -275,6 +243,16 @@ impl Array {
         }
     }
 
+    /// Numbers in the order of the file as numbers in C order.
+    fn in_c_order<T: Copy + Default>(&self, numbers: Vec<T>) -> Vec<T> {
+        if !self.is_fortran() {
+            return numbers;
+        }
+        let (place, mut ordered) = (self.c_order(), vec![T::default(); numbers.len()]);
+        numbers.into_iter().enumerate().for_each(|(index, x)| ordered[place(index)] = x);
+        ordered
+    }
+
     /// An index in C order as one index for each axis, for messages.
     fn indices(&self, mut index: usize) -> Vec<usize> {
         let mut indices = vec![0; self.shape.len()];
@@ -285,52 +263,13 @@ impl Array {
         indices
     }
 
-    fn wrong(&self, index: usize, value: impl std::fmt::Display, why: &str) -> Diagnostic {
+    fn wrong(&self, index: usize, value: impl Display, why: &str) -> Diagnostic {
         Diagnostic::new("npy.value", format!("the number at {:?} is {value}, which is {why}", self.indices(index)))
             .in_file(&self.path)
     }
 
-    fn failed(&self, error: impl std::fmt::Display) -> Diagnostic {
+    fn failed(&self, error: impl Display) -> Diagnostic {
         Diagnostic::new("npy.format", format!("the numbers cannot be read: {error}")).in_file(&self.path)
-    }
-
-    /// Calls `f` with the C-order index of each number and the number.
-    fn each<T: npyz::Deserialize>(&self, mut f: impl FnMut(usize, T) -> Result<()>) -> Result<()> {
-        let place = self.c_order();
-        let file = NpyFile::with_header(self.header.clone(), &self.bytes[self.data..]);
-        for (index, number) in file.data::<T>().map_err(|error| self.failed(error))?.enumerate() {
-            f(place(index), number.map_err(|error| self.failed(error))?)?;
-        }
-        Ok(())
-    }
-
-    /// Calls `f` with every number as a real, in the order of the file.
-    fn each_real(&self, mut f: impl FnMut(usize, f64) -> Result<()>) -> Result<()> {
-        let mut finite = |index: usize, x: f64| {
-            if x.is_finite() { f(index, x) } else { Err(self.wrong(index, x, "not a finite number")) }
-        };
-        match self.element {
-            Element::F4 => self.each::<f32>(|index, x| finite(index, f64::from(x))),
-            Element::F8 => self.each::<f64>(finite),
-            _ => self.each::<f16>(|index, x| finite(index, x.to_f64())),
-        }
-    }
-
-    /// Calls `f` with every number as an integer of the hardware's width.
-    fn each_integer(&self, mut f: impl FnMut(usize, i32) -> Result<()>) -> Result<()> {
-        let narrow = |index, x: i128| i32::try_from(x).map_err(|_| self.wrong(index, x, WIDE));
-        match self.element {
-            Element::Bool => self.each::<bool>(|index, x| f(index, i32::from(x))),
-            Element::I1 => self.each::<i8>(|index, x| f(index, i32::from(x))),
-            Element::I2 => self.each::<i16>(|index, x| f(index, i32::from(x))),
-            Element::I4 => self.each::<i32>(f),
-            Element::U1 => self.each::<u8>(|index, x| f(index, i32::from(x))),
-            Element::U2 => self.each::<u16>(|index, x| f(index, i32::from(x))),
-            Element::U4 => self.each::<u32>(|index, x| f(index, narrow(index, x.into())?)),
-            Element::I8 => self.each::<i64>(|index, x| f(index, narrow(index, x.into())?)),
-            Element::U8 => self.each::<u64>(|index, x| f(index, narrow(index, x.into())?)),
-            Element::F2 | Element::F4 | Element::F8 => Err(self.failed("they are floating-point numbers")),
-        }
     }
 
     /// All numbers in C order.
@@ -338,21 +277,16 @@ impl Array {
     /// # Errors
     /// `npy.value` for an integer beyond 32 bits and for NaN or infinity, with its index.
     pub fn tensor(&self) -> Result<Tensor> {
-        let length = (self.bytes.len() - self.data) / self.element.bytes();
-        let numbers = if self.element.is_real() {
-            let mut numbers = vec![0.0; length];
-            self.each_real(|index, x| {
-                numbers[index] = x;
-                Ok(())
-            })?;
-            Numbers::Reals(numbers)
-        } else {
-            let mut numbers = vec![0; length];
-            self.each_integer(|index, x| {
-                numbers[index] = x;
-                Ok(())
-            })?;
-            Numbers::Integers(numbers)
+        let data = &self.bytes[self.data..];
+        let is_bool = matches!(self.header.dtype(), DType::Plain(plain) if plain.type_char() == TypeChar::Bool);
+        if let Some(byte) = data.iter().find(|&&byte| is_bool && byte > 1) {
+            return Err(self.failed(format!("invalid value for bool: {byte}")));
+        }
+        let place = self.c_order();
+        let wrong = |index, value: &dyn Display, why: &str| self.wrong(place(index), value, why);
+        let numbers = match self.element.numbers(data, self.is_big_endian(), wrong)? {
+            Numbers::Integers(numbers) => Numbers::Integers(self.in_c_order(numbers)),
+            Numbers::Reals(numbers) => Numbers::Reals(self.in_c_order(numbers)),
         };
         Tensor::new(self.shape.clone(), numbers).ok_or_else(|| self.failed("they do not fill the shape"))
     }
@@ -365,7 +299,7 @@ impl Array {
     pub fn each_non_zero(&self, mut f: impl FnMut(usize) -> Result<()>) -> Result<()> {
         let place = self.c_order();
         let size = self.element.bytes();
-        let big = matches!(self.header.dtype(), DType::Plain(plain) if plain.endianness() == Endianness::Big);
+        let big = self.is_big_endian();
         let data = &self.bytes[self.data..];
         for (word, bytes) in data.chunks(8).enumerate() {
             if bytes.try_into().is_ok_and(|bytes| u64::from_ne_bytes(bytes) == 0) {
@@ -374,7 +308,9 @@ impl Array {
             for (k, number) in bytes.chunks_exact(size).enumerate() {
                 if number.iter().any(|&byte| byte != 0) {
                     let index = place(word * (8 / size) + k);
-                    if self.is_spike(index, number, big)? {
+                    let number = self.element.number(number, big).check(|x, why| self.wrong(index, x, why))?;
+                    // Minus zero has a byte that is not zero.
+                    if number.real() != 0.0 {
                         f(index)?;
                     }
                 }
@@ -382,29 +318,14 @@ impl Array {
         }
         Ok(())
     }
-
-    /// Whether a number with a byte that is not zero is itself not zero, and one that is read.
-    fn is_spike(&self, index: usize, number: &[u8], big: bool) -> Result<bool> {
-        let mut little = [0; 8];
-        little[..number.len()].copy_from_slice(number);
-        if big {
-            little[..number.len()].reverse();
-        }
-        let bits = u64::from_le_bytes(little);
-        let real = |x: f64| if x.is_finite() { Ok(x != 0.0) } else { Err(self.wrong(index, x, "not a finite number")) };
-        let wide = |fits: bool, value: String| if fits { Ok(true) } else { Err(self.wrong(index, value, WIDE)) };
-        match self.element {
-            Element::F2 => real(f16::from_bits(bits as u16).to_f64()),
-            Element::F4 => real(f64::from(f32::from_bits(bits as u32))),
-            Element::F8 => real(f64::from_bits(bits)),
-            Element::U4 | Element::U8 => wide(i32::try_from(bits).is_ok(), bits.to_string()),
-            Element::I8 => wide(i32::try_from(bits as i64).is_ok(), (bits as i64).to_string()),
-            Element::Bool | Element::I1 | Element::I2 | Element::I4 | Element::U1 | Element::U2 => Ok(true),
-        }
-    }
 }
 
-fn write<T: npyz::AutoSerialize>(
+/// Writes an array in C order as its numbers come; their number must be the product of the shape. The type is that of the
+/// numbers, such as `u1`, `i4` and `f8`.
+///
+/// # Errors
+/// When the output cannot be written, or the numbers do not fill the shape.
+pub fn write<T: npyz::AutoSerialize>(
     out: impl Write,
     shape: &[u64],
     numbers: impl IntoIterator<Item = T>,
@@ -412,14 +333,6 @@ fn write<T: npyz::AutoSerialize>(
     let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(out).begin_nd()?;
     writer.extend(numbers)?;
     writer.finish()
-}
-
-/// Writes an array of bytes in C order as its numbers come; their number must be the product of the shape.
-///
-/// # Errors
-/// When the output cannot be written, or the numbers do not fill the shape.
-pub fn write_u8(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = u8>) -> std::io::Result<()> {
-    write(out, shape, numbers)
 }
 
 /// Writes an array of bytes in C order that is there as a whole; its length must be the product of the shape.
@@ -445,22 +358,6 @@ pub fn write_bytes(out: &mut dyn Write, shape: &[u64], bytes: &[u8]) -> std::io:
     out.write_all(&length.to_le_bytes())?;
     out.write_all(header.as_bytes())?;
     out.write_all(bytes)
-}
-
-/// Writes an array of 32-bit integers in C order as its numbers come; their number must be the product of the shape.
-///
-/// # Errors
-/// When the output cannot be written, or the numbers do not fill the shape.
-pub fn write_i32(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = i32>) -> std::io::Result<()> {
-    write(out, shape, numbers)
-}
-
-/// Writes an array of 64-bit reals in C order as its numbers come; their number must be the product of the shape.
-///
-/// # Errors
-/// When the output cannot be written, or the numbers do not fill the shape.
-pub fn write_f64(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = f64>) -> std::io::Result<()> {
-    write(out, shape, numbers)
 }
 
 #[cfg(test)]
@@ -599,14 +496,14 @@ mod tests {
     #[test]
     fn what_is_written_is_read_back() {
         let mut bytes = Vec::new();
-        write_i32(&mut bytes, &[2, 1, 2], [1, -2, i32::MAX, i32::MIN]).unwrap();
+        write(&mut bytes, &[2, 1, 2], [1, -2, i32::MAX, i32::MIN]).unwrap();
         let tensor = parse(bytes).unwrap();
         assert_eq!(tensor.shape(), [2, 1, 2]);
         assert_eq!(tensor.numbers(), &Numbers::Integers(vec![1, -2, i32::MAX, i32::MIN]));
         let mut bytes = Vec::new();
-        write_u8(&mut bytes, &[3], [0, 1, 255]).unwrap();
+        write(&mut bytes, &[3], [0, 1, 255]).unwrap();
         assert_eq!(parse(bytes).unwrap().numbers(), &Numbers::Integers(vec![0, 1, 255]));
-        assert!(write_u8(Vec::new(), &[3], [0, 1]).is_err());
+        assert!(write(Vec::new(), &[3], [0, 1]).is_err());
         for shape in [&[6][..], &[2, 3], &[3, 1, 2], &[]] {
             let numbers: Vec<u8> = (0..shape.iter().product::<u64>() as u8).collect();
             let mut bytes = Vec::new();

@@ -4,10 +4,10 @@
 
 use std::path::{Path, PathBuf};
 
-use half::{bf16, f16};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
+use super::element::Element;
 use super::text::{MOST_ARRAY, read_bytes};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::tensor::{Numbers, Tensor};
@@ -95,47 +95,36 @@ impl TensorFile {
     }
 
     fn numbers(&self, key: &str, tensor: &TensorView<'_>) -> Result<Numbers> {
-        let wrong = |index: usize, value: &dyn std::fmt::Display, why: &str| {
-            Diagnostic::new("safetensors.value", format!("number {index} of tensor '{key}' is {value}, which is {why}"))
-                .in_file(&self.path)
-        };
-        let data = tensor.data();
-        let narrow =
-            |index: usize, x: i128| i32::try_from(x).map_err(|_| wrong(index, &x, "outside the 32-bit integers"));
-        let finite =
-            |index: usize, x: f64| if x.is_finite() { Ok(x) } else { Err(wrong(index, &x, "not a finite number")) };
-        Ok(match tensor.dtype() {
-            Dtype::BOOL | Dtype::U8 => Numbers::Integers(data.iter().map(|&x| i32::from(x)).collect()),
-            Dtype::I8 => Numbers::Integers(data.iter().map(|&x| i32::from(x as i8)).collect()),
-            Dtype::I16 => Numbers::Integers(each(data, |b| i32::from(i16::from_le_bytes(b))).collect()),
-            Dtype::U16 => Numbers::Integers(each(data, |b| i32::from(u16::from_le_bytes(b))).collect()),
-            Dtype::I32 => Numbers::Integers(each(data, i32::from_le_bytes).collect()),
-            Dtype::U32 => Numbers::Integers(fallible(each(data, |b| i128::from(u32::from_le_bytes(b))), narrow)?),
-            Dtype::I64 => Numbers::Integers(fallible(each(data, |b| i128::from(i64::from_le_bytes(b))), narrow)?),
-            Dtype::U64 => Numbers::Integers(fallible(each(data, |b| i128::from(u64::from_le_bytes(b))), narrow)?),
-            Dtype::F16 => Numbers::Reals(fallible(each(data, |b| f16::from_le_bytes(b).to_f64()), finite)?),
-            Dtype::BF16 => Numbers::Reals(fallible(each(data, |b| bf16::from_le_bytes(b).to_f64()), finite)?),
-            Dtype::F32 => Numbers::Reals(fallible(each(data, |b| f64::from(f32::from_le_bytes(b))), finite)?),
-            Dtype::F64 => Numbers::Reals(fallible(each(data, f64::from_le_bytes), finite)?),
-            other => {
-                return Err(Diagnostic::new(
-                    "safetensors.dtype",
-                    format!("tensor '{key}' holds {other:?}, which is not read"),
-                )
+        let Some(element) = element(tensor.dtype()) else {
+            let message = format!("tensor '{key}' holds {:?}, which is not read", tensor.dtype());
+            return Err(Diagnostic::new("safetensors.dtype", message)
                 .help("F64, F32, F16, BF16, integers of 8 to 64 bits and BOOL are")
                 .in_file(&self.path));
-            }
+        };
+        element.numbers(tensor.data(), false, |index, value, why| {
+            Diagnostic::new("safetensors.value", format!("number {index} of tensor '{key}' is {value}, which is {why}"))
+                .in_file(&self.path)
         })
     }
 }
 
-/// The numbers of `N` bytes each.
-fn each<const N: usize, T>(data: &[u8], decode: impl Fn([u8; N]) -> T) -> impl Iterator<Item = T> {
-    data.as_chunks::<N>().0.iter().map(move |&bytes| decode(bytes))
-}
-
-fn fallible<T, U>(numbers: impl Iterator<Item = T>, f: impl Fn(usize, T) -> Result<U>) -> Result<Vec<U>> {
-    numbers.enumerate().map(|(index, x)| f(index, x)).collect()
+/// The kind of numbers that a type stores; none for one that is not read.
+fn element(dtype: Dtype) -> Option<Element> {
+    Some(match dtype {
+        Dtype::I8 => Element::I(1),
+        Dtype::I16 => Element::I(2),
+        Dtype::I32 => Element::I(4),
+        Dtype::I64 => Element::I(8),
+        Dtype::BOOL | Dtype::U8 => Element::U(1),
+        Dtype::U16 => Element::U(2),
+        Dtype::U32 => Element::U(4),
+        Dtype::U64 => Element::U(8),
+        Dtype::F16 => Element::F(2),
+        Dtype::F32 => Element::F(4),
+        Dtype::F64 => Element::F(8),
+        Dtype::BF16 => Element::Bf16,
+        _ => return None,
+    })
 }
 
 #[cfg(test)]

@@ -353,7 +353,7 @@ Network(name: "m", timestep_ms: 1.0,
     #[test]
     fn arrays_events_and_folders_are_described() {
         let mut bytes = Vec::new();
-        npy::write_i32(&mut bytes, &[2, 2], [0, -3, 0, 9]).unwrap();
+        npy::write(&mut bytes, &[2, 2], [0, -3, 0, 9]).unwrap();
         let array = object(&findings("a.npy", &bytes).unwrap());
         assert_eq!((&array["shape"], &array["dtype"]), (&json!([2, 2]), &json!("<i4")));
         assert_eq!((&array["min"], &array["max"], &array["spikes"]), (&json!(-3), &json!(9), &json!(2)));

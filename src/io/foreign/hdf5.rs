@@ -15,8 +15,8 @@ use hdf5_pure::{
     FileBuilder, FinishedGroup, FixedPointLayout, FloatingPointLayout, GroupBuilder, VlenStringReadOptions,
 };
 
-use super::element::Element;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::element::Element;
 
 /// What every HDF5 file begins with (HDF5 file format specification 3.0, II.A).
 pub const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
@@ -94,7 +94,7 @@ impl Numbers {
     /// Whether they are integers.
     #[must_use]
     pub fn is_integer(&self) -> bool {
-        !matches!(self.element, Element::F(_))
+        !self.element.is_real()
     }
 
     /// The type of an element as NumPy writes it: kind and bytes.
@@ -132,7 +132,7 @@ impl Numbers {
 
     /// Each number as a real. Integers beyond 2^53 are rounded.
     pub fn reals(&self) -> impl Iterator<Item = f64> + '_ {
-        self.bytes.chunks_exact(self.element.bytes()).map(|bytes| self.element.real(bytes))
+        self.bytes.chunks_exact(self.element.bytes()).map(|bytes| self.element.number(bytes, false).real())
     }
 }
 

@@ -5,7 +5,6 @@
 //! cannot be read (a Git-LFS pointer, SANA-FE's text netlist, a pickled module, an HDF5 file that is no network). Nothing in
 //! a file is executed. `docs/import.md` has the conventions and limits of each format.
 
-mod element;
 pub mod encode;
 pub mod hdf5;
 pub mod imported;

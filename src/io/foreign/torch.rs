@@ -9,9 +9,9 @@ use std::io::{Cursor, Read};
 
 use zip::ZipArchive;
 
-use super::element::Element;
 use super::pickle::{self, Arena, PickleError, Value, ValueId};
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::element::Element;
 
 /// What a zip archive begins with.
 pub const ZIP: &[u8] = b"PK\x03\x04";
@@ -306,7 +306,7 @@ fn numbers(bytes: &[u8], view: &View, name: &str) -> Result<Vec<f64>> {
     let mut reals = Vec::with_capacity(count);
     for _ in 0..count {
         let at = view.offset + index.iter().zip(&view.strides).map(|(i, stride)| i * stride).sum::<usize>();
-        let real = view.element.real(&bytes[at * size..(at + 1) * size]);
+        let real = view.element.number(&bytes[at * size..(at + 1) * size], false).real();
         if !real.is_finite() {
             return Err(bad(&format!("the number at {index:?} is {real}")));
         }

@@ -365,7 +365,7 @@ fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<
 mod tests {
     use super::*;
     use crate::io::mapping::pretty;
-    use crate::io::npy::write_u8;
+    use crate::io::npy;
 
     const SET: &str = r#"DataSet(
     name: "two",
@@ -392,7 +392,7 @@ mod tests {
     fn recordings_are_found_beside_the_manifest() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["t0.npy", "t1.npy"] {
-            write_u8(std::fs::File::create(folder.path().join(name)).unwrap(), &[2, 3], [0, 0, 1, 0, 1, 0]).unwrap();
+            npy::write(std::fs::File::create(folder.path().join(name)).unwrap(), &[2, 3], [0, 0, 1, 0, 1, 0]).unwrap();
         }
         std::fs::write(folder.path().join("s0.csv"), "0,4\n").unwrap();
         let path = folder.path().join("d.ron");
@@ -448,7 +448,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let array = |name: &str, shape: &[u64], numbers: &[u8]| {
-            write_u8(std::fs::File::create(at(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
+            npy::write(std::fs::File::create(at(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
         };
         // Four samples of 3 taxels x 2 polarities x 1 step and of 2 polarities x 1 x 3 pixels x 1 step.
         let bits = |row: u32| (0..6).map(move |bit| (row >> bit & 1) as u8);

@@ -45,7 +45,7 @@ mod tests {
 
     fn array(folder: &Path, name: &str, shape: &[u64], numbers: &[u8]) -> std::path::PathBuf {
         let path = folder.join(name);
-        npy::write_u8(std::fs::File::create(&path).unwrap(), shape, numbers.iter().copied()).unwrap();
+        npy::write(std::fs::File::create(&path).unwrap(), shape, numbers.iter().copied()).unwrap();
         path
     }
 
