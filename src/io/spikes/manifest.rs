@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::options::EventOptions;
 use super::population::{Expected, PopulationSpikes};
-use super::recordings::{read, read_sample};
+use super::recordings::{Request, read, read_sample};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::desc::dataset::DataSet;
 use crate::desc::spanned::{Spanned, parse};
@@ -77,13 +77,13 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
         let message = "the samples of folds are listed here or in the text files of splits, not in both";
         return Err(Diagnostic::new("dataset.fold", message).at(&source, fold.span));
     }
-    let named = |(name, value): (&String, &Spanned<String>)| {
+    let unlisted = |name: &str, value: &Spanned<String>| {
         Diagnostic::new("dataset.files", format!("'{name}' is not listed among the populations"))
             .at(&source, value.span)
     };
     let mut others = set.recordings.iter().chain(&set.options).filter(|(name, _)| !set.populations.contains_key(*name));
-    if let Some(other) = others.next() {
-        return Err(named(other));
+    if let Some((name, value)) = others.next() {
+        return Err(unlisted(name, value));
     }
     let mut options = BTreeMap::new();
     for (name, text) in &set.options {
@@ -96,8 +96,7 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
             return Err(at("dataset.files", format!("sample {index} has no file for '{name}'")));
         }
         if let Some((name, file)) = sample.files.iter().find(|(name, _)| !set.populations.contains_key(*name)) {
-            return Err(Diagnostic::new("dataset.files", format!("'{name}' is not listed among the populations"))
-                .at(&source, file.span));
+            return Err(unlisted(name, file));
         }
         if let Some(label) =
             sample.label.filter(|&label| !set.classes.is_empty() && label as usize >= set.classes.len())
@@ -225,7 +224,8 @@ impl Manifest {
         };
         let file = &entry.value.files[name];
         let path = beside(self.source.path(), &file.value);
-        let mut spikes = read_sample(&path, population, expected, &self.options_of(name))
+        let options = self.options_of(name);
+        let mut spikes = read_sample(&path, Request { population, expected, options: &options })
             .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
         spikes.label = entry.label.or(spikes.label);
         self.check_steps(&mut spikes, file)?;
@@ -251,7 +251,8 @@ impl Manifest {
         let name = self.recording_of(population)?;
         let file = &self.set.recordings[name];
         let path = beside(self.source.path(), &file.value);
-        let mut all = read(&path, population, expected, &self.options_of(name))
+        let options = self.options_of(name);
+        let mut all = read(&path, Request { population, expected, options: &options })
             .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
         for spikes in &mut all {
             self.check_steps(spikes, file)?;
@@ -310,12 +311,10 @@ impl Manifest {
         }
     }
 
-    fn point_at(&self, span: Span, name: &str, problem: Diagnostic) -> Diagnostic {
+    fn point_at(&self, span: Span, name: &str, mut problem: Diagnostic) -> Diagnostic {
         let position = problem.position().map_or(String::new(), |at| format!(":{}:{}", at.line, at.column));
-        let mut pointed =
-            Diagnostic::new(problem.code, format!("{name}{position}: {}", problem.message)).at(&self.source, span);
-        pointed.help = problem.help;
-        pointed
+        problem.message = format!("{name}{position}: {}", problem.message);
+        problem.at(&self.source, span)
     }
 }
 

@@ -16,22 +16,28 @@ use crate::io::foreign::hdf5;
 use crate::io::npy;
 use crate::io::text::{MOST_ARRAY, read_bytes};
 
+/// What the recordings of a source are read for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Request<'a> {
+    /// The name of the population.
+    pub(super) population: &'a str,
+    pub(super) expected: &'a Expected,
+    /// What stands after the `?` of the source.
+    pub(super) options: &'a EventOptions,
+}
+
 /// Reads a file or a folder for a population.
 ///
 /// # Errors
 /// `input.kind` for another kind of file; `input.option` for an option that an array does not take; `input.*`, `npy.*`,
 /// `hdf5.*`, `io.*`.
-pub(super) fn read(
-    path: &Path,
-    population: &str,
-    expected: &Expected,
-    options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>> {
+pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
+    let Request { expected, options, .. } = request;
     let (format, units) = (SpikeFormat::detect(path), expected.units);
     match format {
-        Some(SpikeFormat::Folder) => return read_folder(path, population, expected, options),
-        Some(SpikeFormat::Events(format)) => return read_recording(path, format, expected, options),
-        Some(SpikeFormat::NirData) => return read_nir_data(path, population, expected, options),
+        Some(SpikeFormat::Folder) => return read_folder(path, request),
+        Some(SpikeFormat::Events(format)) => return read_recording(path, format, request),
+        Some(SpikeFormat::NirData) => return read_nir_data(path, request),
         Some(SpikeFormat::Array) => {
             return array::from_array(&npy::open(path)?, units, array_polarity(path, options)?);
         }
@@ -77,43 +83,29 @@ fn array_polarity(path: &Path, options: &EventOptions) -> Result<Polarity> {
 }
 
 /// Reads a recording of events and logs what was left out.
-fn read_recording(
-    path: &Path,
-    format: EventFormat,
-    expected: &Expected,
-    options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>> {
-    let (spikes, counts) = read_file(path, format, expected, options)?;
+fn read_recording(path: &Path, format: EventFormat, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
+    let (spikes, counts) = read_file(path, format, request.expected, request.options)?;
     report(path, &counts);
     Ok(vec![spikes])
 }
 
-fn read_nir_data(
-    path: &Path,
-    population: &str,
-    expected: &Expected,
-    options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>> {
+fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let tree = hdf5::tree(path, read_bytes(path, MOST_ARRAY)?)?;
     if !nir_data::is_data(&tree) {
         return Err(Diagnostic::new("input.kind", "this is no file of NIR data")
             .in_file(path)
             .help("nir.write_data makes one; a NIR graph is a model, not a recording"));
     }
+    let Request { population, expected, options } = request;
     nir_data::read(&tree, path, population, expected, options).map_err(|problem| problem.or_in_file(path))
 }
 
 /// Reads a folder of `sample_<i>_label_<c>.npy` or of recordings of events; other files are left alone.
-fn read_folder(
-    folder: &Path,
-    population: &str,
-    expected: &Expected,
-    options: &EventOptions,
-) -> Result<Vec<PopulationSpikes>> {
+fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let read: Vec<_> = list_folder(folder)?
         .into_par_iter()
         .map(|(_, label, path)| {
-            let mut recording = read_sample(&path, population, expected, options)?;
+            let mut recording = read_sample(&path, request)?;
             recording.label = label;
             Ok(recording)
         })
@@ -123,12 +115,7 @@ fn read_folder(
 }
 
 /// Reads a source that holds exactly one sample.
-pub(super) fn read_sample(
-    path: &Path,
-    population: &str,
-    expected: &Expected,
-    options: &EventOptions,
-) -> Result<PopulationSpikes> {
+pub(super) fn read_sample(path: &Path, request: Request<'_>) -> Result<PopulationSpikes> {
     use SpikeFormat::{Array, Csv, Events, NirData};
     if !matches!(SpikeFormat::from_name(path), Some(Array | Csv | Events(_) | NirData)) {
         return Err(Diagnostic::new(
@@ -137,7 +124,7 @@ pub(super) fn read_sample(
         )
         .in_file(path));
     }
-    let mut recordings = read(path, population, expected, options)?;
+    let mut recordings = read(path, request)?;
     match (recordings.pop(), recordings.len()) {
         (Some(recording), 0) => Ok(recording),
         (_, rest) => {

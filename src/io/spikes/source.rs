@@ -9,7 +9,7 @@ use super::detect::SpikeFormat;
 use super::manifest::read_manifest;
 use super::options::EventOptions;
 use super::population::{Expected, PopulationSpikes};
-use super::recordings;
+use super::recordings::{self, Request};
 use crate::base::diagnostic::Result;
 
 /// Reads a source for a population of `units` channels.
@@ -32,7 +32,7 @@ pub fn read_spikes(
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>> {
     if SpikeFormat::detect(path) != Some(SpikeFormat::Manifest) {
-        return recordings::read(path, population, expected, options);
+        return recordings::read(path, Request { population, expected, options });
     }
     recordings::takes_no_options(path, options)?;
     read_manifest(path)?.read_only(expected)
