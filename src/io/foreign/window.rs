@@ -61,7 +61,8 @@ impl Sliding {
     }
 }
 
-fn each3([a, b, c]: [usize; 3]) -> impl Iterator<Item = (usize, usize, usize)> {
+/// The places of a block, the last axis fastest.
+pub fn each3([a, b, c]: [usize; 3]) -> impl Iterator<Item = (usize, usize, usize)> {
     (0..a).flat_map(move |a| (0..b).flat_map(move |b| (0..c).map(move |c| (a, b, c))))
 }
 

@@ -12,6 +12,14 @@ use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{ProjectionKind, tensor};
 
 impl Reader<'_> {
+    /// Adds the population of a layer; returns its name.
+    fn neurons(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<String> {
+        let name = format!("layer{}", layer.number);
+        let parameters = self.parameters(layer, shape)?;
+        self.push(&name, shape.to_vec(), Some(parameters));
+        Ok(name)
+    }
+
     pub(super) fn dense(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = vec![units(&layer.shape()?).ok_or_else(|| layer.wrong("a shape beyond all memory"))?];
         let axes = layer.axes("weight", 2)?;
@@ -29,9 +37,7 @@ impl Reader<'_> {
                 shape[0]
             )));
         }
-        let name = format!("layer{}", layer.number);
-        let parameters = self.parameters(layer, &shape)?;
-        self.push(&name, shape.clone(), Some(parameters));
+        let name = self.neurons(layer, &shape)?;
         let matrix = vec![shape[0] as usize, source.units() as usize];
         self.project(layer, &source, &name, "weight", |weights| Ok(ProjectionKind::Dense(tensor(matrix, weights))))?;
         if layer.kind == "dense_rec" {
@@ -57,7 +63,7 @@ impl Reader<'_> {
             return Err(layer.wrong(format!("a kernel {:?}", layer.numbers("weight")?.shape())));
         };
         let groups = layer.pair("groups", (1, 1), 1)?.0;
-        let geometry = geometry(layer)?;
+        let geometry = geometry(layer, (1, 1))?;
         let channels = per_group.saturating_mul(groups);
         let given = self.options.input_shape.clone();
         let source = self.source(|| input_of_window(layer, given, channels, &shape, (kh, kw), geometry))?;
@@ -67,9 +73,7 @@ impl Reader<'_> {
                 source.shape
             )));
         }
-        let name = format!("layer{}", layer.number);
-        let parameters = self.parameters(layer, &shape)?;
-        self.push(&name, shape.clone(), Some(parameters));
+        let name = self.neurons(layer, &shape)?;
         let axes: Vec<usize> = kernel.iter().map(|&axis| axis as usize).collect();
         let Geometry { stride, padding, dilation } = geometry;
         self.project(layer, &source, &name, "weight", |weights| {
@@ -81,18 +85,13 @@ impl Reader<'_> {
     pub(super) fn pool(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
         let kernel = layer.pair("kernelSize", (1, 1), 1)?;
-        let mut geometry = geometry(layer)?;
-        if layer.group.get("stride").is_none() {
-            geometry.stride = kernel;
-        }
+        let geometry = geometry(layer, kernel)?;
         let given = self.options.input_shape.clone();
         let source = self.source(|| input_of_window(layer, given, shape[0], &shape, kernel, geometry))?;
         if source.shape.len() != 3 || source.shape[0] != shape[0] {
             return Err(layer.wrong(format!("a pool from {:?} to {shape:?} changes the channels", source.shape)));
         }
-        let name = format!("layer{}", layer.number);
-        let parameters = self.parameters(layer, &shape)?;
-        self.push(&name, shape.clone(), Some(parameters));
+        let name = self.neurons(layer, &shape)?;
         let Geometry { stride, padding, dilation } = geometry;
         let (count, channels) = (layer.numbers("weight")?.len() as u64, shape[0]);
         let places = kernel.0 * kernel.1;
@@ -115,7 +114,7 @@ impl Reader<'_> {
     /// the kernel's place `k` (torch, ConvTranspose; the kernel is `[in][out / groups][kh][kw]`).
     pub(super) fn transposed(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
-        let geometry = geometry(layer)?;
+        let mut geometry = geometry(layer, (1, 1))?;
         let source = self.source(|| {
             Err(Diagnostic::new("import.unsupported", "a network that begins with a transposed convolution"))
         })?;
@@ -136,7 +135,6 @@ impl Reader<'_> {
             }
             (layer.pair("groups", (1, 1), 1)?.0, per_group, kh, kw)
         };
-        let mut geometry = geometry;
         if pooled && layer.group.get("stride").is_none() {
             geometry.stride = (kh, kw);
         }
@@ -150,9 +148,7 @@ impl Reader<'_> {
                 "a transposed convolution has no compact form here",
             ));
         }
-        let name = format!("layer{}", layer.number);
-        let parameters = self.parameters(layer, &shape)?;
-        self.push(&name, shape.clone(), Some(parameters));
+        let name = self.neurons(layer, &shape)?;
         let weights_there = layer.numbers("weight")?.len() as u64;
         let kernel_size = if pooled { kh * kw } else { channels * per_group * kh * kw };
         if weights_there != kernel_size && !(pooled && weights_there == kernel_size * channels) {

@@ -91,9 +91,9 @@ pub(super) fn volume(layer: &Layer<'_>) -> Result<Vec<u64>> {
     if shape.len() == 3 { Ok(shape) } else { Err(layer.wrong(format!("a shape {shape:?} without height and width"))) }
 }
 
-pub(super) fn geometry(layer: &Layer<'_>) -> Result<Geometry> {
+pub(super) fn geometry(layer: &Layer<'_>, stride: (u64, u64)) -> Result<Geometry> {
     Ok(Geometry {
-        stride: layer.pair("stride", (1, 1), 1)?,
+        stride: layer.pair("stride", stride, 1)?,
         padding: layer.pair("padding", (0, 0), 0)?,
         dilation: layer.pair("dilation", (1, 1), 1)?,
     })

@@ -4,7 +4,7 @@
 //! Input: the arrays of nodes. Output: products and scaled copies; nothing where a product has too many synapses.
 
 use super::reader::product;
-use crate::io::foreign::window::{MOST_LISTED, Sliding};
+use crate::io::foreign::window::{MOST_LISTED, Sliding, each3};
 
 /// The linear map from one population to another over the nodes between them.
 #[derive(Clone)]
@@ -67,9 +67,7 @@ impl Window {
             return None;
         }
         let mut kernel = vec![0.0; count];
-        for (at, ky, kx) in (0..kernels)
-            .flat_map(|at| (0..after.size.0).flat_map(move |ky| (0..after.size.1).map(move |kx| (at, ky, kx))))
-        {
+        for (at, ky, kx) in each3([kernels, after.size.0, after.size.1]) {
             let product = next.weight((at * after.size.0 + ky) * after.size.1 + kx) * weight;
             for (j, i) in (0..ph).flat_map(|j| (0..pw).map(move |i| (j, i))) {
                 let (y, x) = (ky * after.dilation.0 * ph + j, kx * after.dilation.1 * pw + i);
