@@ -55,12 +55,6 @@ quantity!(
 );
 
 impl Femtojoules {
-    /// In picojoules.
-    #[must_use]
-    pub fn picojoules(self) -> f64 {
-        self.0 as f64 / 1e3
-    }
-
     /// In microjoules.
     #[must_use]
     pub fn microjoules(self) -> f64 {

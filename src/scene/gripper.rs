@@ -65,13 +65,6 @@ impl Grasp {
         force * self.contact_m * (3.0 * std::f64::consts::PI / 16.0) * (1.0 - part * part).sqrt()
     }
 
-    /// Torque of gravity on the lifted box over the torque that static friction bears: above 1 it slides.
-    #[must_use]
-    pub fn torque_ratio(&self) -> f64 {
-        let weight = self.mass_kg * GRAVITY;
-        weight * self.offset_m.abs() / self.torque_limit(self.static_friction, self.grip_n, weight)
-    }
-
     /// Stiffness of both skins against twist, N m/rad: of a disc that the skin shears everywhere alike, k a^2 / 2.
     #[must_use]
     pub fn twist_stiffness(&self) -> f64 {
@@ -214,7 +207,6 @@ mod tests {
         };
         let weight = grasp.mass_kg * GRAVITY;
         grasp.offset_m = ratio * grasp.torque_limit(0.8, 1.5, weight) / weight;
-        assert!((grasp.torque_ratio() - ratio).abs() < 1e-12);
         grasp
     }
 
