@@ -279,18 +279,16 @@ for_each_constant!(constants);
 
 fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Unit) -> Result<()> {
     let value = constant.value.value;
+    let wrong = |code, message: String| Diagnostic::new(code, message).at(source, constant.value.span);
     if constant.source.trim().is_empty() {
-        return Err(Diagnostic::new("target.source", format!("{name} names no source"))
-            .help("say where the figure is printed, what it was fitted to, or why it is assumed")
-            .at(source, constant.value.span));
+        return Err(wrong("target.source", format!("{name} names no source"))
+            .help("say where the figure is printed, what it was fitted to, or why it is assumed"));
     }
     if constant.unit != unit {
-        return Err(Diagnostic::new("target.unit", format!("{name} is in {:?}, not {unit:?}", constant.unit))
-            .at(source, constant.value.span));
+        return Err(wrong("target.unit", format!("{name} is in {:?}, not {unit:?}", constant.unit)));
     }
     if !(0.0..=1e9).contains(&value) {
-        return Err(Diagnostic::new("target.constant", format!("{name} {value} is outside 0..=1e9"))
-            .at(source, constant.value.span));
+        return Err(wrong("target.constant", format!("{name} {value} is outside 0..=1e9")));
     }
     Ok(())
 }
@@ -424,10 +422,10 @@ impl Target {
     /// # Errors
     /// A diagnostic when a size is 0 or too large, or no preset is given.
     pub fn new(file: &TargetFile, source: &SourceText, chip: Chip, constants: Vec<Constants>) -> Result<Self> {
+        let wrong = |message: String| Diagnostic::new("target.size", message);
         for (what, side) in [("chips_x", &file.chips_x), ("chips_y", &file.chips_y)] {
             if !(1..=128).contains(&side.value) {
-                return Err(Diagnostic::new("target.size", format!("{what} {} is outside 1..=128", side.value))
-                    .at(source, side.span));
+                return Err(wrong(format!("{what} {} is outside 1..=128", side.value)).at(source, side.span));
             }
         }
         let sizes = [
@@ -441,20 +439,15 @@ impl Target {
         ];
         for (what, value, most) in sizes {
             if value == 0 || value > most {
-                return Err(Diagnostic::new(
-                    "target.size",
-                    format!("chip {}: {what} {value} is outside 1..={most}", chip.name),
-                ));
+                return Err(wrong(format!("chip {}: {what} {value} is outside 1..={most}", chip.name)));
             }
         }
         // So that a number of cores always fits its type, whatever the sides.
         let cores = u64::from(file.chips_x.value) * u64::from(file.chips_y.value) * u64::from(chip.cores);
         if cores > MOST_CORES {
-            return Err(Diagnostic::new(
-                "target.size",
-                format!("the board has {cores} cores, the most is {MOST_CORES}"),
-            )
-            .at(source, file.chips_x.span));
+            return Err(
+                wrong(format!("the board has {cores} cores, the most is {MOST_CORES}")).at(source, file.chips_x.span)
+            );
         }
         if constants.is_empty() {
             return Err(

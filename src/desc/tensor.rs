@@ -63,4 +63,9 @@ impl Tensor {
             Numbers::Reals(x) => x[index],
         }
     }
+
+    /// Its numbers as reals.
+    pub fn reals(&self) -> impl Iterator<Item = f64> {
+        (0..self.len()).map(|index| self.real(index))
+    }
 }

@@ -62,9 +62,7 @@ fn read_arrays(
                 opened[name.as_str()].tensor(key)
             }
         };
-        let name = match reference {
-            ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _) => name,
-        };
+        let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = reference;
         arrays.insert(reference.clone(), tensor.map_err(|problem| point_at(source, span, name, problem))?);
     }
     Ok(arrays)
@@ -92,11 +90,10 @@ pub(super) fn beside(path: &Path, name: &str) -> PathBuf {
 }
 
 /// A problem with an array's file, reported where the model names it.
-fn point_at(source: &SourceText, span: Span, name: &str, problem: Diagnostic) -> Diagnostic {
+fn point_at(source: &SourceText, span: Span, name: &str, mut problem: Diagnostic) -> Diagnostic {
     let file = problem.file().map_or_else(|| name.to_string(), |file| file.display().to_string());
-    let mut pointed = Diagnostic::new(problem.code, format!("{file}: {}", problem.message)).at(source, span);
-    pointed.help = problem.help;
-    pointed
+    problem.message = format!("{file}: {}", problem.message);
+    problem.at(source, span)
 }
 
 #[cfg(test)]

@@ -389,24 +389,18 @@ fn seeded(what: &str) -> Diagnostic {
 }
 
 fn array_of(network: &Network, source: &Source) -> Result<Tensor> {
-    match source {
-        Source::InPlace(tensor, _) => Ok(self::tensor(tensor.shape().to_vec(), reals_of(tensor))),
-        Source::File(reference) => {
-            let tensor = network.array(reference);
-            Ok(self::tensor(tensor.shape().to_vec(), reals_of(tensor)))
-        }
-        Source::Uniform { .. } => Err(seeded("a Uniform array")),
-    }
-}
-
-fn reals_of(tensor: &Tensor) -> Vec<f64> {
-    (0..tensor.len()).map(|index| tensor.real(index)).collect()
+    let tensor = match source {
+        Source::InPlace(tensor, _) => tensor,
+        Source::File(reference) => network.array(reference),
+        Source::Uniform { .. } => return Err(seeded("a Uniform array")),
+    };
+    Ok(self::tensor(tensor.shape().to_vec(), tensor.reals().collect()))
 }
 
 fn value_of(network: &Network, value: &ParameterValue) -> Result<Parameter> {
     match value {
         ParameterValue::Same(value) => Ok(Parameter::Same(*value)),
-        ParameterValue::Each(source) => Ok(Parameter::Each(reals_of(&array_of(network, source)?))),
+        ParameterValue::Each(source) => Ok(Parameter::Each(array_of(network, source)?.reals().collect())),
     }
 }
 

@@ -346,12 +346,10 @@ pub fn write_bytes(out: &mut dyn Write, shape: &[u64], bytes: &[u8]) -> std::io:
         return Err(std::io::Error::other(format!("{} bytes do not fill the shape {shape:?}", bytes.len())));
     }
     let axes: String = shape.iter().map(|axis| format!("{axis},")).collect();
-    let mut header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({axes}), }}");
+    let fields = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({axes}), }}");
     let before = NPY_MAGIC.len() + 4;
-    while !(before + header.len() + 1).is_multiple_of(64) {
-        header.push(' ');
-    }
-    header.push('\n');
+    let padded = (before + fields.len() + 1).next_multiple_of(64) - before - 1;
+    let header = format!("{fields:padded$}\n");
     let length = u16::try_from(header.len()).map_err(std::io::Error::other)?;
     out.write_all(NPY_MAGIC)?;
     out.write_all(&[1, 0])?;

@@ -203,8 +203,8 @@ fn dataset_findings(manifest: &spikes::Manifest) -> Findings {
 
 /// Least, greatest, and how many are not zero.
 fn value_range(tensor: &Tensor) -> (Option<f64>, Option<f64>, usize) {
-    let numbers = || (0..tensor.len()).map(|index| tensor.real(index));
-    (numbers().reduce(f64::min), numbers().reduce(f64::max), numbers().filter(|&x| x != 0.0).count())
+    let non_zero = tensor.reals().filter(|&x| x != 0.0).count();
+    (tensor.reals().reduce(f64::min), tensor.reals().reduce(f64::max), non_zero)
 }
 
 fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {

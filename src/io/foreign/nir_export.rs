@@ -284,7 +284,7 @@ impl Graph {
                 chain.push(matrix(weights));
             }
             ProjectionKind::Conv2d { weights, stride, padding, dilation, groups } => {
-                let scaled: Vec<f64> = (0..weights.len()).map(|i| weights.real(i) * unit).collect();
+                let scaled: Vec<f64> = weights.reals().map(|weight| weight * unit).collect();
                 let channels = weights.shape().first().copied().unwrap_or(0);
                 let plane = source.shape.get(1..).unwrap_or_default();
                 chain.push(

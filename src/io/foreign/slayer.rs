@@ -237,7 +237,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
             let message = format!("the array is {:?}, no matrix [target, source]", tensor.shape());
             return Err(Diagnostic::new("import.slayer", message).in_file(path));
         };
-        let weights = (0..tensor.len()).map(|index| tensor.real(index)).collect();
+        let weights = tensor.reals().collect();
         matrices.push(Matrix { name: (*part).to_string(), targets, sources, weights });
     }
     build("weights of VT_SNN", prefix.unwrap_or("vtsnn"), matrices, options)

@@ -36,13 +36,15 @@ pub fn measurements(source: &SourceText) -> Result<MeasurementsFile> {
             .help(format!("there are: {}", names.join(", ")))
             .at(source, name.span)),
     };
+    let wrong = |name: &Spanned<String>, message: String| {
+        Err(Diagnostic::new("measurements.name", message).at(source, name.span))
+    };
     let mut named: Vec<&str> = Vec::new();
     for given in &file.given {
         known("constant", &given.constant, Constants::NAMES)?;
         let (name, unit) = (&given.constant.value, given.is.unit);
         if Constants::unit_of(name) != Some(unit) {
-            return Err(Diagnostic::new("measurements.name", format!("{name} is not in {unit:?}"))
-                .at(source, given.constant.span));
+            return wrong(&given.constant, format!("{name} is not in {unit:?}"));
         }
         named.push(name);
     }
@@ -50,12 +52,10 @@ pub fn measurements(source: &SourceText) -> Result<MeasurementsFile> {
         for name in std::iter::once(&fitted.constant).chain(&fitted.equal) {
             known("constant", name, Constants::NAMES)?;
             if named.contains(&name.value.as_str()) {
-                return Err(Diagnostic::new("measurements.name", format!("{} is fitted or given twice", name.value))
-                    .at(source, name.span));
+                return wrong(name, format!("{} is fitted or given twice", name.value));
             }
             if Constants::unit_of(&name.value) != Constants::unit_of(&fitted.constant.value) {
-                let message = format!("{} and {} have different units", name.value, fitted.constant.value);
-                return Err(Diagnostic::new("measurements.name", message).at(source, name.span));
+                return wrong(name, format!("{} and {} have different units", name.value, fitted.constant.value));
             }
             named.push(&name.value);
         }

@@ -79,12 +79,18 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The compartment that spikes in every step.
-    pub(super) fn always(&mut self) -> String {
-        let mut name = "always".to_string();
+    /// A name that no population has: the one that is asked for, with underscores behind it where that is taken.
+    fn free_name(&self, wanted: &str) -> String {
+        let mut name = wanted.to_string();
         while self.names.values().any(|taken| *taken == name) {
             name.push('_');
         }
+        name
+    }
+
+    /// The compartment that spikes in every step.
+    pub(super) fn always(&mut self) -> String {
+        let name = self.free_name("always");
         if self.model.population(&name).is_none() {
             let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 0.0), ("bias_mant", 1.0), ("bias_exp", 0.0)];
             let parameters = parameters.map(|(key, value)| (key, Parameter::Same(value))).to_vec();
@@ -227,10 +233,7 @@ impl Reader<'_> {
         // Weights without a neuron behind them: v shows what they sum in each step.
         let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
         let output = output.clone();
-        let mut name = "output".to_string();
-        while self.names.values().any(|taken| *taken == name) {
-            name.push('_');
-        }
+        let name = self.free_name("output");
         self.names.insert(output.clone(), name.clone());
         self.shapes.insert(output.clone(), arrived.shape.clone());
         let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();
@@ -257,7 +260,7 @@ impl Reader<'_> {
 pub(super) fn greatest(kind: &ProjectionKind) -> f64 {
     match kind {
         ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => {
-            (0..weights.len()).map(|i| weights.real(i).abs()).fold(0.0, f64::max)
+            weights.reals().map(f64::abs).fold(0.0, f64::max)
         }
         ProjectionKind::Sparse(synapses) => synapses.iter().map(|s| s.2.abs()).fold(0.0, f64::max),
         ProjectionKind::SumPool2d { weight, .. } => weight.abs(),
