@@ -279,7 +279,7 @@ impl Array {
     pub fn tensor(&self) -> Result<Tensor> {
         let data = &self.bytes[self.data..];
         let is_bool = matches!(self.header.dtype(), DType::Plain(plain) if plain.type_char() == TypeChar::Bool);
-        if let Some(byte) = data.iter().find(|&&byte| is_bool && byte > 1) {
+        if is_bool && let Some(byte) = data.iter().find(|&&byte| byte > 1) {
             return Err(self.failed(format!("invalid value for bool: {byte}")));
         }
         let place = self.c_order();
