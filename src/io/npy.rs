@@ -409,6 +409,8 @@ mod tests {
             let tensor = parse(file(descr, "False", "(2,)", data)).unwrap();
             assert_eq!((tensor.shape(), tensor.numbers()), (&[2][..], &numbers), "{descr}");
         }
+        let error = parse(file("'|b1'", "False", "(2,)", &[1, 2])).unwrap_err();
+        assert!(error.code == "npy.format" && error.message.ends_with("invalid value for bool: 2"), "{error}");
         let data: Vec<u8> = [1.5f64, -3.25].iter().flat_map(|x| x.to_be_bytes()).collect();
         assert_eq!(
             parse(file("'>f8'", "False", "(2, 1)", &data)).unwrap().numbers(),
