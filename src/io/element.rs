@@ -55,6 +55,7 @@ impl Element {
     }
 
     /// The number in these bytes, big-endian or little-endian.
+    #[inline]
     pub(super) fn number(self, bytes: &[u8], big: bool) -> Number {
         let append = |bits: u64, &byte: &u8| bits << 8 | u64::from(byte);
         let bits = if big { bytes.iter().fold(0, append) } else { bytes.iter().rev().fold(0, append) };
@@ -111,6 +112,7 @@ impl Number {
     ///
     /// # Errors
     /// What `wrong` makes of the number and of what it is instead.
+    #[inline]
     pub(super) fn check(self, wrong: impl FnOnce(&dyn Display, &str) -> Diagnostic) -> Result<Number> {
         match self {
             Number::Integer(x) if i32::try_from(x).is_err() => Err(wrong(&x, "outside the 32-bit integers")),

@@ -10,6 +10,8 @@
 //! arm sinks, and the level in the clear bottle. No single cue separates all 20 classes: variation of the grasp blurs each.
 //! `docs/scenes.md` lists every parameter with its source.
 
+use std::f64::consts::TAU;
+
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
@@ -242,9 +244,7 @@ impl Course {
         let since = t - self.lift_s;
         let (part, hz, phase) = self.slosh;
         let slosh = if since > 0.0 {
-            part * libm::sin(std::f64::consts::TAU * hz * since + phase)
-                * libm::exp(-since / 1.2)
-                * (since / 0.2).min(1.0)
+            part * libm::sin(TAU * hz * since + phase) * libm::exp(-since / 1.2) * (since / 0.2).min(1.0)
         } else {
             0.0
         };
@@ -253,7 +253,7 @@ impl Course {
         let rings = |since: f64| if since < 0.0 { 0.0 } else { (since / 0.02).min(1.0) * libm::exp(-since / 0.5) };
         let moving = if (0.0..2.0).contains(&since) { 0.5 } else { 0.0 };
         let shaking = (rings(t - self.contact_s) + rings(since)).max(moving).min(1.0);
-        let tone = self.tones.iter().map(|&(hz, phase)| 0.5 * libm::sin(std::f64::consts::TAU * hz * t + phase)).sum();
+        let tone = self.tones.iter().map(|&(hz, phase)| 0.5 * libm::sin(TAU * hz * t + phase)).sum();
         Moment {
             grip_n,
             load_n,
@@ -329,12 +329,7 @@ impl Containers {
         let wall = container.stiffness_n_per_m * (1.0 + container.stiffened * fill) * draw(1, (0.9, 1.1));
         let (closing_s, closing_m_per_s) = (draw(2, self.closing_s), draw(3, self.closing_m_per_s));
         let contact_s = closing_s + 0.5e-3 * (OPENING_MM - container.width_mm) / closing_m_per_s;
-        let tone = |k| {
-            (
-                draws.between(Purpose::Arm, k, (4.0, 14.0)),
-                draws.between(Purpose::Arm, k + 1, (0.0, std::f64::consts::TAU)),
-            )
-        };
+        let tone = |k| (draws.between(Purpose::Arm, k, (4.0, 14.0)), draws.between(Purpose::Arm, k + 1, (0.0, TAU)));
         Course {
             container,
             fill,
@@ -353,7 +348,7 @@ impl Containers {
             slosh: (
                 0.3 * container.sloshes * 4.0 * fill.min(1.0) * (1.0 - fill.min(1.0)),
                 draw(8, (3.0, 4.0)),
-                draw(9, (0.0, std::f64::consts::TAU)),
+                draw(9, (0.0, TAU)),
             ),
         }
     }

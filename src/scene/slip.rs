@@ -9,6 +9,8 @@
 //! lifting, the box by the softness of the fingers, and the box when it rotates. `docs/scenes.md` lists every parameter with
 //! its source.
 
+use std::f64::consts::TAU;
+
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::{Grasp, GraspState, Motion, follow};
@@ -185,7 +187,7 @@ impl Vibration {
     fn draw(slip: &Slip, draws: Draws) -> Vibration {
         let tone = |k: u32| {
             let hz = draws.between(Purpose::Arm, 2 * k + 1, (20.0, 70.0));
-            (1e-3 * std::f64::consts::TAU * hz, draws.between(Purpose::Arm, 2 * k + 2, (0.0, std::f64::consts::TAU)))
+            (1e-3 * TAU * hz, draws.between(Purpose::Arm, 2 * k + 2, (0.0, TAU)))
         };
         Vibration { amplitude: draws.between(Purpose::Arm, 0, slip.vibration), tones: [tone(0), tone(1)] }
     }
@@ -211,8 +213,8 @@ impl Relief {
         let wave = |k: u32| {
             let at = |i| draws.unit(Purpose::Relief, finger * 16 + 4 * k + i, 0);
             // Wavelengths of 3 to 8 mm in any direction.
-            let (rate, turn) = (std::f64::consts::TAU / (3.0 + 5.0 * at(0)), std::f64::consts::TAU * at(1));
-            (rate * libm::cos(turn), rate * libm::sin(turn), std::f64::consts::TAU * at(2))
+            let (rate, turn) = (TAU / (3.0 + 5.0 * at(0)), TAU * at(1));
+            (rate * libm::cos(turn), rate * libm::sin(turn), TAU * at(2))
         };
         let depth = draws.between(Purpose::Relief, finger * 16 + 15, slip.relief);
         Relief { depth, waves: [wave(0), wave(1), wave(2)] }
