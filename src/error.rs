@@ -2,6 +2,9 @@
 
 use crate::base::diagnostic::Diagnostic;
 
+/// What a command's work returns.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
 /// Why a command could not do its work. "Does not fit" and "does not agree" are answers, not errors.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::ladder::{Ladder, layers};
 use super::trace::{Comparison, Layer, Trace, measured_shift};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::CompartmentId;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::drive::samples::Progress;
@@ -135,11 +135,7 @@ fn recorded_trace(
 ///
 /// # Errors
 /// `agree.samples` when a recording has another number of samples; `run.too-large`.
-pub fn compare(
-    deployed: Deployed<'_>,
-    counterpart: &Counterpart,
-    progress: Progress<'_>,
-) -> Result<Agreement, Diagnostic> {
+pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Progress<'_>) -> Result<Agreement> {
     let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
     let network = ladder.deployed();
     let (compartments, output) = (network.compartments(), output_layer(network));

@@ -5,7 +5,6 @@
 //! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row. A
 //! network that is mapped by its kernels is not run, and its energy and time are the expected ones.
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use crate::base::units::Femtojoules;
@@ -16,7 +15,7 @@ use crate::compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Objectiv
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{MeterSettings, StepMeter};
-use crate::cost::transport::{MessageRoutes, Transport};
+use crate::cost::transport::Transport;
 use crate::desc::target::Target;
 use crate::golden::Golden;
 use crate::ir::firing_rates::Rates;
@@ -132,7 +131,7 @@ pub fn map_all(
                     let unchecked = partitioned.clone().place(target, &options).and_then(|p| p.emit(target, &options));
                     unchecked.and_then(|unchecked| unchecked.check(target))
                 }
-                None => explore::map(front(), target, &options, rates),
+                None => explore::map(front(), target, &options, rates, form),
             };
             let mapping = mapping.map_err(failed)?;
             let seconds = gathered + begin.elapsed().as_secs_f64();
@@ -180,13 +179,8 @@ fn simulated(
     let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
     let table = CostTable::new(constants).map_err(|e| failed(&e))?;
     let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), case.copies);
-    let metered = MeterSettings {
-        tables: vec![table.clone()],
-        tiles_used: deployment.tiles_used,
-        copies: case.copies.into(),
-        routes: Arc::new(MessageRoutes::of_program(&compiled.program)),
-        transport: Transport::Analytic,
-    };
+    let (tables, copies) = (vec![table.clone()], case.copies.into());
+    let metered = MeterSettings::new(tables, deployment.tiles_used, copies, &compiled.program, Transport::Analytic);
     let mut meter = StepMeter::new(metered);
     let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });

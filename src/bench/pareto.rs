@@ -10,7 +10,6 @@
 
 use std::hint::black_box;
 use std::num::NonZeroU32;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::agree::ladder::layers;
@@ -24,9 +23,8 @@ use crate::compile::frontend::quantise::quantise;
 use crate::compile::{CompileError, Options, compile};
 use crate::cost::constants::CostTable;
 use crate::cost::meter::{MeterSettings, StepMeter};
-use crate::cost::transport::{MessageRoutes, Transport};
+use crate::cost::transport::Transport;
 use crate::desc::target::Target;
-use crate::desc::tensor::{Numbers, Tensor};
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, run_sample};
 use crate::golden::Golden;
@@ -328,14 +326,7 @@ impl<'a> Subject<'a> {
         let image = Image::new(program, 1).map_err(|e| wrong(&e))?;
         let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
         let tables = tables.map_err(|e| wrong(&e))?;
-        let metered = MeterSettings {
-            tables,
-            tiles_used: 1,
-            copies: 1,
-            routes: Arc::new(MessageRoutes::of_program(program)),
-            transport,
-        };
-        let meter = StepMeter::new(metered);
+        let meter = StepMeter::new(MeterSettings::new(tables, 1, 1, program, transport));
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
         let output = (CompartmentId(self.output.first), self.output.count);
         let keep = Keep { output, probes: Vec::new(), early_exit: None };
@@ -442,7 +433,7 @@ fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, ParetoError> {
                 w
             }
         };
-        projection.kind = mapped(&projection.kind, coarse);
+        projection.kind = projection.kind.map_weights(|_, weight| coarse(weight));
         if bits > 1 || projection.sign != SignMode::Mixed {
             projection.weight_bits.value = if bits == 1 { 8 } else { bits.into() };
         }
@@ -458,25 +449,6 @@ fn weights(kind: &ProjectionKind) -> Vec<f64> {
         ProjectionKind::Sparse { synapses } => synapses.iter().map(|synapse| synapse.2).collect(),
         ProjectionKind::SumPool2d { weight, .. } => vec![weight.value],
         ProjectionKind::Random { .. } => Vec::new(),
-    }
-}
-
-fn mapped(kind: &ProjectionKind, f: impl Fn(f64) -> f64) -> ProjectionKind {
-    let tensor = |weights: &Tensor| {
-        let numbers = (0..weights.len()).map(|i| f(weights.real(i))).collect();
-        Tensor::new(weights.shape().to_vec(), Numbers::Reals(numbers)).unwrap_or_else(|| weights.clone()).into()
-    };
-    match kind {
-        ProjectionKind::Dense { weights, rows } => {
-            ProjectionKind::Dense { weights: tensor(weights), rows: rows.clone() }
-        }
-        ProjectionKind::Conv2d { window, weights, rows } => {
-            ProjectionKind::Conv2d { window: *window, weights: tensor(weights), rows: rows.clone() }
-        }
-        ProjectionKind::Sparse { synapses } => {
-            ProjectionKind::Sparse { synapses: synapses.iter().map(|&(s, t, w, span)| (s, t, f(w), span)).collect() }
-        }
-        ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => kind.clone(),
     }
 }
 

@@ -12,7 +12,7 @@ use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::drive::inputs;
 use crate::drive::samples::firing_rates;
-use crate::error::Error;
+use crate::error::Result;
 use crate::io;
 use crate::io::shipped;
 use crate::ir::firing_rates::Rates;
@@ -76,7 +76,7 @@ pub struct MapArgs {
 ///
 /// # Errors
 /// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
-pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
+pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     for output in [&args.output, &args.svg, &args.pareto].into_iter().flatten() {
         io::write::check_free(output, context.force)?;
     }
@@ -105,9 +105,9 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
                 inputs => profile(&one, inputs, network.file().scene.as_deref())?,
             };
             if args.pareto.is_some() {
-                candidates = explore::candidates(&front, &target, &options, &rates).unwrap_or_default();
+                candidates = explore::candidates(&front, &target, &options, &rates, form).unwrap_or_default();
             }
-            let mapped = explore::map(front, &target, &options, &rates);
+            let mapped = explore::map(front, &target, &options, &rates, form);
             if let Err(CompileError::DoesNotFit(_)) = &mapped
                 && form == Form::Written
             {
@@ -161,7 +161,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer, Error> {
 const MOST_SAMPLES: usize = 64;
 
 /// How often each source spikes over samples, by the golden interpreter: it needs no mapping.
-fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Result<Rates, Error> {
+fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Result<Rates> {
     let sources: Vec<String> = match sources {
         [one] if one == "scene" => Vec::new(),
         given => given.to_vec(),
@@ -171,7 +171,7 @@ fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Resu
 }
 
 /// Shipped targets with more cores than this one, ascending.
-fn larger(target: &Target) -> Result<Vec<Target>, Error> {
+fn larger(target: &Target) -> Result<Vec<Target>> {
     let mut boards =
         shipped::TARGETS.iter().map(|board| io::target::load_target(board.name)).collect::<Result<Vec<_>, _>>()?;
     boards.retain(|board| board.cores() > target.cores());

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::base::diagnostic::Diagnostic;
 use crate::drive::samples::Traces;
 use crate::drive::{Outcome, Probe, Quantity};
-use crate::error::Error;
+use crate::error::{Error, Result};
 use crate::io;
 use crate::io::trace::Trace;
 use crate::ir::quantised::Quantised;
@@ -91,7 +91,7 @@ impl ProbeArgs {
     /// # Errors
     /// [`Error::Usage`] for a probe that there is not, is given twice, or takes too much memory; `run.probe-pruned` and
     /// `run.probe-shape`.
-    pub fn probes(&self, network: &Quantised, samples: &[&Sample]) -> Result<Vec<NamedProbe>, Error> {
+    pub fn probes(&self, network: &Quantised, samples: &[&Sample]) -> Result<Vec<NamedProbe>> {
         let probes = self.probe.iter().map(|text| probe(network, text)).collect::<Result<Vec<_>, _>>()?;
         check_room(&probes, samples)?;
         let twice = (1..probes.len()).find(|&index| probes[..index].iter().any(|p| p.name == probes[index].name));
@@ -122,13 +122,7 @@ impl ProbeArgs {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn write(
-        &self,
-        probes: &[NamedProbe],
-        recorded: Recorded<'_>,
-        dt_ms: f64,
-        force: bool,
-    ) -> Result<Vec<String>, Error> {
+    pub fn write(&self, probes: &[NamedProbe], recorded: Recorded<'_>, dt_ms: f64, force: bool) -> Result<Vec<String>> {
         let mut files = Vec::new();
         for (index, named) in probes.iter().enumerate() {
             let path = self.path(named);
@@ -157,7 +151,7 @@ impl ProbeArgs {
     }
 }
 
-fn probe(network: &Quantised, text: &str) -> Result<NamedProbe, Error> {
+fn probe(network: &Quantised, text: &str) -> Result<NamedProbe> {
     let wrong = |why: String| Error::Usage(format!("--probe {text}: {why}"));
     let (population, what) =
         text.rsplit_once('.').ok_or_else(|| wrong("write POPULATION.spikes, .u, .v or .v_register".into()))?;
@@ -185,7 +179,7 @@ fn probe(network: &Quantised, text: &str) -> Result<NamedProbe, Error> {
     }
 }
 
-fn check_room(probes: &[NamedProbe], samples: &[&Sample]) -> Result<(), Error> {
+fn check_room(probes: &[NamedProbe], samples: &[&Sample]) -> Result<()> {
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let rows: u64 = probes.iter().map(|named| u64::from(named.probe.count)).sum();
     if rows.saturating_mul(steps) > MOST_PROBED {

@@ -14,7 +14,7 @@ use crate::compile;
 use crate::desc::training::TrainingFile;
 use crate::drive::inputs;
 use crate::drive::{Outcome, digest};
-use crate::error::Error;
+use crate::error::{Error, Result};
 use crate::io;
 use crate::io::shipped::Origin;
 use crate::ir::quantised::Quantised;
@@ -85,7 +85,7 @@ struct Job {
     plan: Plan,
 }
 
-fn job(source: &SourceText, args: &Args) -> Result<Job, Error> {
+fn job(source: &SourceText, args: &Args) -> Result<Job> {
     let mut file = TrainingFile::parse(source)?;
     file.seed = args.seed.unwrap_or(file.seed);
     file.epochs = args.epochs.unwrap_or(file.epochs);
@@ -94,7 +94,7 @@ fn job(source: &SourceText, args: &Args) -> Result<Job, Error> {
 }
 
 /// The text of the training file with fields replaced.
-fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText, Error> {
+fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText> {
     let mut text = source.text().to_string();
     for (key, value) in fields {
         let changed = with_field(&text, key, value);
@@ -104,7 +104,7 @@ fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceTex
 }
 
 /// A network with the inputs of the training file, by which sources are read as for `nsim run`.
-fn stand_in(file: &TrainingFile) -> Result<Quantised, Error> {
+fn stand_in(file: &TrainingFile) -> Result<Quantised> {
     let mut text = String::from("Network(name: \"inputs\", timestep_ms: 1.0, populations: [");
     for input in &file.inputs {
         text += &format!("Input(name: {:?}, shape: {:?}),", input.name, input.shape);
@@ -128,7 +128,7 @@ fn examples(
     named: &[String],
     what: &str,
     config: &Path,
-) -> Result<Vec<Example>, Error> {
+) -> Result<Vec<Example>> {
     let sources = if given.is_empty() { named } else { given };
     if sources.is_empty() {
         return Ok(Vec::new());
@@ -160,7 +160,7 @@ struct Data {
     test: Vec<Example>,
 }
 
-fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data, Error> {
+fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data> {
     let network = stand_in(file)?;
     let train = examples(&network, &args.train, &file.train, "training", &args.config)?;
     let test = examples(&network, &args.test, &file.test, "test", &args.config)?;
@@ -175,7 +175,7 @@ fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data, Error>
 }
 
 /// Trains to the end, from the checkpoint when there is one.
-fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<TrainingState, Error> {
+fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<TrainingState> {
     let of = kept.map(|path| (path, checkpoint::fingerprint(plan, examples)));
     let state = of.as_ref().map(|(path, print)| checkpoint::load(path, plan, print)).transpose()?.flatten();
     let mut state = state.unwrap_or_else(|| plan.start());
@@ -196,12 +196,7 @@ fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Contex
 }
 
 /// Trains on all samples but those of a fold, and scores on them.
-fn cross_validate(
-    plan: &Plan,
-    examples: &[Example],
-    fold: &[usize],
-    context: Context,
-) -> Result<(f64, Weights), Error> {
+fn cross_validate(plan: &Plan, examples: &[Example], fold: &[usize], context: Context) -> Result<(f64, Weights)> {
     let part = |tested: bool| {
         let chosen = (0..examples.len()).filter(|index| fold.contains(index) == tested);
         chosen.map(|index| examples[index].clone()).collect::<Vec<_>>()
@@ -237,7 +232,7 @@ fn write_model(
     weights: &Weights,
     comment: &str,
     provenance: &str,
-) -> Result<(), Error> {
+) -> Result<()> {
     let beside = weights_path(path);
     let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let model = export::model(file, &plan.topology, weights, &name, comment, provenance)?;
@@ -249,7 +244,7 @@ fn write_model(
 ///
 /// # Errors
 /// [`Error`] when the training file or a source cannot be used.
-pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let source = io::text::read_text(&args.config)?;
     let fields = args
         .set
@@ -326,13 +321,7 @@ fn kept(path: &Path, print: &str) -> Option<StudyRun> {
     (value["fingerprint"] == print).then(|| serde_json::from_value(value).ok()).flatten()
 }
 
-fn study(
-    args: &Args,
-    source: &SourceText,
-    fields: &[(&str, &str)],
-    folder: &Path,
-    context: Context,
-) -> Result<Answer, Error> {
+fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Path, context: Context) -> Result<Answer> {
     let seeds = args.seeds.0.clone();
     if seeds.end > seeds.start.saturating_add(1000) {
         return Err(Error::Usage("--seeds: at most 1000 seeds".to_string()));

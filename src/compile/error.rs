@@ -3,12 +3,15 @@
 use crate::base::diagnostic::Diagnostic;
 use crate::compile::reason::Reason;
 
+/// What a stage of the compiler returns.
+pub type Result<T, E = CompileError> = std::result::Result<T, E>;
+
 /// Why there is no mapping.
 #[derive(Debug, thiserror::Error)]
 pub enum CompileError {
     /// The network or the mapping cannot be used.
-    #[error("{0}")]
-    Input(Diagnostic),
+    #[error(transparent)]
+    Input(#[from] Diagnostic),
     /// The network does not fit, for all of these reasons.
     #[error("the network does not fit the target: {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; also "))]
     DoesNotFit(Vec<Reason>),
@@ -27,11 +30,5 @@ impl CompileError {
 impl From<Reason> for CompileError {
     fn from(reason: Reason) -> Self {
         CompileError::DoesNotFit(vec![reason])
-    }
-}
-
-impl From<Diagnostic> for CompileError {
-    fn from(diagnostic: Diagnostic) -> Self {
-        CompileError::Input(diagnostic)
     }
 }

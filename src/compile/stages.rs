@@ -10,7 +10,7 @@ use crate::base::id::{CoreId, IdVec};
 use crate::compile::check::{equivalence, sampled, verify};
 use crate::compile::emit::route::route;
 use crate::compile::emit::sample::{SampledCore, sample};
-use crate::compile::error::CompileError;
+use crate::compile::error::{CompileError, Result};
 use crate::compile::form::Form;
 use crate::compile::frontend::copies::copies;
 use crate::compile::frontend::integers;
@@ -63,7 +63,7 @@ impl Front {
     ///
     /// # Errors
     /// [`CompileError::Input`].
-    pub fn from_network(network: &Network) -> Result<Self, CompileError> {
+    pub fn from_network(network: &Network) -> Result<Self> {
         let mut clock = Clock::default();
         let graph = clock.stage("lower", || lower(network))?;
         let one = clock.stage("quantise", || integers(&graph))?;
@@ -86,7 +86,7 @@ impl Front {
     ///
     /// # Errors
     /// [`CompileError::Fault`] when the plan is of another network, or the network has been pruned already.
-    pub fn prune(mut self, plan: &Plan) -> Result<Front, CompileError> {
+    pub fn prune(mut self, plan: &Plan) -> Result<Front> {
         self.one = self.clock.stage("prune", || prune(&self.one, plan)).map_err(CompileError::fault)?;
         Ok(self)
     }
@@ -95,13 +95,7 @@ impl Front {
     ///
     /// # Errors
     /// [`CompileError`].
-    pub fn partition(
-        self,
-        target: &Target,
-        options: &Options,
-        rates: &Rates,
-        form: Form,
-    ) -> Result<Partitioned, CompileError> {
+    pub fn partition(self, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Partitioned> {
         let search = partition::Search::new(options, rates);
         let (front, all) = self.copied(target, options, search, form)?;
         let Front { one, mut clock } = front;
@@ -117,13 +111,7 @@ impl Front {
     /// # Errors
     /// [`CompileError::Input`] when the mapping is of another network, target or number of copies;
     /// [`CompileError::DoesNotFit`] when a core exceeds a limit.
-    pub fn place_as(
-        self,
-        target: &Target,
-        options: &Options,
-        file: &MappingFile,
-        form: Form,
-    ) -> Result<Placed, CompileError> {
+    pub fn place_as(self, target: &Target, options: &Options, file: &MappingFile, form: Form) -> Result<Placed> {
         mapping_file::of_copies(file, options.copies)?;
         let rates = Rates::assumed(DEFAULT_RATE);
         let pruned = match form {
@@ -150,7 +138,7 @@ impl Front {
         options: &Options,
         search: partition::Search<'_>,
         form: Form,
-    ) -> Result<(Self, Quantised), CompileError> {
+    ) -> Result<(Self, Quantised)> {
         let (one, clock) = (&self.one, &mut self.clock);
         clock.stage("bounds", || within_bounds(one, target, options.copies, form, search))?;
         let all = clock.stage("copies", || copies(one, options.copies));
@@ -159,7 +147,7 @@ impl Front {
     }
 
     /// The network pruned as a mapping says that it was.
-    fn prune_as(self, file: &MappingFile) -> Result<Front, CompileError> {
+    fn prune_as(self, file: &MappingFile) -> Result<Front> {
         match (&file.pruned, self.one.pruned()) {
             (Some(recorded), None) => {
                 let plan = plan(recorded, &self.one)?;
@@ -194,7 +182,7 @@ impl Partitioned {
     ///
     /// # Errors
     /// [`CompileError::Fault`] when a core exceeds them.
-    pub fn within(mut self, target: &Target) -> Result<Self, CompileError> {
+    pub fn within(mut self, target: &Target) -> Result<Self> {
         self.partition = self.partition.within(target.limits()).map_err(CompileError::fault)?;
         Ok(self)
     }
@@ -203,7 +191,7 @@ impl Partitioned {
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`] when there are more than the target has.
-    pub fn placement(&self, target: &Target, options: &Options) -> Result<(Placement, &'static str), CompileError> {
+    pub fn placement(&self, target: &Target, options: &Options) -> Result<(Placement, &'static str)> {
         let Partitioned { all, partition, boxes, rates, .. } = self;
         let search = anneal::Search::new(options, rates);
         Ok(match boxes {
@@ -217,7 +205,7 @@ impl Partitioned {
     ///
     /// # Errors
     /// As [`Partitioned::placement`].
-    pub fn place(mut self, target: &Target, options: &Options) -> Result<Placed, CompileError> {
+    pub fn place(mut self, target: &Target, options: &Options) -> Result<Placed> {
         let mut clock = std::mem::take(&mut self.clock);
         let (placement, name) = clock.stage("place", || self.placement(target, options))?;
         self.clock = clock;
@@ -241,7 +229,7 @@ impl Placed {
     ///
     /// # Errors
     /// [`CompileError::Fault`].
-    pub fn emit(self, target: &Target, options: &Options) -> Result<Unchecked, CompileError> {
+    pub fn emit(self, target: &Target, options: &Options) -> Result<Unchecked> {
         let Placed { partitioned, placement, name: placed } = self;
         let Partitioned { one, all: quantised, partition, boxes, rates, mut clock } = partitioned;
         let limits = target.limits();
@@ -284,7 +272,7 @@ impl Unchecked {
     ///
     /// # Errors
     /// [`CompileError::Fault`].
-    pub fn check(self, target: &Target) -> Result<Mapping, CompileError> {
+    pub fn check(self, target: &Target) -> Result<Mapping> {
         let Unchecked { mut mapping, sample } = self;
         let mut clock = Clock(std::mem::take(&mut mapping.seconds));
         let Mapping { quantised: network, partition, placement, .. } = &mapping;

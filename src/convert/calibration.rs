@@ -2,7 +2,7 @@
 
 use crate::desc::stimulus::SceneArg;
 use crate::drive::inputs;
-use crate::error::Error;
+use crate::error::Result;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Stimulus;
 
@@ -25,12 +25,7 @@ pub struct RunInput<'a> {
 ///
 /// # Errors
 /// When a source cannot be used.
-pub fn stimulus(
-    network: &Quantised,
-    named: &[String],
-    run: RunInput<'_>,
-    wanted: usize,
-) -> Result<Option<Stimulus>, Error> {
+pub fn stimulus(network: &Quantised, named: &[String], run: RunInput<'_>, wanted: usize) -> Result<Option<Stimulus>> {
     if !named.is_empty() {
         return inputs::stimulus(network, named, None, None).map(Some);
     }

@@ -23,10 +23,10 @@ use rayon::prelude::*;
 use crate::agree::ladder::{Cause, Ladder, Rung};
 use crate::agree::metrics::{TAU, TrainSums};
 use crate::agree::trace::{Comparison, Layer, Trace};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::base::fixed::{Decay, Refractory};
 use crate::compile::frontend::analytic::{self, Fit};
-use crate::ir::graph::{Graph, PopulationKind, ProjectionKind, SrmParameters};
+use crate::ir::graph::{Graph, PopulationKind, SrmParameters};
 use crate::ir::spikes::Sample;
 use crate::reference::synapses::Synapses;
 
@@ -168,7 +168,7 @@ impl Shape {
 ///
 /// # Errors
 /// As `compile::frontend::quantise`.
-pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)) -> Result<SearchResult, Diagnostic> {
+pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)) -> Result<SearchResult> {
     let starts = analytic::starts(graph);
     let ladder = Ladder::new(graph, &starts)?;
     let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
@@ -179,7 +179,7 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
         samples.par_iter().map(|sample| ladder.run(Rung::TRAINED.with(Cause::Untruncated), sample, false)).collect();
     let layers = ladder.layers();
     let output = output_layer(graph, &layers);
-    let score = |fits: &[Option<Fit>]| -> Result<ConversionScore, Diagnostic> {
+    let score = |fits: &[Option<Fit>]| -> Result<ConversionScore> {
         Ok(scored(&Ladder::new(graph, fits)?, &layers, output, samples, &trained))
     };
 
@@ -221,7 +221,7 @@ impl Material<'_> {
         shapes: &mut HashMap<NodeIndex, Shape>,
         tried: &mut u64,
         progress: &mut impl FnMut(&str),
-    ) -> Result<Vec<Option<Fit>>, Diagnostic> {
+    ) -> Result<Vec<Option<Fit>>> {
         let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
         let mut fits = self.starts.to_vec();
         let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
@@ -430,9 +430,8 @@ fn fit_of(shape: &Shape, srm: &SrmParameters, timestep_ms: f64) -> Fit {
 
 /// Whether each compartment's incoming weights are its own.
 fn takes_gains(graph: &Graph, node: NodeIndex) -> bool {
-    graph.projections().filter(|(_, _, target, _)| *target == node).all(|(_, _, _, projection)| {
-        matches!(projection.kind, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })
-    })
+    let mut into = graph.projections().filter(|(_, _, target, _)| *target == node);
+    into.all(|(_, _, _, projection)| projection.kind.has_own_weights())
 }
 
 /// The best gain and bias of each compartment.

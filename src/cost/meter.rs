@@ -13,6 +13,7 @@ use crate::cost::constants::CostTable;
 use crate::cost::model::{StepTime, step_energy};
 use crate::cost::transport::{MessageRoutes, Transport};
 use crate::ir::activity::StepActivity;
+use crate::ir::program::Program;
 
 /// The steps of a run under one preset.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -43,6 +44,15 @@ pub struct MeterSettings {
     pub routes: Arc<MessageRoutes>,
     /// The model of the mesh.
     pub transport: Transport,
+}
+
+impl MeterSettings {
+    /// Settings for one program.
+    #[must_use]
+    pub fn new(tables: Vec<CostTable>, tiles_used: u64, copies: u64, program: &Program, transport: Transport) -> Self {
+        let routes = Arc::new(MessageRoutes::of_program(program));
+        MeterSettings { tables, tiles_used, copies, routes, transport }
+    }
 }
 
 impl StepMeter {

@@ -151,7 +151,7 @@ pub(crate) mod tests {
 
     /// The time of a step whose messages are not followed.
     fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
-        no_routes().step_time(step, table, Transport::Analytic, tiles_used, 1)
+        no_routes().step_times(step, std::slice::from_ref(table), Transport::Analytic, tiles_used, 1).remove(0)
     }
 
     /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5 dense events on the other.
@@ -206,7 +206,7 @@ pub(crate) mod tests {
         assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
         let read = StepActivity { spikes_out: 3, ..step() };
         assert_eq!(
-            no_routes().step_time(&read, &table, Transport::Analytic, 1, 4).readout,
+            no_routes().step_times(&read, &[table.clone()], Transport::Analytic, 1, 4)[0].readout,
             Picoseconds(3 * 4 * 11_000)
         );
         let time = step_time(&step(), &table, 1);

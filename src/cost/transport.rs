@@ -194,20 +194,8 @@ impl MessageRoutes {
         busiest
     }
 
-    /// The time of a step, (11) or (17), with so many tiles in the barrier and copies whose outputs are read.
-    #[must_use]
-    pub fn step_time(
-        &self,
-        step: &StepActivity,
-        table: &CostTable,
-        transport: Transport,
-        tiles_used: u64,
-        copies: u64,
-    ) -> StepTime {
-        self.step_times(step, std::slice::from_ref(table), transport, tiles_used, copies).remove(0)
-    }
-
-    /// The same under each of several presets.
+    /// The times of a step under each preset, (11) or (17), with so many tiles in the barrier and copies whose outputs are
+    /// read.
     #[must_use]
     pub fn step_times(
         &self,
@@ -553,8 +541,8 @@ pub(crate) mod tests {
         assert_eq!(queued(&routes, &step, &slow), 11 * 1_000_000 + 4_100 + 16_000);
         step.messages_from_inputs = 12;
         step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 12);
-        let time = routes.step_time(&step, &slow, Transport::Analytic, 1, 1);
-        assert_eq!(time.transport, Picoseconds(4_100 + 11 * 1_000_000));
+        let time = routes.step_times(&step, &[slow], Transport::Analytic, 1, 1);
+        assert_eq!(time[0].transport, Picoseconds(4_100 + 11 * 1_000_000));
     }
 
     #[test]

@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use super::samples::{Run, Running, fast};
 use super::{Keep, Outcome};
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::compile::Compiled;
 use crate::cost::estimate::{Case, Estimate, estimate};
-use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
+use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use crate::desc::target::Target;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::program::Program;
@@ -24,7 +24,7 @@ pub fn run_metered(
     samples: &[&Sample],
     metered: &Arc<MeterSettings>,
     running: Running<'_>,
-) -> Result<(Run<StepMeter>, StepMeter), Diagnostic> {
+) -> Result<(Run<StepMeter>, StepMeter)> {
     let prototype = StepMeter::new(metered.clone());
     let add = |meter: &mut StepMeter, step: &StepActivity, times: u32| meter.add(step, times);
     let run = fast(program, samples, Running { per_step: true, ..running }, || prototype.fresh(), add)?;
@@ -56,16 +56,12 @@ pub struct Priced {
 ///
 /// # Errors
 /// A constant that no integer holds; as [`fast`].
-pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> Result<Priced, Diagnostic> {
+pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> Result<Priced> {
     let copies = compiled.options.copies;
     let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
-    let metered = Arc::new(MeterSettings {
-        tables: vec![CostTable::new(&target.constants()[0])?],
-        tiles_used: deployment.tiles_used,
-        copies: copies.into(),
-        routes: Arc::new(MessageRoutes::of_program(&compiled.program)),
-        transport: Transport::Analytic,
-    });
+    let (tables, tiles_used) = (vec![CostTable::new(&target.constants()[0])?], deployment.tiles_used);
+    let metered = MeterSettings::new(tables, tiles_used, copies.into(), &compiled.program, Transport::Analytic);
+    let metered = Arc::new(metered);
     // Copies share no input channels: each sees the whole sample.
     let copied: Vec<Sample> = samples.iter().map(|sample| sample.copies(copies, compiled.one.channels())).collect();
     let program = &compiled.program;

@@ -14,7 +14,7 @@ use crate::base::fixed::{Delay, Payload, SignMode};
 use crate::desc::network::{ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::desc::neurons::NeuronKind;
 use crate::desc::spanned::Spanned;
-use crate::desc::tensor::Tensor;
+use crate::desc::tensor::{Numbers, Tensor};
 
 /// The most channels or compartments that a network may have: above it, no target could hold them (768 chips of
 /// 131,072 compartments are 100,663,296).
@@ -273,6 +273,40 @@ pub enum ProjectionKind {
         /// The seed.
         seed: u64,
     },
+}
+
+impl ProjectionKind {
+    /// Whether no two synapses share a weight.
+    #[must_use]
+    pub fn has_own_weights(&self) -> bool {
+        matches!(self, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })
+    }
+
+    /// The same with other weights; `f` gets each with its target, or with its output channel where a kernel is shared.
+    /// A pool's weight and random ones stay.
+    #[must_use]
+    pub fn map_weights(&self, f: impl Fn(usize, f64) -> f64) -> ProjectionKind {
+        let tensor = |weights: &Arc<Tensor>| {
+            let per_row = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
+            let numbers = (0..weights.len()).map(|i| f(i / per_row, weights.real(i))).collect();
+            let mapped = Tensor::new(weights.shape().to_vec(), Numbers::Reals(numbers));
+            mapped.map_or_else(|| weights.clone(), Arc::new)
+        };
+        match self {
+            ProjectionKind::Dense { weights, rows } => {
+                ProjectionKind::Dense { weights: tensor(weights), rows: rows.clone() }
+            }
+            ProjectionKind::Conv2d { window, weights, rows } => {
+                ProjectionKind::Conv2d { window: *window, weights: tensor(weights), rows: rows.clone() }
+            }
+            ProjectionKind::Sparse { synapses } => {
+                let each =
+                    synapses.iter().map(|&(source, target, w, span)| (source, target, f(target as usize, w), span));
+                ProjectionKind::Sparse { synapses: each.collect() }
+            }
+            ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => self.clone(),
+        }
+    }
 }
 
 /// An edge of the graph: from one population to one.

@@ -562,6 +562,17 @@ impl Quantised {
         &self.outgoing[population]
     }
 
+    /// Projections that leave a population, each with the first compartment of its target.
+    pub fn targets_of(
+        &self,
+        population: PopulationId,
+    ) -> impl Iterator<Item = (ProjectionId, &Projection, CompartmentId)> {
+        self.outgoing[population].iter().filter_map(|&id| {
+            let projection = &self.parts.projections[id];
+            Some((id, projection, self.parts.populations[projection.target].first_compartment()?))
+        })
+    }
+
     /// Input populations in order.
     pub fn inputs(&self) -> impl Iterator<Item = (PopulationId, &Population)> {
         self.parts.populations.enumerate().filter(|(_, p)| matches!(p.units, Units::Input(_)))

@@ -81,7 +81,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "expected": null,
         "seconds": {},
         "reasons": [],
-        "remedies": remedies.iter().map(remedy_json).collect::<Vec<_>>(),
+        "remedies": remedies,
         "pareto": [],
     });
     match outcome {
@@ -134,11 +134,6 @@ fn expected_text(question: Question<'_>, score: &Score) -> String {
         );
     }
     text
-}
-
-fn remedy_json(remedy: &Remedy) -> Value {
-    let Remedy { kind, change, cores, copies } = remedy;
-    json!({ "kind": kind, "change": change, "cores": cores, "copies": copies })
 }
 
 /// Candidates of mappings; those of the front are those that no other is better than in everything.
@@ -468,7 +463,7 @@ mod tests {
     }
 
     fn mapped(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
-        explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE))
+        explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE), Form::Written)
     }
 
     fn keys(value: &Value) -> Vec<&str> {

@@ -10,7 +10,7 @@ use crate::desc::mapping::MappingFile;
 use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::target::Target;
-use crate::error::Error;
+use crate::error::{Error, Result};
 use crate::io;
 use crate::ir::placement::{Mesh, Placement};
 
@@ -39,7 +39,7 @@ impl From<&str> for DeploymentArg {
 ///
 /// # Errors
 /// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant that no integer holds.
-pub fn tables(target: &Target, preset: Option<&str>) -> Result<(Vec<CostTable>, usize), Error> {
+pub fn tables(target: &Target, preset: Option<&str>) -> Result<(Vec<CostTable>, usize)> {
     let presets = target.constants();
     let chosen = match preset {
         None => 0,
@@ -60,7 +60,7 @@ pub fn tables(target: &Target, preset: Option<&str>) -> Result<(Vec<CostTable>, 
 ///
 /// # Errors
 /// [`Error::Input`] when the file cannot be used.
-pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Option<String>), Error> {
+pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Option<String>)> {
     match asked {
         Some(path) if io::shipped::is_path(path) => {
             let preset = io::target::load_constants(path)?;
@@ -88,7 +88,7 @@ impl DeploymentSource {
     /// # Errors
     /// [`Error::Usage`] when the paper's deployment is asked for and no scenario ships for the model, [`Error::Input`]
     /// when a file cannot be used.
-    pub fn load(arg: &DeploymentArg, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self, Error> {
+    pub fn load(arg: &DeploymentArg, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
         let path = match (arg, shipped) {
             (DeploymentArg::Packed, _) => return Ok(DeploymentSource::Packed),
             (DeploymentArg::Paper, Some(scenario)) => {
@@ -119,13 +119,7 @@ impl DeploymentSource {
     /// # Errors
     /// [`Error::Usage`] when a scenario is of another model, or it or a saved mapping of another number of copies or
     /// another target; [`Error::Input`] when a saved mapping places cores where the target has none.
-    pub fn deployment(
-        &self,
-        model: &str,
-        copies: u32,
-        placement: &Placement,
-        target: &Target,
-    ) -> Result<Deployment, Error> {
+    pub fn deployment(&self, model: &str, copies: u32, placement: &Placement, target: &Target) -> Result<Deployment> {
         match self {
             DeploymentSource::Packed => Ok(Deployment::from_placement("packed", placement, target.chip(), copies)),
             DeploymentSource::Scenario(name, scenario) => {

@@ -23,6 +23,7 @@ use rayon::prelude::*;
 
 use crate::base::fixed::{Delay, SignMode};
 use crate::base::id::{ChannelId, CompartmentId, Id};
+use crate::compile::resources::fan_in::first_source;
 use crate::ir::program::{AxonTarget, Compartment, Program};
 use crate::ir::quantised::{Population, Projection, Quantised, SynapseFormat, Units};
 
@@ -131,10 +132,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 }
 
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
-    let first = match population.units {
-        Units::Input(first) => first.0,
-        Units::Compartments { first, .. } => network.channels() + first.0,
-    };
+    let first = first_source(network, population);
     (first..first + population.shape.len()).all(|source| {
         let graded = program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
         graded.map(|graded| graded.payload) == population.payload

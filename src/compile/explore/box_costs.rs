@@ -3,7 +3,7 @@
 //! Input: boxes and places, and how often the sources of each population spike. Output: traffic, link loads and the
 //! [`Score`] of a step, counted as [`crate::compile::explore::traffic`] and [`crate::compile::explore::cost_estimate`] count those of a program.
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::base::id::{CoreId, Id};
 use crate::compile::explore::cost_estimate::{Score, score_of};
 use crate::compile::explore::traffic::{self, Links, Traffic};
@@ -28,12 +28,6 @@ pub struct PlacedBoxes<'a> {
 }
 
 impl<'a> PlacedBoxes<'a> {
-    /// These boxes at these places.
-    #[must_use]
-    pub fn new(network: &'a Quantised, boxes: &'a Boxes, placement: &'a Placement) -> Self {
-        PlacedBoxes { network, boxes, placement }
-    }
-
     fn flows(
         self,
         rates: &'a PopulationRates,
@@ -57,13 +51,7 @@ impl<'a> PlacedBoxes<'a> {
     ///
     /// # Errors
     /// As [`score_of`].
-    pub fn score(
-        self,
-        rates: &PopulationRates,
-        traffic: &Traffic,
-        target: &Target,
-        copies: u32,
-    ) -> Result<Score, Diagnostic> {
+    pub fn score(self, rates: &PopulationRates, traffic: &Traffic, target: &Target, copies: u32) -> Result<Score> {
         let PlacedBoxes { network, boxes, placement } = self;
         let mut sum = StepActivity::new(boxes.uses.len());
         for (core, used) in boxes.uses.iter().enumerate() {

@@ -1,21 +1,25 @@
 //! What a mapping is expected to carry and cost at the rates that it was made for, with or without a program.
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::Result;
 use crate::compile::explore::box_costs::PlacedBoxes;
 use crate::compile::explore::cost_estimate::{Score, expected, score_of};
 use crate::compile::explore::traffic::{self, Links, Traffic};
 use crate::compile::mapping::{Mapping, Synapses};
 use crate::compile::partition::box_fan_out::everywhere;
+use crate::compile::partition::boxes::Boxes;
 use crate::desc::target::Target;
 
 impl Mapping {
+    fn at_places<'a>(&'a self, boxes: &'a Boxes) -> PlacedBoxes<'a> {
+        PlacedBoxes { network: &self.quantised, boxes, placement: &self.placement }
+    }
+
     /// The expected traffic.
     #[must_use]
     pub fn traffic(&self) -> Traffic {
         match &self.program {
             Synapses::Written(program) => traffic::traffic(program, &self.rates),
-            Synapses::Symbolic(boxes) => PlacedBoxes::new(&self.quantised, boxes, &self.placement)
-                .traffic(&everywhere(&self.quantised, &self.rates)),
+            Synapses::Symbolic(boxes) => self.at_places(boxes).traffic(&everywhere(&self.quantised, &self.rates)),
         }
     }
 
@@ -24,8 +28,7 @@ impl Mapping {
     pub fn links(&self) -> Links {
         match &self.program {
             Synapses::Written(program) => traffic::of_program(program, &self.rates).links(),
-            Synapses::Symbolic(boxes) => PlacedBoxes::new(&self.quantised, boxes, &self.placement)
-                .links(&everywhere(&self.quantised, &self.rates)),
+            Synapses::Symbolic(boxes) => self.at_places(boxes).links(&everywhere(&self.quantised, &self.rates)),
         }
     }
 
@@ -33,19 +36,14 @@ impl Mapping {
     ///
     /// # Errors
     /// A diagnostic when the target's constants cannot be used or there are none.
-    pub fn score(&self, traffic: &Traffic, target: &Target) -> Result<Score, Diagnostic> {
+    pub fn score(&self, traffic: &Traffic, target: &Target) -> Result<Score> {
         match &self.program {
             Synapses::Written(program) => {
                 score_of(&expected(program, &self.rates), traffic, &self.placement, target, self.options.copies)
             }
             Synapses::Symbolic(boxes) => {
                 let rates = everywhere(&self.quantised, &self.rates);
-                PlacedBoxes::new(&self.quantised, boxes, &self.placement).score(
-                    &rates,
-                    traffic,
-                    target,
-                    self.options.copies,
-                )
+                self.at_places(boxes).score(&rates, traffic, target, self.options.copies)
             }
         }
     }

@@ -24,7 +24,7 @@ const MOST_SYNAPSES: u64 = 10_000_000;
 const BITS: [i64; 3] = [6, 5, 4];
 
 /// A change that makes the network fit.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Remedy {
     /// A stable name for scripts: `copies`, `prune`, `weight_bits` or `target`.
     pub kind: &'static str,

@@ -16,7 +16,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use crate::compile;
-use crate::compile::error::CompileError;
+use crate::compile::error::{CompileError, Result};
 use crate::compile::explore::box_costs::PlacedBoxes;
 use crate::compile::explore::cost_estimate::{Score, score_at};
 use crate::compile::form::Form;
@@ -112,19 +112,7 @@ enum Kept {
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping, CompileError> {
-    let form = Form::for_network(front.quantised(), options.copies);
-    map_in(form, front, target, options, rates)
-}
-
-/// [`map`] in a given form.
-pub(crate) fn map_in(
-    form: Form,
-    front: Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-) -> Result<Mapping, CompileError> {
+pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Mapping> {
     if options.objective == Objective::Cores {
         return compile::map(front, target, options, rates, form);
     }
@@ -160,23 +148,7 @@ pub(crate) fn map_in(
 ///
 /// # Errors
 /// [`CompileError`] of the first candidate, when none fits.
-pub fn candidates(
-    front: &Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-) -> Result<Vec<Found>, CompileError> {
-    candidates_in(Form::for_network(front.quantised(), options.copies), front, target, options, rates)
-}
-
-/// [`candidates`] in a given form.
-pub(crate) fn candidates_in(
-    form: Form,
-    front: &Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-) -> Result<Vec<Found>, CompileError> {
+pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Vec<Found>> {
     Ok(Search { form, front, target, options, rates }.all()?.into_iter().map(|made| made.found).collect())
 }
 
@@ -191,7 +163,7 @@ struct Search<'a> {
 
 impl Search<'_> {
     /// Strategies, and the part of a core that each may fill, for as many as the effort allows.
-    fn ways(&self) -> Result<Vec<(Strategy, u32)>, CompileError> {
+    fn ways(&self) -> Result<Vec<(Strategy, u32)>> {
         let Search { front, target, options, .. } = self;
         let (one, copies) = (front.quantised(), u64::from(options.copies));
         let affordable = |each_second: u64, size: u64| u64::from(options.effort_s) * each_second / size.max(1);
@@ -213,7 +185,7 @@ impl Search<'_> {
         Ok(ways)
     }
 
-    fn all(&self) -> Result<Vec<Made<Kept>>, CompileError> {
+    fn all(&self) -> Result<Vec<Made<Kept>>> {
         let ways = self.ways()?;
         // The effort is for all of them together.
         let options = Options { effort_s: self.options.effort_s.div_ceil(ways.len() as u32), ..*self.options };
@@ -227,7 +199,7 @@ impl Search<'_> {
             made
         };
         let ways = ways.into_iter().enumerate();
-        let made: Vec<Result<Vec<Made<Kept>>, CompileError>> = match self.form {
+        let made: Vec<Result<Vec<Made<Kept>>>> = match self.form {
             Form::Written => ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect(),
             // One after the other: each takes as much memory as a mapping, and uses all threads.
             Form::Symbolic => ways.map(one_way).collect(),
@@ -245,7 +217,7 @@ impl Search<'_> {
     }
 
     /// One partition, in these ways of placing it.
-    fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>, CompileError> {
+    fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>> {
         let Search { front, form, target, rates, .. } = *self;
         let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates, form);
         let partitioned = match (partitioned(0), form) {
@@ -280,15 +252,15 @@ impl Search<'_> {
         all: &Quantised,
         boxes: &Boxes,
         (placement, placed): (Placement, &'static str),
-    ) -> Result<(Score, Kept), CompileError> {
+    ) -> Result<(Score, Kept)> {
         let Search { target, options, rates, .. } = *self;
-        let at_places = PlacedBoxes::new(all, boxes, &placement);
+        let at_places = PlacedBoxes { network: all, boxes, placement: &placement };
         let bursts = match options.objective {
             Objective::Latency => population_bursts(all),
             Objective::Cores | Objective::Energy => Vec::new(),
         };
         let score = |rates: &PopulationRates| at_places.score(rates, &at_places.traffic(rates), target, options.copies);
-        let times = bursts.iter().map(|rates| Ok(score(rates)?.step_us)).collect::<Result<_, CompileError>>()?;
+        let times = bursts.iter().map(|rates| Ok(score(rates)?.step_us)).collect::<Result<_>>()?;
         let score = score(&everywhere(all, rates))?;
         let file = Box::new(file_of_boxes(all, boxes, &placement, target.name(), options));
         Ok((score, Kept::Symbolic { file, placed, times }))
@@ -297,11 +269,7 @@ impl Search<'_> {
 
 /// The best of candidates, the first of which is what others are measured by; `times` are those of bursts,
 /// that of all sources first.
-fn chosen<M>(
-    made: Vec<Made<M>>,
-    objective: Objective,
-    mut times: impl FnMut(&M) -> Result<Vec<f64>, CompileError>,
-) -> Result<M, CompileError> {
+fn chosen<M>(made: Vec<Made<M>>, objective: Objective, mut times: impl FnMut(&M) -> Result<Vec<f64>>) -> Result<M> {
     let mut made = made.into_iter();
     let Some(plain) = made.next() else {
         return Err(CompileError::Fault("there is no candidate".to_string()));

@@ -25,7 +25,7 @@ use crate::ir::quantised::{Connectivity, Quantised, SynapseFormat};
 /// A symbolic mapping of a network of any size.
 fn symbolic(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
     let rates = Rates::assumed(DEFAULT_RATE);
-    explore::search::map_in(Form::Symbolic, network.into(), board, options, &rates)
+    explore::map(network.into(), board, options, &rates, Form::Symbolic)
 }
 
 fn load_symbolic(
@@ -44,7 +44,7 @@ fn boxes(mapping: &Mapping) -> &Boxes {
 
 /// The score of a symbolic mapping at other rates than it was made for.
 fn score_of(mapping: &Mapping, rates: &PopulationRates, board: &Target) -> Score {
-    let at_places = PlacedBoxes::new(&mapping.quantised, boxes(mapping), &mapping.placement);
+    let at_places = PlacedBoxes { network: &mapping.quantised, boxes: boxes(mapping), placement: &mapping.placement };
     at_places.score(rates, &at_places.traffic(rates), board, mapping.options.copies).unwrap()
 }
 
@@ -377,23 +377,18 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
         // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
         let board = target(8, 8, limits());
         let options = Options { effort_s: 1, place: false, ..Options::default() };
-        let found = explore::search::candidates_in(
-            Form::Symbolic,
-            &layered(seed).into(),
-            &board,
-            &options,
-            &Rates::assumed(DEFAULT_RATE),
-        )
-        .unwrap();
+        let found =
+            explore::candidates(&layered(seed).into(), &board, &options, &Rates::assumed(DEFAULT_RATE), Form::Symbolic)
+                .unwrap();
         assert!(found.len() > 2 && !found[0].candidate.placed && found[0].candidate.divisor == 1, "seed {seed}");
         for (which, objective) in [Objective::Energy, Objective::Latency].into_iter().enumerate() {
             let options = Options { objective, ..options };
-            let found = explore::search::candidates_in(
-                Form::Symbolic,
+            let found = explore::candidates(
                 &layered(seed).into(),
                 &board,
                 &options,
                 &Rates::assumed(DEFAULT_RATE),
+                Form::Symbolic,
             )
             .unwrap();
             let made = symbolic(layered(seed), &board, &options).unwrap();

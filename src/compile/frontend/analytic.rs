@@ -11,14 +11,9 @@
 //!
 //! The scale is free: weights and threshold are real here, and `quantise` takes the largest scale at which they fit.
 
-use std::sync::Arc;
-
 use crate::base::fixed::{DECAY_ONE, Decay, Refractory};
 use crate::desc::neurons::NeuronKind;
-use crate::desc::tensor::{Numbers, Tensor};
-use crate::ir::graph::{
-    Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, SrmParameters, Values,
-};
+use crate::ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, Projection, SrmParameters, Values};
 
 /// The counterpart of a population of spike response neurons.
 #[derive(Debug, Clone, PartialEq)]
@@ -119,28 +114,6 @@ fn parameters(fit: &Fit) -> NeuronParameters {
     }
 }
 
-/// The same connectivity with each target's weights times its gain.
-fn scaled(kind: &ProjectionKind, gains: &[f64]) -> ProjectionKind {
-    match kind {
-        ProjectionKind::Dense { weights, rows } => {
-            let columns = weights.len() / gains.len().max(1);
-            let numbers = (0..weights.len()).map(|i| weights.real(i) * gains[i / columns.max(1)]).collect();
-            match Tensor::new(weights.shape().to_vec(), Numbers::Reals(numbers)) {
-                Some(weights) => ProjectionKind::Dense { weights: Arc::new(weights), rows: rows.clone() },
-                None => kind.clone(),
-            }
-        }
-        ProjectionKind::Sparse { synapses } => {
-            let each =
-                synapses.iter().map(|&(source, target, w, span)| (source, target, w * gains[target as usize], span));
-            ProjectionKind::Sparse { synapses: each.collect() }
-        }
-        ProjectionKind::Conv2d { .. } | ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => {
-            kind.clone()
-        }
-    }
-}
-
 /// The network with Loihi compartments only, those of `fits` (in the order of the file) in place of spike response neurons.
 #[must_use]
 pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
@@ -149,8 +122,9 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         (other, _) => other.clone(),
     });
     kinds.with_projections(|target, projection| match &fits[target.index()] {
-        Some(fit) if !fit.gains.is_empty() => {
-            crate::ir::graph::Projection { kind: scaled(&projection.kind, &fit.gains), ..projection.clone() }
+        Some(Fit { gains, .. }) if !gains.is_empty() && projection.kind.has_own_weights() => {
+            let kind = projection.kind.map_weights(|target, weight| weight * gains[target]);
+            Projection { kind, ..projection.clone() }
         }
         _ => projection.clone(),
     })

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use petgraph::graph::NodeIndex;
 
-use crate::base::diagnostic::{Diagnostic, Span};
+use crate::base::diagnostic::{Diagnostic, Result, Span};
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
     WeightBits, WeightExponent,
@@ -34,7 +34,7 @@ use crate::neuron;
 ///
 /// # Errors
 /// A diagnostic at the first number that fits no field, with its place in the model file.
-pub fn quantise(graph: &Graph) -> Result<Quantised, Diagnostic> {
+pub fn quantise(graph: &Graph) -> Result<Quantised> {
     let mut stage = Stage { graph, notes: Vec::new() };
     let scales: Vec<Option<f64>> =
         graph.populations().map(|(node, population)| stage.scale(node, population)).collect::<Result<_, _>>()?;
@@ -83,7 +83,7 @@ pub fn quantise(graph: &Graph) -> Result<Quantised, Diagnostic> {
 ///
 /// # Errors
 /// As [`quantise`], for thresholds and scales.
-pub fn scales(graph: &Graph) -> Result<Vec<Option<f64>>, Diagnostic> {
+pub fn scales(graph: &Graph) -> Result<Vec<Option<f64>>> {
     let stage = Stage { graph, notes: Vec::new() };
     graph.populations().map(|(node, population)| stage.scale(node, population)).collect()
 }
@@ -116,12 +116,16 @@ impl Stage<'_> {
         if span == Span::default() { diagnostic } else { diagnostic.at(&self.graph.facts().source, span) }
     }
 
+    fn note(&mut self, entity: &str, message: impl Into<String>) {
+        self.notes.push(Note { entity: entity.to_string(), message: message.into() });
+    }
+
     fn real_neurons(&self, population: &graph::Population) -> Diagnostic {
         let message = format!("population '{}' has spike response neurons, which have no integers", population.name);
         self.error("model.srm-unconverted", message, population.span).help("run it with --engine reference")
     }
 
-    fn format(&self, projection: &graph::Projection) -> Result<SynapseFormat, Diagnostic> {
+    fn format(&self, projection: &graph::Projection) -> Result<SynapseFormat> {
         let wrong = |e: &dyn Display, span: Span| {
             self.error("model.synapse-format", format!("projection {}: {e}", projection.name), span)
         };
@@ -139,7 +143,7 @@ impl Stage<'_> {
     }
 
     /// Register units for a real unit of a population with a real threshold.
-    fn scale(&self, node: NodeIndex, population: &graph::Population) -> Result<Option<f64>, Diagnostic> {
+    fn scale(&self, node: NodeIndex, population: &graph::Population) -> Result<Option<f64>> {
         let PopulationKind::Neurons(parameters) = &population.kind else { return Ok(None) };
         let Some(threshold) = parameters.get("vth") else { return Ok(None) };
         let greatest = match &threshold.each {
@@ -196,7 +200,7 @@ impl Stage<'_> {
         values: &Values,
         field: Field,
         to_integer: impl Fn(f64) -> f64,
-    ) -> Result<PerCompartment<i64>, Diagnostic> {
+    ) -> Result<PerCompartment<i64>> {
         values.each.try_map(|index, value| {
             let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
             let integer = to_integer(value);
@@ -219,7 +223,7 @@ impl Stage<'_> {
         p: &NeuronParameters,
         parameter: &ParameterField,
         scale: Option<f64>,
-    ) -> Result<PerCompartment<i64>, Diagnostic> {
+    ) -> Result<PerCompartment<i64>> {
         let what = (name, parameter.name);
         if let Some(values) = p.get(parameter.name) {
             return self.field(what, values, parameter.field, |x| x);
@@ -251,12 +255,7 @@ impl Stage<'_> {
         }
     }
 
-    fn neurons(
-        &mut self,
-        population: &graph::Population,
-        p: &NeuronParameters,
-        scale: Option<f64>,
-    ) -> Result<Neurons, Diagnostic> {
+    fn neurons(&mut self, population: &graph::Population, p: &NeuronParameters, scale: Option<f64>) -> Result<Neurons> {
         let (name, semantics) = (&population.name, self.graph.facts().semantics);
         let kind = neuron::kind(p.kind);
         if !kind.semantics.contains(&semantics) {
@@ -281,16 +280,10 @@ impl Stage<'_> {
         };
         let biased = |neuron: &Neuron| neuron.bias_mant != BiasMantissa::ZERO;
         if semantics == Semantics::Slayer && neurons.any(biased) {
-            self.notes.push(Note {
-                entity: name.to_string(),
-                message: "SLAYER's kernel has no bias: it is ignored under semantics Slayer".to_string(),
-            });
+            self.note(name, "SLAYER's kernel has no bias: it is ignored under semantics Slayer");
         }
         if let Some(scale) = scale {
-            self.notes.push(Note {
-                entity: name.to_string(),
-                message: format!("a real unit counts {scale:.6} register units"),
-            });
+            self.note(name, format!("a real unit counts {scale:.6} register units"));
         }
         Ok(neurons)
     }
@@ -301,7 +294,7 @@ impl Stage<'_> {
         name: &str,
         values: &Values,
         to_register: impl Fn(f64) -> f64,
-    ) -> Result<PerCompartment<(i64, i64)>, Diagnostic> {
+    ) -> Result<PerCompartment<(i64, i64)>> {
         values.each.try_map(|index, value| {
             let register = to_register(value);
             let fitting = (0..=i64::from(BiasExponent::MAX.get())).find_map(|exponent| {
@@ -323,7 +316,7 @@ impl Stage<'_> {
         target: NodeIndex,
         projection: &graph::Projection,
         scale: Option<f64>,
-    ) -> Result<Projection, Diagnostic> {
+    ) -> Result<Projection> {
         let format = self.format(projection)?;
         if let Some(scale) = &projection.weight_scale
             && !(scale.value.is_finite() && scale.value > 0.0)
@@ -344,10 +337,8 @@ impl Stage<'_> {
         let Rounding { changed, most, seen, .. } = rounding;
         if changed > 0 {
             let step = format.sign.step(format.bits);
-            self.notes.push(Note {
-                entity: projection.name.clone(),
-                message: format!("{changed} of {seen} weights rounded to multiples of {step}, by at most {most:.3}"),
-            });
+            let message = format!("{changed} of {seen} weights rounded to multiples of {step}, by at most {most:.3}");
+            self.note(&projection.name, message);
         }
         Ok(Projection {
             name: projection.name.clone(),
@@ -372,7 +363,7 @@ struct Rounding<'a, 'b> {
 }
 
 impl Rounding<'_, '_> {
-    fn mantissa(&mut self, weight: f64, which: impl Display, span: Span) -> Result<i16, Diagnostic> {
+    fn mantissa(&mut self, weight: f64, which: impl Display, span: Span) -> Result<i16> {
         let name = &self.projection.name;
         let exact = weight * self.factor.unwrap_or(1.0);
         if !exact.is_finite() {
@@ -409,7 +400,7 @@ impl Rounding<'_, '_> {
         Ok(rounded as i16)
     }
 
-    fn connectivity(&mut self, sources: u32, targets: u32) -> Result<Connectivity, Diagnostic> {
+    fn connectivity(&mut self, sources: u32, targets: u32) -> Result<Connectivity> {
         let projection = self.projection;
         match &projection.kind {
             ProjectionKind::Dense { weights, rows } => {
@@ -531,7 +522,7 @@ mod tests {
     use crate::compile::frontend::lower::lower;
     use crate::desc::network::{Network, NetworkFile};
 
-    fn quantised(text: &str) -> Result<Quantised, Diagnostic> {
+    fn quantised(text: &str) -> Result<Quantised> {
         let source = SourceText::new("m.ron", text);
         let file = NetworkFile::parse(&source)?;
         quantise(&lower(&Network::new(file, source, BTreeMap::new())?)?)

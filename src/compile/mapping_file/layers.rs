@@ -4,7 +4,7 @@
 //! that they are of this network and target; everything else is counted again. Nothing is allocated by a number in the
 //! file before the file has been found to hold as many entries.
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use crate::compile::partition::boxes::Lattices;
 use crate::compile::partition::lattice::{self, Lattice};
@@ -40,7 +40,7 @@ pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement
 ///
 /// # Errors
 /// `mapping.site` when there is none.
-pub fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site, Diagnostic> {
+pub fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site> {
     let inside = chip < mesh.chips_x * mesh.chips_y && core < mesh.cores_per_chip;
     let site = inside.then(|| mesh.site(chip * mesh.cores_per_chip + core)).flatten();
     let none =
@@ -58,7 +58,7 @@ pub fn outline(
     network: &Quantised,
     layers: &IdVec<PopulationId, Layer>,
     target: &Target,
-) -> Result<(Lattices, Placement), Diagnostic> {
+) -> Result<(Lattices, Placement)> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     if !file.cores.is_empty() {
         let message = "the mapping lists compartments core by core, where boxes of layers are wanted".to_string();
@@ -126,11 +126,7 @@ pub fn outline(
 ///
 /// # Errors
 /// As [`outline`]; `mapping.layers` when the network is not made of layers.
-pub fn membership(
-    file: &MappingFile,
-    network: &Quantised,
-    target: &Target,
-) -> Result<(Members, IdVec<CoreId, Site>), Diagnostic> {
+pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
     let not_layers = || {
         let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor all \
                        to all";

@@ -8,7 +8,7 @@
 pub mod layers;
 pub mod pruned;
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::error::CompileError;
 use crate::compile::form::Form;
@@ -161,7 +161,7 @@ fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a 
 ///
 /// # Errors
 /// `mapping.model`, `mapping.target`.
-pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(), Diagnostic> {
+pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Result<()> {
     let (model, board) = (&network.parts().name, target.name());
     if file.model != *model {
         let message = format!("the mapping was made for model {}, not {model}", file.model);
@@ -178,7 +178,7 @@ pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Resu
 ///
 /// # Errors
 /// `mapping.copies`.
-pub fn of_copies(file: &MappingFile, copies: u32) -> Result<(), Diagnostic> {
+pub fn of_copies(file: &MappingFile, copies: u32) -> Result<()> {
     if file.copies == copies {
         return Ok(());
     }
@@ -193,10 +193,10 @@ pub fn of_copies(file: &MappingFile, copies: u32) -> Result<(), Diagnostic> {
 ///
 /// # Errors
 /// `mapping.site` for a core that the mesh does not have, and for one that is named twice.
-pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement, Diagnostic> {
+pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement> {
     let listed = file.cores.iter().map(|at| Ok(Site { chip: at.chip, x: at.x, y: at.y, core: at.core }));
     let boxes = file.places().map(|place| layers::site(&mesh, place));
-    let sites = listed.chain(boxes).collect::<Result<_, Diagnostic>>()?;
+    let sites = listed.chain(boxes).collect::<Result<_>>()?;
     Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))
 }
 
@@ -204,11 +204,7 @@ pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement, Diagnostic
 ///
 /// # Errors
 /// A diagnostic that names what does not match: the model, the target, a population, a run, a compartment, a place.
-pub fn membership(
-    file: &MappingFile,
-    network: &Quantised,
-    target: &Target,
-) -> Result<(Members, IdVec<CoreId, Site>), Diagnostic> {
+pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     belongs(file, network, target)?;
     if !file.layers.is_empty() {

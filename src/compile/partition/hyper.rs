@@ -73,19 +73,18 @@ impl Hypergraph {
         let mut own: Vec<Option<(u32, u64)>> = vec![None; network.compartments() as usize];
         let mut reached: Vec<u32> = Vec::new();
         for (id, population) in network.populations().enumerate() {
-            let outgoing: Vec<_> = network.outgoing(id).iter().map(|&p| &network.projections()[p]).collect();
+            let outgoing: Vec<_> = network.targets_of(id).map(|(_, projection, first)| (projection, first)).collect();
             if outgoing.is_empty() {
                 continue;
             }
-            let dense = outgoing.iter().all(|p| matches!(p.connectivity, Connectivity::Dense { .. }));
-            let bits = outgoing.iter().map(|p| (p.format.bits.get(), p.delay.get() > 0));
+            let dense = outgoing.iter().all(|(p, _)| matches!(p.connectivity, Connectivity::Dense { .. }));
+            let bits = outgoing.iter().map(|(p, _)| (p.format.bits.get(), p.delay.get() > 0));
             let bits = bits.fold((0, false), |(bits, delayed), (b, d)| (bits.max(b), delayed | d));
             let (from, size) = (first_source(network, population), population.shape.len());
             let at_once = if dense { size } else { 1 };
             for index in (0..size).step_by(at_once.max(1) as usize) {
                 reached.clear();
-                for projection in &outgoing {
-                    let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
+                for (projection, first) in &outgoing {
                     projection.connectivity.for_each_target(index, |t| reached.push(first.0 + t));
                 }
                 reached.retain(|&t| !fixed[t as usize]);

@@ -9,7 +9,7 @@ use std::ops::Range;
 use crate::base::id::{IdVec, PopulationId};
 use crate::compile::partition::tiles::{self, Grid};
 use crate::compile::resources::axon_sharing::Places;
-use crate::compile::resources::closed_form::{BoxUse, Channels, Layer, Side, use_of};
+use crate::compile::resources::closed_form::{BoxUse, Channels, Layer, Side, part, use_of};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing;
 use crate::compile::resources::receptive_field::WindowAxis;
@@ -80,7 +80,7 @@ pub struct Cut {
 }
 
 fn parts(length: u32, size: u32) -> impl Iterator<Item = Range<u32>> {
-    (0..length.div_ceil(size)).map(move |at| at * size..((at + 1) * size).min(length))
+    (0..length.div_ceil(size)).map(move |at| part(length, size, at))
 }
 
 /// Distinct items and the number of each item's kind.

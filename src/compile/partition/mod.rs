@@ -26,7 +26,7 @@ pub mod tiles;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::rng;
-use crate::compile::error::CompileError;
+use crate::compile::error::{CompileError, Result};
 use crate::compile::form::Form;
 use crate::compile::options::{Options, Strategy};
 use crate::compile::partition::hyper::{Groups, Hypergraph, State};
@@ -86,13 +86,7 @@ const SHAKE_SEED: u64 = 0x5ba4e;
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`].
-pub fn within_bounds(
-    one: &Quantised,
-    target: &Target,
-    copies: u32,
-    form: Form,
-    search: Search<'_>,
-) -> Result<(), CompileError> {
+pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, form: Form, search: Search<'_>) -> Result<()> {
     let (limits, compartments) = (target.limits(), u64::from(one.compartments()));
     let (all, room) =
         (compartments * u64::from(copies), u64::from(target.cores()) * u64::from(limits[Resource::Compartments]));
@@ -118,12 +112,7 @@ pub fn within_bounds(
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn partition(
-    one: &Quantised,
-    all: &Quantised,
-    target: &Target,
-    search: Search<'_>,
-) -> Result<Partition, CompileError> {
+pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Search<'_>) -> Result<Partition> {
     let limits = target.limits();
     let copies = (all.compartments() / one.compartments().max(1)).max(1);
     let filler = Filler::new(one, target);
@@ -158,7 +147,7 @@ fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partiti
 }
 
 /// The members that a strategy finds for one copy.
-fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found, CompileError> {
+fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found> {
     let (network, target) = (filler.network, filler.target);
     let sequential = || filler.fewest_cores(&file_order(network), chips);
     if search.strategy == Strategy::Sequential {
@@ -186,7 +175,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
     let mut found: Vec<Found> = Vec::new();
     let mut failure = None;
-    let mut keep = |one: Result<Found, CompileError>| match one {
+    let mut keep = |one: Result<Found>| match one {
         Ok(one) => found.push(one),
         Err(error) => failure = Some(failure.take().unwrap_or(error)),
     };

@@ -17,7 +17,7 @@ use std::collections::BTreeSet;
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::compile::partition::order::{Indices, Segment};
 use crate::compile::resources::axon_sharing::Places;
-use crate::compile::resources::closed_form::{Incoming, Layer, middle, middle_of};
+use crate::compile::resources::closed_form::{Incoming, Layer, middle, middle_of, part};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::resources::packing::MOST_SLOTS;
@@ -59,8 +59,7 @@ fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64
 /// What the sources of the part in the middle of an axis reach of it: targets of all sources, and of those whose targets
 /// and places in the kernel are not another's shifted.
 fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
-    let at = middle_of(length, size);
-    let fields = axis.fields(&(at * size..((at + 1) * size).min(length)));
+    let fields = axis.fields(&part(length, size, middle_of(length, size)));
     let all = fields.iter().map(|(field, sources)| field.len() as u64 * sources).sum();
     let distinct: BTreeSet<ReceptiveField> = fields.iter().map(|(field, _)| relative(field)).collect();
     (all, distinct.iter().map(|field| field.len() as u64).sum())
@@ -197,8 +196,7 @@ pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) 
 /// Indices of one tile, in slot order.
 #[must_use]
 pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), own_only: bool) -> Vec<u32> {
-    let range = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
-    let (c, y, x) = (range(shape.0, size.0, at.0), range(shape.1, size.1, at.1), range(shape.2, size.2, at.2));
+    let (c, y, x) = (part(shape.0, size.0, at.0), part(shape.1, size.1, at.1), part(shape.2, size.2, at.2));
     let index = |c: u32, y: u32, x: u32| (c * shape.1 + y) * shape.2 + x;
     if own_only {
         return c

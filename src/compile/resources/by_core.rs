@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, ProjectionId};
 use crate::compile::resources::fan_in::first_source;
 use crate::compile::resources::formats::Formats;
 use crate::ir::partition::Seat;
@@ -130,7 +130,8 @@ fn pieces<'a>(network: &'a Quantised, formats: &Formats) -> Vec<Piece<'a>> {
     let of =
         |inputs: bool| network.populations().enumerate().filter(move |(_, p)| p.first_channel().is_some() == inputs);
     for (id, population) in of(true).chain(of(false)) {
-        let outgoing = outgoing(network, formats, id);
+        let format = |id: ProjectionId| formats.by_projection()[id.index()];
+        let outgoing: Vec<_> = network.targets_of(id).map(|(id, p, first)| (p, format(id), first.0)).collect();
         if outgoing.is_empty() {
             continue;
         }
@@ -143,15 +144,6 @@ fn pieces<'a>(network: &'a Quantised, formats: &Formats) -> Vec<Piece<'a>> {
         }
     }
     pieces
-}
-
-fn outgoing<'a>(network: &'a Quantised, formats: &Formats, id: PopulationId) -> Vec<(&'a Projection, u16, u32)> {
-    let of = |&id: &crate::base::id::ProjectionId| {
-        let projection = &network.projections()[id];
-        let first = network.populations()[projection.target].first_compartment()?;
-        Some((projection, formats.by_projection()[id.index()], first.0))
-    };
-    network.outgoing(id).iter().filter_map(of).collect()
 }
 
 impl Piece<'_> {

@@ -104,7 +104,6 @@ impl Layer {
     #[must_use]
     pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
         let at = middle(self.shape, size);
-        let part = |length: u32, size: u32, at: u32| at * size..((at + 1) * size).min(length);
         let channels = Channels::of_part(self, &part(self.shape.0, size.0, at.0));
         let rows = Side::of_part(self, WindowAxis::rows, &part(self.shape.1, size.1, at.1));
         let columns = Side::of_part(self, WindowAxis::columns, &part(self.shape.2, size.2, at.2));
@@ -167,6 +166,12 @@ impl Channels {
 #[must_use]
 pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
     (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
+}
+
+/// A part of an axis that is cut into parts of this size; the last may be smaller.
+#[must_use]
+pub fn part(length: u32, size: u32, at: u32) -> Range<u32> {
+    at * size..((at + 1) * size).min(length)
 }
 
 /// The part in the middle of an axis that is cut into parts of this size.

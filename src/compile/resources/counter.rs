@@ -283,12 +283,6 @@ impl Profiles {
     pub fn counts(&self) -> (u32, u32) {
         (self.compartments.len() as u32, self.thresholds.len() as u32)
     }
-
-    /// Begins another core.
-    pub fn clear(&mut self) {
-        self.compartments.clear();
-        self.thresholds.clear();
-    }
 }
 
 #[cfg(test)]

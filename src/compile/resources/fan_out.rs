@@ -158,11 +158,7 @@ pub fn by_source<T: Send>(
                             reached.push(core);
                         }
                     };
-                    for &projection in network.outgoing(id) {
-                        let projection = &network.projections()[projection];
-                        let Some(target) = network.populations()[projection.target].first_compartment() else {
-                            continue;
-                        };
+                    for (_, projection, target) in network.targets_of(id) {
                         match &projection.connectivity {
                             Connectivity::Dense { .. } => {
                                 of_population[projection.target].iter().for_each(|&core| reach(core));

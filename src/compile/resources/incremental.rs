@@ -171,7 +171,7 @@ impl<'a> Filling<'a> {
         self.axons.clear();
         self.entries.clear();
         self.format_counts.iter_mut().for_each(FormatCounts::clear);
-        self.profiles.clear();
+        self.profiles = Profiles::default();
         self.widths = Widths::for_core(0, Delay::MIN, self.limits.packing);
         (self.totals, self.slots_out) = (CoreTotals::new(0, Delay::MIN), 0);
         self.begins.clear();

@@ -214,7 +214,7 @@ fn escaped(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::{DEFAULT_RATE, Options, explore};
+    use crate::compile::{DEFAULT_RATE, Form, Options, explore};
     use crate::ir::firing_rates::Rates;
 
     #[test]
@@ -222,7 +222,7 @@ mod tests {
         let board = target(2, 1, limits());
         let options = Options { copies: 40, ..Options::default() };
         let rates = Rates::assumed(DEFAULT_RATE);
-        let compiled = explore::map(slip(3150).into(), &board, &options, &rates).unwrap();
+        let compiled = explore::map(slip(3150).into(), &board, &options, &rates, Form::Written).unwrap();
         let picture = svg(&compiled, &board, &compiled.links());
         assert_eq!(picture.matches("<g><title>core").count(), 40);
         // 40 cores are ten tiles; every tile but the corner's has inputs come over a link.

@@ -36,9 +36,7 @@ pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<Com
     // Lists what a new source reaches, because its bound has changed.
     let connect = |population: PopulationId, index: u32, arrivals: &mut [Arrivals], reached: &mut Vec<usize>| {
         let factor = i64::from(parts.populations[population].spike_factor());
-        for &id in network.outgoing(population) {
-            let projection = &parts.projections[id];
-            let Some(first) = parts.populations[projection.target].first_compartment() else { continue };
+        for (_, projection, first) in network.targets_of(population) {
             projection.connectivity.for_each_from(index, |target, weight| {
                 let added = i64::from(projection.format.scaled(weight)) * factor;
                 if added != 0 {

@@ -27,7 +27,8 @@ pub mod bound;
 
 use std::sync::Arc;
 
-use crate::base::diagnostic::Diagnostic;
+use crate::base::csr::Csr;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
 use crate::ir::graph::Shape;
 use crate::ir::pruned::{Kind, Row};
@@ -126,7 +127,7 @@ pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent
 ///
 /// # Errors
 /// `input.pruned` with population, channel, sample and step of the first such spike.
-pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) -> Result<(), Diagnostic> {
+pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) -> Result<()> {
     let Some(pruned) = network.pruned().filter(|pruned| !pruned.dead.is_empty()) else { return Ok(()) };
     let mut dead: IdVec<ChannelId, bool> = vec![false; pruned.original.channels() as usize].into();
     pruned.dead.iter().for_each(|&channel| dead[channel] = true);
@@ -185,17 +186,9 @@ fn reaches(
     whole: &IdVec<PopulationId, bool>,
 ) -> IdVec<CompartmentId, bool> {
     let count = network.compartments() as usize;
-    // The synapses read backwards: counted, then listed.
-    let mut first = vec![0u64; count + 1];
-    for_each_living(network, fires, |_, target| first[target.index() + 1] += 1);
-    for at in 0..count {
-        first[at + 1] += first[at];
-    }
-    let mut next = first.clone();
-    let mut sources = vec![CompartmentId(0); first[count] as usize];
-    for_each_living(network, fires, |source, target| {
-        sources[next[target.index()] as usize] = source;
-        next[target.index()] += 1;
+    // The synapses read backwards.
+    let sources = Csr::by_row(count, |put| {
+        for_each_living(network, fires, |source, target| put(target.index(), source.0));
     });
     let mut reaches: IdVec<CompartmentId, bool> = vec![false; count].into();
     let mut new = Vec::new();
@@ -205,7 +198,7 @@ fn reaches(
     }
     new.iter().for_each(|&root| reaches[root] = true);
     while let Some(target) = new.pop() {
-        for &source in &sources[first[target.index()] as usize..first[target.index() + 1] as usize] {
+        for source in sources.get(target.index()).iter().copied().map(CompartmentId) {
             if !std::mem::replace(&mut reaches[source], true) {
                 new.push(source);
             }
