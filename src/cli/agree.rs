@@ -80,9 +80,7 @@ pub struct Args {
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    if let Some(svg) = &args.svg {
-        io::write::check_free(svg, context.force)?;
-    }
+    io::write::check_all_free(&args.svg, context.force)?;
     if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
         return Err(Error::Usage("--require-class-agreement is a share between 0 and 1".to_string()));
     }

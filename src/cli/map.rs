@@ -77,9 +77,7 @@ pub struct MapArgs {
 /// # Errors
 /// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
-    for output in [&args.output, &args.svg, &args.pareto].into_iter().flatten() {
-        io::write::check_free(output, context.force)?;
-    }
+    io::write::check_all_free([&args.output, &args.svg, &args.pareto].into_iter().flatten(), context.force)?;
     let network = io::model::load_model(&args.job.model)?;
     let target = io::target::load_target(&args.job.target)?;
     let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;

@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+
 use crate::base::diagnostic::Diagnostic;
 use crate::drive::samples::Traces;
 use crate::drive::{Outcome, Probe, Quantity};
@@ -108,13 +111,8 @@ impl ProbeArgs {
     #[must_use]
     pub fn path(&self, named: &NamedProbe) -> PathBuf {
         let folder = self.output.as_deref().unwrap_or(Path::new("."));
-        let extension = match self.probe_format {
-            ProbeFormat::Npy => "npy",
-            ProbeFormat::Csv => "csv",
-            ProbeFormat::Nir => "nir",
-            #[cfg(feature = "parquet")]
-            ProbeFormat::Parquet => "parquet",
-        };
+        let format = self.probe_format.to_possible_value();
+        let extension = format.as_ref().map_or("", PossibleValue::get_name);
         folder.join(format!("{}.{extension}", named.name))
     }
 

@@ -94,9 +94,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let samples = select(&stimulus.samples, &args.input)?;
     check_pruned(network, &samples, &args.input)?;
     let probes = args.probes.probes(network, &samples)?;
-    for named in &probes {
-        io::write::check_free(&args.probes.path(named), context.force)?;
-    }
+    io::write::check_all_free(probes.iter().map(|named| args.probes.path(named)), context.force)?;
     let output = &network.populations()[network.parts().output];
     let first = output.first_compartment().unwrap_or_else(|| Id::new(0));
     let keep = Keep {

@@ -66,9 +66,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         argument.parameters.push((key.to_string(), value.to_string()));
     }
     let scene = Recorded::parse(&argument)?;
-    if let Some(folder) = &args.output {
-        write::check_free(&folder.join("dataset.ron"), context.force)?;
-    }
+    write::check_all_free(args.output.as_ref().map(|folder| folder.join("dataset.ron")), context.force)?;
     if let Some(path) = &args.plot {
         write::check_free(path, context.force)?;
         if let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples()) {

@@ -256,9 +256,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     }
     let source = with_fields(&source, &fields)?;
     let job = job(&source, args)?;
-    for path in args.output.iter().chain(args.output.as_deref().map(weights_path).as_ref()).chain(&args.log) {
-        io::write::check_free(path, context.force)?;
-    }
+    let weights = args.output.as_deref().map(weights_path);
+    io::write::check_all_free(args.output.iter().chain(&weights).chain(&args.log), context.force)?;
     let data = data(&job.file, job.plan.topology.classes(), args)?;
     let begin = Instant::now();
     let state = train(&job.plan, &data.train, args.checkpoint.as_deref(), context)?;

@@ -20,6 +20,7 @@ use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
+use crate::agree::compare::output_layer;
 use crate::agree::ladder::{Cause, Ladder, Rung};
 use crate::agree::metrics::{TAU, TrainSums};
 use crate::agree::trace::{Comparison, Layer, Trace};
@@ -178,9 +179,9 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
     let trained: Vec<Trace> =
         samples.par_iter().map(|sample| ladder.run(Rung::TRAINED.with(Cause::Untruncated), sample, false)).collect();
     let layers = ladder.layers();
-    let output = output_layer(graph, &layers);
+    let output = output_layer(ladder.deployed());
     let score = |fits: &[Option<Fit>]| -> Result<ConversionScore> {
-        Ok(scored(&Ladder::new(graph, fits)?, &layers, output, samples, &trained))
+        Ok(scored(&Ladder::new(graph, fits)?, &layers, &output, samples, &trained))
     };
 
     let start = score(&starts)?;
@@ -263,11 +264,6 @@ impl Material<'_> {
 fn earlier(trace: &Trace) -> Trace {
     let train = |train: &Vec<u32>| train.iter().filter_map(|&t| t.checked_sub(1)).collect();
     Trace { trains: trace.trains.iter().map(train).collect(), ..trace.clone() }
-}
-
-fn output_layer<'l>(graph: &Graph, layers: &'l [Layer]) -> &'l Layer {
-    let name = &graph.population(graph.output()).name;
-    layers.iter().find(|layer| &layer.name == name).expect("the output has compartments")
 }
 
 fn scored(

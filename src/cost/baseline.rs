@@ -269,21 +269,15 @@ impl Baseline {
             Convention::Physical => (total * latency / 1e3, total * latency / 1e3 * latency),
             Convention::Published => (row.printed_energy_uj.value, row.printed_edp.value),
         };
-        Ok(EnergyRow {
-            hardware: self.file.hardware.clone(),
-            unit: "total",
-            convention,
-            static_mw: Some(row.static_mw.value),
-            dynamic_mw: Some(row.dynamic_mw.value),
-            total_mw: Some(total),
-            latency_us: Some(latency),
-            energy_uj: Some(energy),
-            edp_pjs: Some(edp),
-            low: None,
-            high: None,
+        let figures = Figures {
+            static_mw: row.static_mw.value,
+            dynamic_mw: row.dynamic_mw.value,
+            latency_us: latency,
             source: self.status(),
             power_source: self.status(),
-        })
+        };
+        let (total_mw, energy_uj, edp_pjs) = (Some(total), Some(energy), Some(edp));
+        Ok(EnergyRow { total_mw, energy_uj, edp_pjs, ..figures.row(&self.file.hardware, convention, steps) })
     }
 
     fn status(&self) -> FigureSource {

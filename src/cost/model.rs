@@ -206,7 +206,7 @@ pub(crate) mod tests {
         assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
         let read = StepActivity { spikes_out: 3, ..step() };
         assert_eq!(
-            no_routes().step_times(&read, &[table.clone()], Transport::Analytic, 1, 4)[0].readout,
+            no_routes().step_times(&read, std::slice::from_ref(&table), Transport::Analytic, 1, 4)[0].readout,
             Picoseconds(3 * 4 * 11_000)
         );
         let time = step_time(&step(), &table, 1);

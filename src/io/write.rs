@@ -36,6 +36,14 @@ pub fn check_free(path: &Path, force: bool) -> Result<()> {
     Ok(())
 }
 
+/// [`check_free`] for each of several files.
+///
+/// # Errors
+/// As [`check_free`].
+pub fn check_all_free(paths: impl IntoIterator<Item: AsRef<Path>>, force: bool) -> Result<()> {
+    paths.into_iter().try_for_each(|path| check_free(path.as_ref(), force))
+}
+
 /// Writes a file through `fill`: under a temporary name in the same folder, which is made when it is absent, renamed once
 /// it is complete. `-` is stdout.
 ///

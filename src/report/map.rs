@@ -57,6 +57,12 @@ pub enum Outcome<'a> {
 #[must_use]
 pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
     let Question { model, target, options, pruned, remedies, .. } = question;
+    let (mapping, reasons) = match outcome {
+        Outcome::Fits(mapping, ..) => (Some(mapping), &[][..]),
+        Outcome::DoesNotFit(reasons) => (None, reasons),
+    };
+    let seconds = mapping.map_or(&[][..], |mapping| &mapping.seconds);
+    let seconds = seconds.iter().map(|&(stage, seconds)| (stage.to_string(), seconds.into()));
     let mut object = json!({
         "schema": "nsim.map/1",
         "model": model,
@@ -64,45 +70,30 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "copies": options.copies,
         "objective": options.objective.name(),
         "strategy": options.strategy.name(),
-        "placed": if options.place { place::ANNEALED } else { place::SEQUENTIAL },
+        "placed": mapping.map_or(if options.place { place::ANNEALED } else { place::SEQUENTIAL }, |mapping| mapping.placed),
         "seed": options.seed,
         "pruned": pruned_json(pruned),
-        "fits": false,
-        "cores_used": null,
-        "chips_used": null,
-        "cores_per_copy": null,
-        "checked": false,
-        "checked_how": null,
-        "checked_share": null,
-        "described": false,
-        "cores": [],
+        "fits": mapping.is_some(),
+        "cores_used": mapping.map(|mapping| mapping.partition.cores()),
+        "chips_used": mapping.map(|mapping| mapping.placement.chips_used()),
+        "cores_per_copy": mapping.map(cores_per_copy),
+        "checked": mapping.is_some(),
+        "checked_how": mapping.map(|mapping| mapping.checked.how),
+        "checked_share": mapping.map(|mapping| mapping.checked.share),
+        "described": mapping.is_some_and(|mapping| mapping.form() == Form::Symbolic),
+        "cores": mapping.into_iter().flat_map(rows).collect::<Vec<_>>(),
         "limits": target.limits(),
         "traffic": null,
         "expected": null,
-        "seconds": {},
-        "reasons": [],
+        "seconds": Value::Object(seconds.collect()),
+        "reasons": reasons.iter().map(reason_json).collect::<Vec<_>>(),
         "remedies": remedies,
         "pareto": [],
     });
-    match outcome {
-        Outcome::Fits(compiled, traffic, score) => {
-            object["placed"] = compiled.placed.into();
-            object["fits"] = true.into();
-            object["cores_used"] = compiled.partition.cores().into();
-            object["chips_used"] = compiled.placement.chips_used().into();
-            object["cores_per_copy"] = cores_per_copy(compiled).into();
-            object["checked"] = true.into();
-            object["described"] = (compiled.form() == Form::Symbolic).into();
-            object["checked_how"] = compiled.checked.how.into();
-            object["checked_share"] = compiled.checked.share.into();
-            object["cores"] = rows(compiled).map(|row| json!(row)).collect();
-            object["traffic"] = json!(traffic);
-            object["expected"] = json!(score);
-            object["expected"]["static_mw_of_paper"] = json!(published_static_mw(question, &score));
-            let seconds = compiled.seconds.iter().map(|&(stage, seconds)| (stage.to_string(), seconds.into()));
-            object["seconds"] = Value::Object(seconds.collect());
-        }
-        Outcome::DoesNotFit(reasons) => object["reasons"] = reasons.iter().map(reason_json).collect(),
+    if let Outcome::Fits(_, traffic, score) = outcome {
+        object["traffic"] = json!(traffic);
+        object["expected"] = json!(score);
+        object["expected"]["static_mw_of_paper"] = json!(published_static_mw(question, &score));
     }
     object
 }

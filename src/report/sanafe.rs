@@ -70,27 +70,26 @@ fn attributes(compartment: &Compartment, synapse: &str) -> String {
     out + "]"
 }
 
-/// Which synapse unit each compartment of a core has: that of most of its synapses.
-fn units(image: &CoreImage) -> Vec<&'static str> {
-    let mut counts = vec![[0u64; 2]; image.compartments.len()];
+/// Dense and sparse synapses of each compartment of a core.
+fn synapse_counts(image: &CoreImage) -> Vec<[u64; 2]> {
+    let mut counts = vec![[0; 2]; image.compartments.len()];
     for synapse in image.inputs.synapses() {
         let sparse = image.formats[usize::from(synapse.format)].index_bits.is_some();
         counts[usize::from(synapse.slot)][usize::from(sparse)] += 1;
     }
-    counts.into_iter().map(|[dense, sparse]| if sparse > dense { "sparse" } else { "dense" }).collect()
+    counts
+}
+
+/// Which synapse unit each compartment of a core has: that of most of its synapses.
+fn units(image: &CoreImage) -> Vec<&'static str> {
+    let unit = |[dense, sparse]: [u64; 2]| if sparse > dense { "sparse" } else { "dense" };
+    synapse_counts(image).into_iter().map(unit).collect()
 }
 
 /// Compartments that are reached by lists of both kinds: SANA-FE charges all their synapses as one.
 fn mixed(program: &Program) -> u64 {
-    let of = |image: &CoreImage| {
-        let mut kinds = vec![[false; 2]; image.compartments.len()];
-        for synapse in image.inputs.synapses() {
-            let sparse = image.formats[usize::from(synapse.format)].index_bits.is_some();
-            kinds[usize::from(synapse.slot)][usize::from(sparse)] = true;
-        }
-        kinds.into_iter().filter(|kinds| kinds[0] && kinds[1]).count() as u64
-    };
-    program.cores().iter().map(of).sum()
+    let counts = program.cores().iter().flat_map(synapse_counts);
+    counts.filter(|[dense, sparse]| *dense > 0 && *sparse > 0).count() as u64
 }
 
 impl Export<'_> {

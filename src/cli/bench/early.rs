@@ -101,9 +101,7 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
     let names = ["early.csv", "over-time.svg", "over-energy.svg"];
     let paths: Vec<PathBuf> =
         args.output.iter().flat_map(|folder| names.iter().map(|name| folder.join(name))).collect();
-    for path in &paths {
-        io::write::check_free(path, context.force)?;
-    }
+    io::write::check_all_free(&paths, context.force)?;
     let models = models(args)?;
     let scenario =
         models.first().map(|model| io::published::scenario::shipped_for(&model.model)).transpose()?.flatten();

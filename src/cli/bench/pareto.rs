@@ -67,9 +67,7 @@ const CALIBRATION_SAMPLES: usize = 100;
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
-    if let Some(svg) = &args.svg {
-        io::write::check_free(svg, context.force)?;
-    }
+    io::write::check_all_free(&args.svg, context.force)?;
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);
     let network = io::model::load_model(&args.model)?;

@@ -147,9 +147,7 @@ fn residuals(table: &MeasurementsFile, rows: &[EnergyRow]) -> Result<Vec<Residua
 /// # Errors
 /// [`Error`] when the table, its model or its target cannot be used, or the constants cannot be fitted.
 pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, Error> {
-    if let Some(output) = &args.output {
-        io::write::check_free(output, context.force)?;
-    }
+    io::write::check_all_free(&args.output, context.force)?;
     let table = io::published::measurement::load_measurements(table)?;
     let asked = JobArgs { model: table.model.clone(), target: table.target.clone(), ..args.job.clone() };
     let job = match jobs::prepare(&asked, Wanted::Mapped, table.copies)? {

@@ -9,7 +9,7 @@ use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::target::Target;
 use crate::drive::Outcome;
 use crate::drive::decision::Rule;
-use crate::report::energy::compared::{Packing, PerDecision, per_sample, ratios};
+use crate::report::energy::compared::{Comparison, Packing, PerDecision, per_sample, ratios};
 use crate::report::energy::table::{EnergyReport, Saved, constant_entries};
 
 /// A finished run and what is asked about it.
@@ -49,9 +49,9 @@ fn until_decided(outcomes: &[Outcome]) -> Vec<Range<usize>> {
 }
 
 /// What ending samples when they are decided would save of the whole run: equation (16).
-pub(super) fn saved(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> Saved {
-    let whole = spent(&job.case, std::iter::once(0..job.case.activity.steps() as usize));
-    let early = spent(&job.case, until_decided(outcomes));
+pub(super) fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
+    let whole = spent(case, std::iter::once(0..case.activity.steps() as usize));
+    let early = spent(case, until_decided(outcomes));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
     Saved {
         rule,
@@ -64,8 +64,8 @@ pub(super) fn saved(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> Sa
 }
 
 /// The mean cost of a sample until it is decided.
-pub(super) fn per_decision(rule: Rule, job: &EnergyJob<'_>, outcomes: &[Outcome]) -> PerDecision {
-    let (spent, samples) = (spent(&job.case, until_decided(outcomes)), outcomes.len().max(1) as f64);
+pub(super) fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDecision {
+    let (spent, samples) = (spent(case, until_decided(outcomes)), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
     PerDecision {
         rule: rule.to_string(),
@@ -120,8 +120,12 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
     let steps = job.case.activity.steps() as f64 / job.samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
-    let per_sample = per_sample(rows, steps);
-    let packing = job.other.and_then(|other| packing(job, other));
+    let comparison = Comparison {
+        ratios,
+        per_sample: per_sample(rows, steps),
+        per_decision: job.per_decision.cloned(),
+        packing: job.other.and_then(|other| packing(job, other)),
+    };
     EnergyReport {
         model: job.model.to_string(),
         target: job.target.name().to_string(),
@@ -134,10 +138,7 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
         timesteps: job.case.activity.steps(),
         estimate,
         transport: job.case.meter.transport(),
-        ratios,
-        per_sample,
-        per_decision: job.per_decision.cloned(),
-        packing,
+        comparison,
         baselines,
         early_exit: job.early_exit,
         constants: constant_entries(&job.target.constants()[job.case.preset]),

@@ -37,9 +37,8 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         return calibrate::run(args, table, context);
     }
     let asked = baselines(args.baseline.as_deref())?;
-    for file in args.svg.iter().chain(&args.export_sanafe.iter().flat_map(|d| sanafe_files(d)).collect::<Vec<_>>()) {
-        io::write::check_free(file, context.force)?;
-    }
+    io::write::check_all_free(&args.svg, context.force)?;
+    io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;
     let (mode, convention) = (args.mode, args.convention);
     let shipped = io::published::scenario::shipped_for(&args.job.model)?;
     let source = DeploymentSource::load(&args.deployment, &args.job.model, shipped.as_ref())?;
@@ -100,21 +99,20 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     if let Some(command) = &args.gpu_command {
         other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
     }
-    let whole = EnergyJob {
+    let case = Case { preset, mode, convention, steps_per_sample, ..case };
+    let decision = per_decision(rule, &case, &run.outcomes);
+    let mut energy = job::report(&EnergyJob {
         model,
         target: &target,
-        case: Case { preset, mode, convention, steps_per_sample, ..case },
+        case,
         samples: workload.samples.len() as u64,
         seed: workload.seed,
         baselines: &others.rows,
-        per_decision: None,
+        per_decision: Some(&decision),
         other: other.as_ref(),
         scenario: deployed,
-        early_exit: None,
-    };
-    let early_exit = args.early_exit.map(|rule| saved(rule, &whole, &run.outcomes));
-    let decision = per_decision(rule, &whole, &run.outcomes);
-    let mut energy = job::report(&EnergyJob { early_exit, per_decision: Some(&decision), ..whole });
+        early_exit: args.early_exit.map(|rule| saved(rule, &case, &run.outcomes)),
+    });
     energy.notes.extend(others.notes);
     if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
         io::write::text(path, context.force, &svg)?;

@@ -87,23 +87,23 @@ pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: 
     match measured.and_then(|(name, measured)| Ok((name, measured?))) {
         Err(reason) => found.notes.push(format!("no row for --gpu-command: {reason}")),
         Ok((name, measured)) => {
-            let figures = Figures {
-                static_mw: measured.power.static_mw,
-                dynamic_mw: measured.power.dynamic_mw,
-                latency_us: measured.us_per_timestep,
-                source: FigureSource::Measured,
-                power_source: FigureSource::Measured,
-            };
-            let figures = match mode {
-                Mode::Offline => figures,
-                Mode::Realtime => figures.in_real_time(one.timestep.microseconds(), true, true),
-            };
+            let figures = figures(measured.us_per_timestep, measured.power, one, mode, true);
             let source = format!(
                 "'{command}', {} timesteps, board power in {} readings by NVML, idle measured first",
                 measured.timesteps, measured.readings
             );
             found.rows.push((figures.row(&name, convention, one.steps), source));
         }
+    }
+}
+
+/// What was measured, in a mode; hardware that takes a whole window waits for it.
+fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: bool) -> Figures {
+    let Power { static_mw, dynamic_mw, source: power_source } = power;
+    let figures = Figures { static_mw, dynamic_mw, latency_us, source: FigureSource::Measured, power_source };
+    match mode {
+        Mode::Offline => figures,
+        Mode::Realtime => figures.in_real_time(one.timestep.microseconds(), window, true),
     }
 }
 
@@ -114,17 +114,7 @@ fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<
     let mut add = |name: &str, window: bool, (timed, power): (Result<Timed, String>, Power)| match timed {
         Err(reason) => found.notes.push(format!("no row for {name}: {reason}")),
         Ok(timed) => {
-            let figures = Figures {
-                static_mw: power.static_mw,
-                dynamic_mw: power.dynamic_mw,
-                latency_us: timed.us_per_timestep,
-                source: FigureSource::Measured,
-                power_source: power.source,
-            };
-            let figures = match mode {
-                Mode::Offline => figures,
-                Mode::Realtime => figures.in_real_time(one.timestep.microseconds(), window, true),
-            };
+            let figures = figures(timed.us_per_timestep, power, one, mode, window);
             let source = format!(
                 "one thread of {here}; median of {} repeats of {} timesteps, quartiles {:.3} us apart, fastest {:.3} us; {}",
                 timed.repeats,

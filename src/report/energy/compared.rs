@@ -100,27 +100,25 @@ pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> 
 }
 
 /// What the table comes to beside other hardware and other numbers of cores.
-#[derive(Debug, Clone, Copy)]
-pub struct Comparison<'a> {
-    /// Name of the deployment.
-    pub deployment: &'a str,
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
     /// Other hardware over the chip.
-    pub ratios: &'a [Ratio],
+    pub ratios: Vec<Ratio>,
     /// Time and energy of a sample.
-    pub per_sample: &'a [PerSample],
+    pub per_sample: Vec<PerSample>,
     /// Time and energy of a decision.
-    pub per_decision: Option<&'a PerDecision>,
+    pub per_decision: Option<PerDecision>,
     /// The same with other numbers of cores.
-    pub packing: Option<&'a Packing>,
+    pub packing: Option<Packing>,
 }
 
-impl Comparison<'_> {
-    /// In words and tables.
-    pub(super) fn text(&self) -> String {
+impl Comparison {
+    /// In words and tables, for the deployment of this name.
+    pub(super) fn text(&self, deployment: &str) -> String {
         let mut out = String::new();
         if !self.ratios.is_empty() {
             let mut table = plain(&["Over the chip's", "Power", "Latency", "Energy", "EDP"]);
-            for ratio in self.ratios {
+            for ratio in &self.ratios {
                 let times = |x: f64| format!("{} x", short(x));
                 let Ratio { hardware, total_mw, latency_us, energy_uj, edp_pjs } = ratio;
                 table.add_row([
@@ -135,26 +133,26 @@ impl Comparison<'_> {
         }
         if !self.per_sample.is_empty() {
             let mut table = plain(&["One sample on", "Time (ms)", "Energy (uJ)"]);
-            for PerSample { hardware, time_us, energy_uj } in self.per_sample {
+            for PerSample { hardware, time_us, energy_uj } in &self.per_sample {
                 table.add_row([hardware.clone(), short(time_us / 1e3), short(*energy_uj)]);
             }
-            if let Some(decision) = self.per_decision {
+            if let Some(decision) = &self.per_decision {
                 let name = format!("loihi, until decided ({})", decision.rule);
                 table.add_row([name, short(decision.time_us / 1e3), short(decision.energy_uj)]);
             }
             let _ = writeln!(out, "{}", table.trim_fmt());
-            if let Some(decision) = self.per_decision {
+            if let Some(decision) = &self.per_decision {
                 out +=
                     &wrapped(&format!("{:.1} % of the samples are decided before their end.", 100.0 * decision.early));
             }
             out.push('\n');
         }
-        if let Some(packing) = self.packing {
+        if let Some(packing) = &self.packing {
             let Packing { compared_with, cores_powered, static_mw, total_mw, energy_uj } = packing;
             out += &wrapped(&format!(
                 "Deployment {} powers {} neuron cores, {compared_with} {}: static power {} mW a copy against {}, total {} mW \
                  against {}, energy of a timestep {} uJ against {} (physical, latency and activity of this run).",
-                self.deployment,
+                deployment,
                 cores_powered[0],
                 cores_powered[1],
                 short(static_mw[0]),

@@ -8,7 +8,7 @@ use std::fmt::Write;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::compared::{Comparison, Packing, PerDecision, PerSample, Ratio};
+use super::compared::Comparison;
 use super::format::{fixed, plain, short, unknown};
 use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
@@ -110,14 +110,8 @@ pub struct EnergyReport {
     pub baselines: Vec<(EnergyRow, String)>,
     /// The model of the mesh.
     pub transport: Transport,
-    /// Other hardware over the chip.
-    pub ratios: Vec<Ratio>,
-    /// The cost of a sample.
-    pub per_sample: Vec<PerSample>,
-    /// The cost of a decision.
-    pub per_decision: Option<PerDecision>,
-    /// The same with other numbers of cores.
-    pub packing: Option<Packing>,
+    /// Beside other hardware and other numbers of cores.
+    pub comparison: Comparison,
     /// What ending samples when they are decided would save.
     pub early_exit: Option<Saved>,
     /// The constants of the preset.
@@ -169,10 +163,10 @@ impl EnergyReport {
             "per_timestep_dynamic_uj": self.estimate.per_timestep_dynamic_uj,
             "time_us_per_timestep": times,
             "transport": self.transport,
-            "ratios": self.ratios,
-            "per_sample": self.per_sample,
-            "per_decision": self.per_decision,
-            "packing": self.packing,
+            "ratios": self.comparison.ratios,
+            "per_sample": self.comparison.per_sample,
+            "per_decision": self.comparison.per_decision,
+            "packing": self.comparison.packing,
             "early_exit": self.early_exit,
             "constants": self.constants,
             "notes": self.notes,
@@ -250,14 +244,7 @@ impl EnergyReport {
         let _ = writeln!(out, "{}\n", table.trim_fmt());
         out.push_str(&self.ranges());
         out.push_str(&self.breakdown());
-        let comparison = Comparison {
-            deployment: name,
-            ratios: &self.ratios,
-            per_sample: &self.per_sample,
-            per_decision: self.per_decision.as_ref(),
-            packing: self.packing.as_ref(),
-        };
-        out.push_str(&comparison.text());
+        out.push_str(&self.comparison.text(name));
         if let Some(saved) = self.early_exit {
             let _ = writeln!(
                 out,
