@@ -23,7 +23,6 @@ use rayon::prelude::*;
 
 use crate::base::fixed::{Delay, SignMode};
 use crate::base::id::{ChannelId, CompartmentId, Id};
-use crate::compile::resources::fan_in::first_source;
 use crate::ir::program::{AxonTarget, Compartment, Program};
 use crate::ir::quantised::{Population, Projection, Quantised, SynapseFormat, Units};
 
@@ -132,7 +131,10 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 }
 
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
-    let first = first_source(network, population);
+    let first = match population.units {
+        Units::Input(first) => first.0,
+        Units::Compartments { first, .. } => network.channels() + first.0,
+    };
     (first..first + population.shape.len()).all(|source| {
         let graded = program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
         graded.map(|graded| graded.payload) == population.payload

@@ -22,7 +22,6 @@ use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use crate::compile::check::equivalence::SynapseCode;
 use crate::compile::check::verify::verify_tables;
 use crate::compile::emit::sample::SampledCore;
-use crate::compile::resources::fan_in::first_source;
 use crate::desc::resource::{Limits, Resource};
 use crate::ir::graph::Window;
 use crate::ir::partition::Partition;
@@ -93,7 +92,10 @@ fn check_synapses(network: &Quantised, partition: &Partition, sampled: &SampledC
     for (source, population) in network.populations().enumerate() {
         let into = network.projections().iter().filter(|p| p.source == source);
         let into: Vec<_> = into.filter_map(|p| Some((p, on_core.get(&p.target)?))).collect();
-        let first_source = first_source(network, population);
+        let first_source = match &population.units {
+            Units::Input(first) => first.0,
+            Units::Compartments { first, .. } => network.channels() + first.0,
+        };
         let mut candidates: Vec<u32> = into
             .iter()
             .flat_map(|(p, held)| sources_that_may_reach(&p.connectivity, held, population.shape.len()))
