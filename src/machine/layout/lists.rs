@@ -67,8 +67,9 @@ impl Split {
             let place = places[spike.source()];
             events += place.len() as u64;
             let (targets, weights) = (&self.targets[place.elements()], &self.weights[place.elements()]);
-            let synapses = targets.iter().zip(weights);
-            synapses.for_each(|(&target, &weight)| add(target as usize, weight, spike.payload()));
+            for (&target, &weight) in targets.iter().zip(weights) {
+                add(target as usize, weight, spike.payload());
+            }
         }
         events
     }

@@ -190,19 +190,13 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
     ) -> u64 {
         let (bytes, mut events) = (self.store.bytes(), 0);
         let fetch = |run: u32| prefetch(bytes, run as usize * STEP + Self::BYTES - 1);
-        let mut add_run = |run: usize, payload: P::Payload| {
-            let run = &bytes[run..run + Self::BYTES];
-            for index in 0..N {
-                let (lane, weight) = self.form.read::<N>(run, index);
-                add(lane, weight, payload);
-            }
-        };
         if !P::BINARY {
             // Queued runs do not know their spike.
             for spike in spikes {
                 let place = places[spike.source()];
-                let runs = (place.start() * STEP..).step_by(Self::BYTES).take(place.len().div_ceil(N));
-                runs.for_each(|run| add_run(run, spike.payload()));
+                for run in 0..place.len().div_ceil(N) {
+                    self.add_run(place.start() * STEP + run * Self::BYTES, spike.payload(), &mut add);
+                }
                 events += place.len() as u64;
             }
             return events;
@@ -214,10 +208,21 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
             queue[..count.min(Self::AHEAD)].iter().for_each(|&run| fetch(run));
             for (&run, &far) in queue[..count].iter().zip(&queue[Self::AHEAD..]) {
                 fetch(far);
-                add_run(run as usize * STEP, payload);
+                self.add_run(run as usize * STEP, payload, &mut add);
             }
         }
         events
+    }
+
+    /// Adds the synapses of the run at this byte. A function, since a closure may be compiled on its own, without the
+    /// processor's widest vectors.
+    #[inline(always)]
+    fn add_run<Y: Copy>(&self, run: usize, payload: Y, add: &mut impl FnMut(usize, i16, Y)) {
+        let run = &self.store.bytes()[run..run + Self::BYTES];
+        for index in 0..N {
+            let (lane, weight) = self.form.read::<N>(run, index);
+            add(lane, weight, payload);
+        }
     }
 
     /// Queues the runs of these spikes; returns their number and that of their synapses. The last run is repeated, so that
