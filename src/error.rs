@@ -25,6 +25,8 @@ impl Error {
     pub fn exit_status(&self) -> u8 {
         match self {
             Error::Usage(_) => 2,
+            // What was asked for is never done, whatever the input.
+            Error::Input(diagnostic) if diagnostic.code == "write.not-regular" => 2,
             Error::Input(_) => 3,
             Error::Fault(_) => 4,
         }

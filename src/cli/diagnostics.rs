@@ -34,29 +34,37 @@ pub fn colour() -> bool {
     std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
+/// The format that a command line asks for, whether or not the rest of it makes sense.
+#[must_use]
+pub fn format_asked() -> Format {
+    let words: Vec<_> = std::env::args_os().collect();
+    let apart = words.windows(2).any(|pair| pair[0] == "--format" && pair[1] == "json");
+    if apart || words.iter().any(|word| word == "--format=json") { Format::Json } else { Format::Text }
+}
+
 /// Says what clap says of a command line, as an object when that is the format that it asks for; returns the exit status.
 #[must_use]
-pub fn usage(error: &clap::Error) -> ExitCode {
+pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
     // Help and version are answers; anything else is wrong usage.
     if !error.use_stderr() {
         return match write::stdout(&error.render().to_string()) {
             Ok(()) => ExitCode::SUCCESS,
-            Err(_) => ExitCode::from(4),
+            Err(problem) => report(&problem.into(), Format::Text),
         };
     }
-    let words: Vec<_> = std::env::args_os().collect();
-    let asked = words.windows(2).any(|pair| pair[0] == "--format" && pair[1] == "json");
-    if asked || words.iter().any(|word| word == "--format=json") {
-        let said = error.render().to_string();
-        let (message, rest) = said.split_once("\n\n").unwrap_or((&said, ""));
-        let message = message.strip_prefix("error: ").unwrap_or(message).trim();
-        let object = json!({
-            "schema": "nsim.error/1", "code": "usage", "message": message, "help": rest.trim(),
-            "file": null, "line": null, "column": null,
-        });
-        let _ = write::stdout(&format!("{object:#}\n"));
-    } else {
-        let _ = error.print();
+    let said = error.render().to_string();
+    match asked {
+        Format::Json => {
+            let (message, rest) = said.split_once("\n\n").unwrap_or((&said, ""));
+            let message = message.strip_prefix("error: ").unwrap_or(message).trim();
+            let object = json!({
+                "schema": "nsim.error/1", "code": "usage", "message": message, "help": rest.trim(),
+                "file": null, "line": null, "column": null,
+            });
+            let _ = write::stdout(&format!("{object:#}\n"));
+        }
+        Format::Text | Format::Csv if colour() => say(&error.render().ansi().to_string()),
+        Format::Text | Format::Csv => say(&said),
     }
     ExitCode::from(2)
 }

@@ -1,7 +1,7 @@
 //! The command line: one file a subcommand turns what was typed into a validated job, calls the library, and writes.
 //!
 //! stdout carries the result, stderr everything else. Exit status: 0 done; 1 the answer is no; 2 wrong usage; 3 an input
-//! cannot be read or is not supported; 4 a fault of nsim itself.
+//! cannot be read or is not supported; 4 a fault of nsim itself; 130 and 143 ended by SIGINT, SIGTERM.
 
 pub mod agree;
 pub mod args;
@@ -15,6 +15,7 @@ pub mod inspect;
 pub mod map;
 pub mod output;
 pub mod probes;
+pub mod process;
 pub mod run;
 pub mod scene;
 pub mod stress;
@@ -26,6 +27,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::cli::context::{Answer, Context, Format};
+use crate::cli::process::{log, panics, signals, threads};
 use crate::error::Error;
 
 const AFTER_HELP: &str = "\
@@ -113,48 +115,29 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
 /// Runs the command line and returns its exit status.
 #[must_use]
 pub fn main() -> ExitCode {
+    let asked = diagnostics::format_asked();
+    match panics::guarded(|| Ok(command(asked))) {
+        Ok(status) => status,
+        Err(error) => diagnostics::report(&error, asked),
+    }
+}
+
+fn command(asked: Format) -> ExitCode {
+    signals::listen(asked);
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => return diagnostics::usage(&error),
+        Err(error) => return diagnostics::usage(&error, asked),
     };
-    start_log(cli.verbose, cli.quiet);
-    let threads = match cli.threads {
-        Some(0) => {
-            return diagnostics::report(&Error::Usage("--threads 0: at least one thread is needed".into()), cli.format);
-        }
-        Some(threads) => threads.min(1024),
-        None => std::thread::available_parallelism().map_or(1, usize::from),
-    };
-    if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
-        return diagnostics::report(&Error::Fault(format!("threads cannot be started: {error}")), cli.format);
-    }
-    let context = Context {
-        format: cli.format,
-        force: cli.force,
-        progress: std::io::stderr().is_terminal() && !cli.quiet,
-        threads,
-    };
-    match dispatch(&cli.command, context) {
+    log::start(cli.verbose, cli.quiet);
+    let answer = threads::start(cli.threads).and_then(|threads| {
+        let progress = std::io::stderr().is_terminal() && !cli.quiet;
+        dispatch(&cli.command, Context { format: cli.format, force: cli.force, progress, threads })
+    });
+    match answer {
         Ok(Answer::Yes) => ExitCode::SUCCESS,
         Ok(Answer::No) => ExitCode::from(1),
         Err(error) => diagnostics::report(&error, cli.format),
     }
-}
-
-fn start_log(verbose: u8, quiet: bool) {
-    let level = match (quiet, verbose) {
-        (true, _) => "error",
-        (false, 0) => "warn",
-        (false, 1) => "info",
-        (false, _) => "debug",
-    };
-    tracing_subscriber::fmt()
-        .with_env_filter(tracing_subscriber::EnvFilter::new(level))
-        .with_writer(std::io::stderr)
-        .with_ansi(diagnostics::colour())
-        .without_time()
-        .with_target(false)
-        .init();
 }
 
 #[cfg(test)]

@@ -54,7 +54,8 @@ pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBa
     let bar =
         ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::hidden()).with_style(style).with_message(what);
     let shown = bar.clone();
-    std::thread::spawn(move || {
+    // Where no thread can be started there is no bar.
+    let _ = std::thread::Builder::new().spawn(move || {
         std::thread::sleep(std::time::Duration::from_secs(1));
         if !shown.is_finished() {
             shown.set_draw_target(ProgressDrawTarget::stderr());

@@ -122,6 +122,7 @@ impl ProbeArgs {
     /// When a file cannot be written.
     pub fn write(&self, probes: &[NamedProbe], recorded: Recorded<'_>, dt_ms: f64, force: bool) -> Result<Vec<String>> {
         let mut files = Vec::new();
+        let mut batch = io::write::Batch::new(force);
         for (index, named) in probes.iter().enumerate() {
             let path = self.path(named);
             let ((samples, length), count) = (recorded.size(index), named.probe.count as usize);
@@ -130,7 +131,7 @@ impl ProbeArgs {
             let (population, register) = named.name.rsplit_once('.').unwrap_or((&named.name, ""));
             let trace = Trace { population, register, shape, dt_s: dt_ms / 1e3 };
             match self.probe_format {
-                ProbeFormat::Npy => io::write::file(&path, force, |out| {
+                ProbeFormat::Npy => batch.add(&path, |out| {
                     let shape = shape.map(|axis| axis as u64);
                     match (named.probe.quantity, recorded) {
                         (Quantity::Spikes, _) => io::npy::write(out, &shape, numbers.map(|number| number as u8)),
@@ -138,13 +139,14 @@ impl ProbeArgs {
                         (_, Recorded::Reals(_)) => io::npy::write(out, &shape, numbers),
                     }
                 })?,
-                ProbeFormat::Csv => trace.csv(&path, force, numbers)?,
-                ProbeFormat::Nir => trace.nir(&path, force, numbers)?,
+                ProbeFormat::Csv => trace.csv(&path, &mut batch, numbers)?,
+                ProbeFormat::Nir => trace.nir(&path, &mut batch, numbers)?,
                 #[cfg(feature = "parquet")]
-                ProbeFormat::Parquet => trace.parquet(&path, force, numbers)?,
+                ProbeFormat::Parquet => trace.parquet(&path, &mut batch, numbers)?,
             }
             files.push(path.display().to_string());
         }
+        batch.commit()?;
         Ok(files)
     }
 }

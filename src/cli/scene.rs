@@ -51,6 +51,8 @@ pub struct Args {
     pub plot_sample: Option<u32>,
 }
 
+/// The manifest's name.
+const MANIFEST: &str = "dataset.ron";
 /// Folds of the manifest's cross-validation, as the paper has them.
 const FOLDS: usize = 5;
 
@@ -66,17 +68,18 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         argument.parameters.push((key.to_string(), value.to_string()));
     }
     let scene = Recorded::parse(&argument)?;
-    write::check_all_free(args.output.as_ref().map(|folder| folder.join("dataset.ron")), context.force)?;
+    write::check_all_free(args.output.as_ref().map(|folder| folder.join(MANIFEST)), context.force)?;
     if let Some(path) = &args.plot {
         write::check_free(path, context.force)?;
         if let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples()) {
             return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
         }
     }
+    let folder = args.output.as_ref().map(|path| write::Folder::begin(path, MANIFEST, context.force)).transpose()?;
     let make = |sample: u32| {
         let recording = scene.recording(sample);
-        let files = match &args.output {
-            Some(folder) => store(folder, sample, &recording, context.force)?,
+        let files = match &folder {
+            Some(folder) => store(folder, sample, &recording)?,
             None => [String::new(), String::new()],
         };
         let [touch, vision] = files.map(Spanned::from);
@@ -98,10 +101,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(folder) = &args.output {
         warn_of_others(folder, &entries);
     }
-    let manifest = args.output.as_ref().map(|folder| folder.join("dataset.ron"));
-    if let Some(path) = &manifest {
-        let text = mapping::pretty(&data_set(&scene, &argument, entries), 2)?;
-        write::text(path, context.force, &text)?;
+    let manifest = args.output.as_ref().map(|folder| folder.join(MANIFEST));
+    if let Some(folder) = folder {
+        folder.finish(&mapping::pretty(&data_set(&scene, &argument, entries), 2)?)?;
     }
     let report = report(&scene, &argument, &facts, manifest);
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
@@ -171,7 +173,7 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
 }
 
 /// Writes a sample's arrays, `[78, 2, T]` and `[63, 50, T]` of bytes, and says where they are.
-fn store(folder: &Path, sample: u32, recording: &Recording, force: bool) -> Result<[String; 2], Diagnostic> {
+fn store(folder: &write::Folder, sample: u32, recording: &Recording) -> Result<[String; 2], Diagnostic> {
     let taxels = 2 * touch::TAXELS as u64;
     let shapes = [[taxels, 2], [camera::POOLED_HEIGHT as u64, camera::POOLED_WIDTH as u64]];
     let mut names = [TOUCH.0, VISION.0].map(|name| format!("{name}/sample_{sample}_label_{}.npy", recording.label));
@@ -182,7 +184,7 @@ fn store(folder: &Path, sample: u32, recording: &Recording, force: bool) -> Resu
             bytes[channel as usize * steps + step as usize] = 1;
         }
         let shape = [shape[0], shape[1], steps as u64];
-        write::file(&folder.join(&*name), force, |out| npy::write_bytes(out, &shape, &bytes))?;
+        folder.member(name, |out| npy::write_bytes(out, &shape, &bytes))?;
     }
     Ok(names)
 }

@@ -236,8 +236,10 @@ fn write_model(
     let beside = weights_path(path);
     let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let model = export::model(file, &plan.topology, weights, &name, comment, provenance)?;
-    io::write::file(&beside, force, |out| out.write_all(&model.weights))?;
-    Ok(io::write::text(path, force, &model.ron)?)
+    let mut files = io::write::Batch::new(force);
+    files.add(&beside, |out| out.write_all(&model.weights))?;
+    files.add(path, |out| out.write_all(model.ron.as_bytes()))?;
+    Ok(files.commit()?)
 }
 
 /// Runs the command.

@@ -366,19 +366,22 @@ impl ModelBuilder {
         let (text, tensors) = self.ron(&name);
         let mut files = vec![path.display().to_string()];
         write::check_free(path, force)?;
-        if !tensors.is_empty() {
+        if tensors.is_empty() {
+            write::text(path, force, &text)?;
+        } else {
             if super::text::is_standard_stream(path) {
                 return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file beside it")
                     .help("give -o MODEL.ron"));
             }
-            write::check_free(&beside, force)?;
             let bytes = serialise(&tensors).map_err(|error| {
                 Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&beside)
             })?;
-            write::file(&beside, force, |out| out.write_all(&bytes))?;
+            let mut batch = write::Batch::new(force);
+            batch.add(&beside, |out| out.write_all(&bytes))?;
+            batch.add(path, |out| out.write_all(text.as_bytes()))?;
+            batch.commit()?;
             files.push(beside.display().to_string());
         }
-        write::text(path, force, &text)?;
         Ok(files)
     }
 }

@@ -30,11 +30,11 @@ impl Trace<'_> {
     /// Writes rows `sample,timestep,channel` for spikes, `sample,timestep,compartment,value` for other registers.
     ///
     /// # Errors
-    /// As [`write::file`].
-    pub fn csv(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
+    /// As [`write::Batch::add`].
+    pub fn csv(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
         let [_, units, steps] = self.shape;
         let spikes = self.register == "spikes";
-        write::file(path, force, |out| {
+        batch.add(path, |out| {
             if spikes {
                 // The length stands in a comment, as in event lists: silence at the end has no row.
                 writeln!(out, "# steps: {steps}\nsample,timestep,channel")?;
@@ -67,8 +67,8 @@ impl Trace<'_> {
     /// Writes a file of NIR data, with the population as its node and the register as its observable.
     ///
     /// # Errors
-    /// `write.too-large` beyond 2^26 numbers; as [`write::file`].
-    pub fn nir(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
+    /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
+    pub fn nir(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
         self.check_size("NIR")?;
         let [samples, units, steps] = self.shape;
         let data = if self.register == "spikes" {
@@ -88,7 +88,7 @@ impl Trace<'_> {
             nir_data::gridded(&grid, [samples, steps, units], self.dt_s)
         };
         let bytes = hdf5::write(&nir_data::file(self.population, self.register, data))?;
-        write::file(path, force, |out| out.write_all(&bytes))
+        batch.add(path, |out| out.write_all(&bytes))
     }
 
     /// Writes a Parquet file with the columns of [`Self::csv`]: `sample`, `timestep` and `channel` or `compartment` as
@@ -96,9 +96,9 @@ impl Trace<'_> {
     /// number of timesteps and the register stand in the file's metadata as `steps` and `register`.
     ///
     /// # Errors
-    /// `write.too-large` beyond 2^26 numbers; as [`write::file`].
+    /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
     #[cfg(feature = "parquet")]
-    pub fn parquet(&self, path: &Path, force: bool, numbers: impl Iterator<Item = f64>) -> Result<()> {
+    pub fn parquet(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
         self.check_size("Parquet")?;
         let [_, units, steps] = self.shape;
         let spikes = self.register == "spikes";
@@ -112,7 +112,7 @@ impl Trace<'_> {
         }
         let bytes =
             self.table(&places, &values).map_err(|error| Diagnostic::new("write.parquet", error.to_string()))?;
-        write::file(path, force, |out| out.write_all(&bytes))
+        batch.add(path, |out| out.write_all(&bytes))
     }
 
     /// The file, in memory.
@@ -153,6 +153,12 @@ mod tests {
     use super::*;
     use crate::io::spikes::{EventOptions, Expected, read_source, read_spikes};
 
+    fn whole(write: impl FnOnce(&mut write::Batch) -> Result<()>) {
+        let mut batch = write::Batch::new(false);
+        write(&mut batch).unwrap();
+        batch.commit().unwrap();
+    }
+
     #[test]
     fn spikes_that_are_written_are_read_back() {
         let folder = tempfile::tempdir().unwrap();
@@ -160,11 +166,11 @@ mod tests {
         let numbers: Vec<f64> = (0..24).map(|i| f64::from(u8::from([1, 6, 11, 12, 23].contains(&i)))).collect();
         let events = [vec![(1, 0), (2, 1), (3, 2)], vec![(0, 0), (3, 2)]];
         let csv = folder.path().join("s.csv");
-        trace.csv(&csv, false, numbers.iter().copied()).unwrap();
+        whole(|batch| trace.csv(&csv, batch, numbers.iter().copied()));
         let back = read_source(&csv, 3).unwrap();
         assert_eq!((back.len(), back[0].steps), (2, 4));
         let nir = folder.path().join("s.nir");
-        trace.nir(&nir, false, numbers.iter().copied()).unwrap();
+        whole(|batch| trace.nir(&nir, batch, numbers.iter().copied()));
         let expected = Expected { units: 3, volume: None, dt_ms: 2.0 };
         let again = read_spikes(&nir, "out", &expected, &EventOptions::default()).unwrap();
         for (sample, events) in events.iter().enumerate() {
@@ -179,7 +185,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let trace = Trace { population: "out", register: "v", shape: [1, 2, 3], dt_s: 1e-3 };
         let path = folder.path().join("v.nir");
-        trace.nir(&path, false, (0..6).map(f64::from)).unwrap();
+        whole(|batch| trace.nir(&path, batch, (0..6).map(f64::from)));
         let tree = hdf5::tree(&path, std::fs::read(&path).unwrap()).unwrap();
         let data = tree.numbers("nodes/out/observables/v/data").unwrap();
         assert_eq!(
@@ -187,7 +193,7 @@ mod tests {
             (&[1, 3, 2][..], vec![0.0, 3.0, 1.0, 4.0, 2.0, 5.0])
         );
         let csv = folder.path().join("v.csv");
-        trace.csv(&csv, false, (0..6).map(f64::from)).unwrap();
+        whole(|batch| trace.csv(&csv, batch, (0..6).map(f64::from)));
         let text = std::fs::read_to_string(csv).unwrap();
         assert_eq!(text.lines().nth(4), Some("0,0,1,3"));
     }
@@ -200,7 +206,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("v.parquet");
         let trace = Trace { population: "out", register: "v", shape: [1, 2, 3], dt_s: 1e-3 };
-        trace.parquet(&path, false, (0..6).map(|v| f64::from(v) - 3.0)).unwrap();
+        whole(|batch| trace.parquet(&path, batch, (0..6).map(|v| f64::from(v) - 3.0)));
         let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
         let rows: Vec<_> = file.get_row_iter(None).unwrap().map(Result::unwrap).collect();
         let row = |r: &parquet::record::Row| (r.get_int(1).unwrap(), r.get_int(2).unwrap(), r.get_double(3).unwrap());
@@ -208,7 +214,7 @@ mod tests {
         assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), expected);
         let path = folder.path().join("s.parquet");
         let trace = Trace { register: "spikes", ..trace };
-        trace.parquet(&path, false, [0.0, 1.0, 0.0, 0.0, 0.0, 1.0].into_iter()).unwrap();
+        whole(|batch| trace.parquet(&path, batch, [0.0, 1.0, 0.0, 0.0, 0.0, 1.0].into_iter()));
         let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
         let rows: Vec<_> = file.get_row_iter(None).unwrap().map(Result::unwrap).collect();
         let row = |r: &parquet::record::Row| [0, 1, 2].map(|k| r.get_int(k).unwrap());

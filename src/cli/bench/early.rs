@@ -122,9 +122,11 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
     let Some(groups) = groups else { return Ok(Answer::No) };
     let report = EarlyReport { groups: &groups, copies, realtime: args.realtime };
     let texts = [report.csv(), report.over_time(), report.over_energy()];
+    let mut batch = io::write::Batch::new(context.force);
     for (path, text) in paths.iter().zip(texts) {
-        io::write::text(path, context.force, &text)?;
+        batch.add(path, |out| out.write_all(text.as_bytes()))?;
     }
+    batch.commit()?;
     output::print(context.format, || report.text(), || report.json(), || Ok(report.csv()))?;
     Ok(Answer::Yes)
 }

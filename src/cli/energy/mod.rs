@@ -120,9 +120,11 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     if let Some(folder) = &args.export_sanafe {
         let table = &meter.tables()[preset];
         let export = Export { compiled, table, sample: &workload.copied[0], tiles_used: deployment.tiles_used };
+        let mut batch = io::write::Batch::new(context.force);
         for (path, text) in sanafe_files(folder).iter().zip(export.files()?) {
-            io::write::text(path, context.force, &text)?;
+            batch.add(path, |out| out.write_all(text.as_bytes()))?;
         }
+        batch.commit()?;
     }
     output::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
     if context.format != Format::Text {

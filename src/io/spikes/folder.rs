@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::detect::SpikeFormat;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::write;
 
 /// Sample and label of `sample_<i>_label_<c>.npy`, or of a recording of events that is named so.
 fn sample_name(name: &str) -> Option<(u64, u32)> {
@@ -33,6 +34,14 @@ fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
 pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     let unreadable =
         |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
+    if [Some(folder), folder.parent()].into_iter().flatten().any(write::is_unfinished) {
+        return Err(Diagnostic::new(
+            "input.unfinished",
+            "its recordings are not complete: the command that wrote them was ended",
+        )
+        .help("run `nsim scene .. -o` on this folder again")
+        .in_file(folder));
+    }
     let mut found = BTreeMap::new();
     let mut others = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {

@@ -1,0 +1,32 @@
+//! A panic becomes an error: a fault of nsim, with the place in its source.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+
+use crate::cli::diagnostics;
+use crate::error::Error;
+
+/// Message and place of the first panic.
+static FIRST: Mutex<Option<String>> = Mutex::new(None);
+
+/// Does some work; a panic in it, or in a thread that it waits for, is returned as [`Error::Fault`].
+///
+/// # Errors
+/// Those of the work, and [`Error::Fault`].
+pub fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
+    std::panic::set_hook(Box::new(|panic| {
+        let message = panic.payload_as_str().unwrap_or("a panic without a message");
+        let place = panic.location().map_or(String::new(), |at| format!(" ({}:{})", at.file(), at.line()));
+        if let Ok(mut first) = FIRST.lock() {
+            first.get_or_insert(format!("{message}{place}"));
+        }
+        let trace = std::backtrace::Backtrace::capture();
+        if trace.status() == std::backtrace::BacktraceStatus::Captured {
+            diagnostics::say(&format!("{trace}\n"));
+        }
+    }));
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+        let first = FIRST.lock().ok().and_then(|mut first| first.take());
+        Err(Error::Fault(first.unwrap_or_else(|| "a panic".to_string())))
+    })
+}

@@ -1,0 +1,61 @@
+//! Signals: SIGINT and SIGTERM end a command with status 130 and 143 and leave no temporary file behind.
+//!
+//! SIGXFSZ (a file beyond its limit) only interrupts the write, which fails with an error of its own. SIGABRT, which follows
+//! exhausted memory and an exhausted stack, ends with status 4 after the message of Rust's runtime.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use serde_json::json;
+use signal_hook::consts::{SIGABRT, SIGINT, SIGTERM, SIGXFSZ};
+use signal_hook::flag;
+use signal_hook::iterator::Signals;
+
+use crate::cli::context::Format;
+use crate::cli::diagnostics;
+use crate::io::write;
+
+/// Listens from now on. Where the system does not let it, signals do what they do by default.
+pub fn listen(format: Format) {
+    let _ = flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
+    let _ = flag::register_conditional_shutdown(SIGABRT, 4, Arc::new(AtomicBool::new(true)));
+    // A second signal does not wait for the first one's work.
+    let ending = Arc::new(AtomicBool::new(false));
+    let Ok(mut signals) = Signals::new([SIGINT, SIGTERM]) else { return };
+    for signal in [SIGINT, SIGTERM] {
+        let _ = flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&ending));
+    }
+    let handle = signals.handle();
+    let thread = std::thread::Builder::new().name("signals".into()).stack_size(256 << 10).spawn(move || {
+        if let Some(signal) = signals.forever().next() {
+            ending.store(true, Ordering::SeqCst);
+            end(signal, format);
+        }
+    });
+    if thread.is_err() {
+        handle.close();
+        // Without a thread they end the process at once; what it leaves is removed by the next one.
+        for signal in [SIGINT, SIGTERM] {
+            let _ = flag::register_conditional_shutdown(signal, 128 + signal, Arc::new(AtomicBool::new(true)));
+        }
+    }
+}
+
+fn end(signal: i32, format: Format) {
+    let name = if signal == SIGINT { "SIGINT" } else { "SIGTERM" };
+    let unfinished: Vec<String> = write::abandon().iter().map(|folder| folder.display().to_string()).collect();
+    let mut message = format!("ended by {name}; every file is as it was, complete, or absent");
+    if !unfinished.is_empty() {
+        message += &format!("; {} is unfinished and the same command completes it", unfinished.join(", "));
+    }
+    if format == Format::Json && !write::has_printed() {
+        let object = json!({
+            "schema": "nsim.error/1", "code": "interrupted", "message": message, "help": null,
+            "file": null, "line": null, "column": null,
+        });
+        let _ = write::stdout(&format!("{object:#}\n"));
+    } else {
+        diagnostics::say(&format!("nsim: {message}\n"));
+    }
+    std::process::exit(128 + signal);
+}

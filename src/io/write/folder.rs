@@ -1,0 +1,107 @@
+//! A folder of files with a manifest that names them, replaced as a whole.
+//!
+//! Input: a folder and the name of its manifest. While files are written, a locked file [`MARKER`] lies in the folder and
+//! no manifest does: whoever finds the marker without a lock knows that a writer was killed, and may replace what it left.
+//! The manifest is written last, once everything else is on the disk.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use super::batch::{Batch, check_free, failed};
+use super::disk;
+use crate::base::diagnostic::{Diagnostic, Result};
+
+/// The file that marks a folder as unfinished.
+const MARKER: &str = ".nsim-unfinished";
+
+/// Folders that this process is writing.
+static WRITING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Folders that this process has begun and not finished.
+pub(super) fn unfinished() -> Vec<PathBuf> {
+    WRITING.lock().map(|writing| writing.iter().cloned().collect()).unwrap_or_default()
+}
+
+/// A folder that is being written.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+    manifest: PathBuf,
+    /// Holds the lock.
+    _marker: File,
+    /// Whether files of the folder may be replaced.
+    replace: bool,
+    touched: Mutex<BTreeSet<PathBuf>>,
+}
+
+/// Whether a writer of this folder was killed, or is at work.
+#[must_use]
+pub fn is_unfinished(folder: &Path) -> bool {
+    folder.join(MARKER).exists()
+}
+
+impl Folder {
+    /// Begins to write; an existing manifest is removed, if `force` allows it.
+    ///
+    /// # Errors
+    /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`; `write.busy` when another process writes there.
+    pub fn begin(path: &Path, manifest: &str, force: bool) -> Result<Folder> {
+        let fail = |error: std::io::Error| failed(path, &error);
+        let manifest = path.join(manifest);
+        check_free(&manifest, force)?;
+        disk::make_folder(path).map_err(fail)?;
+        let marker = path.join(MARKER);
+        let interrupted = marker.exists();
+        let file = File::options().create(true).truncate(false).write(true).open(&marker).map_err(fail)?;
+        if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
+            return Err(Diagnostic::new("write.busy", "another nsim is writing to this folder").in_file(path));
+        }
+        disk::sync_folder(path).map_err(fail)?;
+        if manifest.symlink_metadata().is_ok() {
+            disk::remove(&manifest).and_then(|()| disk::sync_folder(path)).map_err(fail)?;
+        }
+        let replace = force || interrupted;
+        if let Ok(mut writing) = WRITING.lock() {
+            writing.insert(path.to_path_buf());
+        }
+        let touched = Mutex::new(BTreeSet::from([path.to_path_buf()]));
+        Ok(Folder { path: path.to_path_buf(), manifest, _marker: file, replace, touched })
+    }
+
+    /// Writes a file of the folder.
+    ///
+    /// # Errors
+    /// As [`Batch::add`] and [`Batch::commit`].
+    pub fn member(&self, name: &str, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
+        let path = self.path.join(name);
+        let mut batch = Batch::new(self.replace);
+        batch.add(&path, fill)?;
+        batch.name_all()?;
+        if let Ok(mut touched) = self.touched.lock() {
+            touched.insert(disk::folder_of(&path));
+        }
+        Ok(())
+    }
+
+    /// Writes the manifest.
+    ///
+    /// # Errors
+    /// As [`Batch::add`] and [`Batch::commit`].
+    pub fn finish(self, text: &str) -> Result<()> {
+        let folders = self.touched.lock().map(|touched| touched.clone()).unwrap_or_default();
+        for folder in &folders {
+            disk::sync_folder(folder).map_err(|error| failed(folder, &error))?;
+        }
+        let mut batch = Batch::new(false);
+        batch.add(&self.manifest, |out| out.write_all(text.as_bytes()))?;
+        batch.commit()?;
+        if let Ok(mut writing) = WRITING.lock() {
+            writing.remove(&self.path);
+        }
+        let marker = self.path.join(MARKER);
+        disk::remove(&marker).map_err(|error| failed(&marker, &error))
+    }
+}
