@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 
 use crate::base::id::CompartmentId;
 use crate::ir::activity::{Overflow, Totals};
-use crate::ir::spikes::{Engine, Sample};
+use crate::ir::spikes::{Copies, Engine, Sample};
 
 /// What a probe records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -96,6 +96,28 @@ pub fn run_sample<E: Engine + ?Sized>(
     keep: &Keep,
     mut after_step: impl FnMut(&E, u32),
 ) -> Outcome {
+    run_copies(engine, sample, Copies::ONE, keep, |engine, passed| after_step(engine, passed.steps))
+}
+
+/// Steps in a row that were alike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Passed {
+    /// How many.
+    pub steps: u32,
+    /// Whether the sample was decided before the first of them.
+    pub decided: bool,
+}
+
+/// Runs one sample on so many copies of its network; `after_step` sees the engine after each step, or after so many steps
+/// in which nothing happened.
+pub fn run_copies<E: Engine + ?Sized>(
+    engine: &mut E,
+    sample: &Sample,
+    copies: Copies,
+    keep: &Keep,
+    mut after_step: impl FnMut(&E, Passed),
+) -> Outcome {
+    let mut shown = Vec::new();
     let (first, size) = keep.output;
     let mut outcome = Outcome { counts: vec![0; size as usize], ..Outcome::default() };
     outcome.probes = keep.probes.iter().map(|probe| vec![0; probe.count as usize * sample.steps() as usize]).collect();
@@ -113,7 +135,7 @@ pub fn run_sample<E: Engine + ?Sized>(
             let passed = decided.map_or(next, |decided| decided + 1) - step;
             if engine.rest(passed) {
                 outcome.skipped_steps += u64::from(passed);
-                after_step(engine, passed);
+                after_step(engine, Passed { steps: passed, decided: outcome.decided_at.is_some() });
                 step += passed;
                 if decided.is_some() {
                     (outcome.decided_at, decision) = (decided, None);
@@ -121,7 +143,7 @@ pub fn run_sample<E: Engine + ?Sized>(
                 continue;
             }
         }
-        engine.step(sample.at(step));
+        engine.step(sample.at_copies(step, copies, &mut shown));
         let before = outcome.spikes.len();
         for &compartment in engine.spikes() {
             if let Some(output) = compartment.0.checked_sub(first.0).filter(|&output| output < size) {
@@ -136,7 +158,7 @@ pub fn run_sample<E: Engine + ?Sized>(
         for (probe, kept) in keep.probes.iter().zip(&mut outcome.probes) {
             record(engine, probe, step as usize, sample.steps() as usize, kept);
         }
-        after_step(engine, 1);
+        after_step(engine, Passed { steps: 1, decided: outcome.decided_at.is_some() });
         if decision.as_mut().is_some_and(|decision| decision.decided_after(step)) {
             (outcome.decided_at, decision) = (Some(step), None);
         }

@@ -63,6 +63,12 @@ impl Femtojoules {
 }
 
 impl Picoseconds {
+    /// Of a time in milliseconds, to the nearest picosecond.
+    #[must_use]
+    pub fn from_milliseconds(milliseconds: f64) -> Self {
+        Picoseconds((milliseconds * 1e9).round() as u64)
+    }
+
     /// In microseconds.
     #[must_use]
     pub fn microseconds(self) -> f64 {

@@ -68,7 +68,7 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
 
 /// Samples from the first on, as many as have about this many timesteps together: enough to be measured on.
 #[must_use]
-pub fn enough(samples: &[Sample], timesteps: u64) -> &[Sample] {
+pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
     let mut sum = 0;
     let until = samples.iter().position(|sample| {
         sum += u64::from(sample.steps());
@@ -248,7 +248,7 @@ fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
 ///
 /// # Errors
 /// As [`Dense::new`].
-pub fn dense(network: &Quantised, samples: &[Sample], budget: Duration) -> Result<Timed, String> {
+pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
     let dense = Dense::new(network)?;
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     Ok(timed(timesteps, budget, || {
@@ -260,7 +260,7 @@ pub fn dense(network: &Quantised, samples: &[Sample], budget: Duration) -> Resul
 ///
 /// # Errors
 /// Why the program cannot run.
-pub fn event_driven(program: &Program, samples: &[Sample], budget: Duration) -> Result<Timed, String> {
+pub fn event_driven(program: &Program, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
     let image = Image::new(program, 1).map_err(|error| error.to_string())?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
     let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
@@ -344,6 +344,7 @@ mod tests {
         assert_eq!((timed.repeats, passes, timed.timesteps), (LEAST_REPEATS, LEAST_REPEATS + 1, 10));
         assert!(timed.fastest <= timed.us_per_timestep && timed.spread >= 0.0);
         let samples: Vec<Sample> = (0..5).map(|seed| sample(100, seed)).collect();
+        let samples: Vec<&Sample> = samples.iter().collect();
         assert_eq!((enough(&samples, 250).len(), enough(&samples, 1).len(), enough(&samples, 9_999).len()), (3, 1, 5));
     }
 }

@@ -30,44 +30,42 @@ pub struct Trial {
 #[derive(Debug, Clone, Copy)]
 pub struct TrialRun<'a> {
     /// The samples, with labels.
-    pub samples: &'a [Sample],
+    pub samples: &'a [&'a Sample],
     /// Of each sample.
     pub outcomes: &'a [Outcome],
     /// Timesteps of a sample.
     pub steps: usize,
     /// Milliseconds of a timestep.
     pub timestep_ms: f64,
-    /// Energy of each step of each sample.
+    /// Mean energy of each step over the samples.
     pub spent_uj: &'a [f64],
 }
 
 impl Trial {
-    /// Accuracy and energy over the samples of these numbers.
+    /// Accuracy and energy over the samples.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a number that the run does not have, or a sample without a label.
-    pub fn new(run: TrialRun<'_>, chosen: &[usize]) -> Result<Trial, Error> {
+    /// [`Error::Usage`] for a sample without a label.
+    pub fn new(run: TrialRun<'_>) -> Result<Trial, Error> {
         let TrialRun { samples, outcomes, steps, timestep_ms, spent_uj } = run;
-        let mut trial =
-            Trial { timestep_ms, accuracy: vec![0.0; steps], energy_uj: vec![0.0; steps], decided_ms: Vec::new() };
-        let share = 1.0 / chosen.len().max(1) as f64;
-        for &index in chosen {
-            let Some((outcome, sample)) = outcomes.get(index).zip(samples.get(index)) else {
-                return Err(Error::Usage(format!("the study tested sample {index}, which the input does not have")));
-            };
+        let so_far = |energy: &mut f64, step: &f64| {
+            *energy += step;
+            Some(*energy)
+        };
+        let energy_uj = spent_uj.iter().scan(0.0, so_far).collect();
+        let mut trial = Trial { timestep_ms, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
+        let share = 1.0 / samples.len().max(1) as f64;
+        for (index, (outcome, sample)) in outcomes.iter().zip(samples).enumerate() {
             let Some(label) = sample.label() else {
-                return Err(Error::Usage(format!("sample {index} has no label")));
+                return Err(Error::Usage(format!("sample {index} of those tested has no label")));
             };
             let mut counts = vec![0.0f32; outcome.counts.len()];
             let mut spikes = outcome.spikes.iter().peekable();
-            let mut energy = 0.0;
             let mut right_since = None;
             for step in 0..steps {
                 while let Some(&(_, output)) = spikes.next_if(|spike| spike.0 as usize == step) {
                     counts[output as usize] += 1.0;
                 }
-                energy += spent_uj[index * steps + step];
-                trial.energy_uj[step] += share * energy;
                 if class_of(&counts) == Some(label) {
                     trial.accuracy[step] += share;
                     right_since.get_or_insert(step);

@@ -7,7 +7,7 @@
 
 use std::time::Instant;
 
-use crate::base::units::Femtojoules;
+use crate::base::units::Picoseconds;
 use crate::bench::networks::BenchNetwork;
 use crate::bench::suite::{STEPS, SuiteCase};
 use crate::compile::explore::traffic::Traffic;
@@ -180,7 +180,9 @@ fn simulated(
     let table = CostTable::new(constants).map_err(|e| failed(&e))?;
     let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), case.copies);
     let (tables, copies) = (vec![table.clone()], case.copies.into());
-    let metered = MeterSettings::new(tables, deployment.tiles_used, copies, &compiled.program, Transport::Analytic);
+    let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
+    let (tiles_used, program) = (deployment.tiles_used, &compiled.program);
+    let metered = MeterSettings::new(tables, tiles_used, copies, program, Transport::Analytic, timestep);
     let mut meter = StepMeter::new(metered);
     let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
@@ -192,12 +194,12 @@ fn simulated(
         if !machine.ascending_spikes().iter().map(|id| id.0).eq(copies) {
             return Err(MappingFailure::Spikes(case.name, compiled.options.strategy.name(), step));
         }
-        meter.add(machine.last_step(), 1);
+        meter.add(machine.last_step(), 1, false);
     }
-    let lane = &meter.lanes()[0];
+    let sums = meter.lanes()[0].whole;
     let steps = f64::from(STEPS);
-    let time: f64 = lane.time.iter().map(|time| time.total().microseconds()).sum::<f64>() / steps;
-    let dynamic: f64 = lane.energy.iter().copied().sum::<Femtojoules>().microjoules() / steps;
+    let time: f64 = sums.time as f64 / 1e6 / steps;
+    let dynamic: f64 = sums.energy.microjoules() / steps;
     let fixed = (table.core_step_energy * deployment.cores_powered).microjoules();
     // Milliwatts times microseconds are nanojoules.
     let powered = table.core_static_power.milliwatts() * deployment.cores_powered as f64 * time * 1e-3;

@@ -18,6 +18,7 @@ use crate::agree::trace::{Comparison, Layer, Trace};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{Decay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits};
 use crate::base::id::{ChannelId, CompartmentId};
+use crate::base::units::Picoseconds;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::quantise::quantise;
 use crate::compile::{CompileError, Options, compile};
@@ -326,14 +327,15 @@ impl<'a> Subject<'a> {
         let image = Image::new(program, 1).map_err(|e| wrong(&e))?;
         let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
         let tables = tables.map_err(|e| wrong(&e))?;
-        let meter = StepMeter::new(MeterSettings::new(tables, 1, 1, program, transport));
+        let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
+        let meter = StepMeter::new(MeterSettings::new(tables, 1, 1, program, transport, timestep));
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
         let output = (CompartmentId(self.output.first), self.output.count);
         let keep = Keep { output, probes: Vec::new(), early_exit: None };
         let times = self.timed(|| {
             for sample in &self.samples {
                 let mut seen = meter.fresh();
-                let add = |machine: &Machine<'_>, times| seen.add(machine.last_step(), times);
+                let add = |machine: &Machine<'_>, times| seen.add(machine.last_step(), times, false);
                 black_box(run_sample(&mut machine, sample, &keep, add));
                 black_box(&seen);
             }

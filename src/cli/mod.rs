@@ -21,6 +21,7 @@ pub mod scene;
 pub mod stress;
 pub mod train;
 
+use std::ffi::OsString;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 
@@ -112,19 +113,26 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
     }
 }
 
-/// Runs the command line and returns its exit status.
+/// Runs the command line of this process and returns its exit status.
 #[must_use]
 pub fn main() -> ExitCode {
-    let asked = diagnostics::format_asked();
-    match panics::guarded(|| Ok(command(asked))) {
+    run_line(std::env::args_os())
+}
+
+/// Runs one command, the program's name before it, and returns its exit status. Threads, log and signals are the process's,
+/// so that a process can run one command only.
+#[must_use]
+pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let (line, asked) = (line.into_iter().collect(), diagnostics::format_asked());
+    match panics::guarded(|| Ok(command(line, asked))) {
         Ok(status) => status,
         Err(error) => diagnostics::report(&error, asked),
     }
 }
 
-fn command(asked: Format) -> ExitCode {
+fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     signals::listen(asked);
-    let cli = match Cli::try_parse() {
+    let cli = match Cli::try_parse_from(line) {
         Ok(cli) => cli,
         Err(error) => return diagnostics::usage(&error, asked),
     };

@@ -13,7 +13,7 @@ use crate::drive::{Keep, Outcome, Quantity, inputs};
 use crate::error::Error;
 use crate::io;
 use crate::ir::activity::Activity;
-use crate::ir::spikes::Sample;
+use crate::ir::spikes::{Copies, Sample};
 use crate::reference::{self, Kernel, Model};
 use crate::report::run::RunReport;
 
@@ -144,8 +144,9 @@ struct Ran {
 fn ran(args: &Args, job: &Job, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Result<Ran, Error> {
     Ok(match job {
         Job::Mapped(compiled, ..) => {
-            let running = Running { keep, skip: args.skip == Switch::On, per_step: false, progress };
-            let run = fast(&compiled.program, samples, running, || (), |(), _, _| ())?;
+            let skip = args.skip == Switch::On;
+            let running = Running { keep, copies: Copies::ONE, skip, per_step: false, progress };
+            let run = fast(&compiled.program, samples, running, || ())?;
             let (activity, skipped_updates) = (Some(run.activity), run.skipped_updates);
             Ran { engine: "fast", outcomes: run.outcomes, traces: None, activity, skipped_updates, wall_s: run.wall_s }
         }

@@ -4,16 +4,15 @@
 //! dynamic energy, and its distribution over the timesteps. Invariants: x86 + neuron = total, static + dynamic = total; an
 //! unknown figure is `None`, and a note says why. Equations are those of `docs/energy.md`.
 
-use std::ops::Range;
-
 use serde::Serialize;
 
 use crate::base::names::named_variants;
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
-use crate::cost::meter::{Lane, Spread, StepMeter, paced};
+use crate::cost::meter::{Distribution, Lane, StepMeter, StepPrice, StepSums};
 use crate::cost::model::{StepTime, energy};
+use crate::cost::quantiles::{Quantiles, Spread};
 use crate::desc::published::baseline::Mode;
 pub use crate::desc::published::scenario::Convention;
 use crate::ir::activity::Activity;
@@ -147,7 +146,7 @@ impl<'a> Case<'a> {
             copies_counted: deployment.copies,
             deployment,
             mode: Mode::Offline,
-            timestep: Picoseconds((timestep_ms * 1e9).round() as u64),
+            timestep: Picoseconds::from_milliseconds(timestep_ms),
             convention: Convention::Physical,
             steps_per_sample: None,
         }
@@ -161,7 +160,8 @@ pub struct Estimate {
     pub rows: Vec<EnergyRow>,
     /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without timesteps.
     pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
-    /// Energy of the timesteps of a copy, all power included, physical: its mean is the energy of the `total` row.
+    /// Energy of the timesteps of a copy, all power included, physical: its mean is the energy of the `total` row. `None`
+    /// without timesteps, and when the meter did not keep it for this preset and price.
     pub per_timestep_uj: Option<Spread>,
     /// Of that, the dynamic energy of the neuron cores.
     pub per_timestep_dynamic_uj: Option<Spread>,
@@ -183,47 +183,34 @@ struct Powers {
 }
 
 impl Case<'_> {
-    fn bin(&self) -> Option<Picoseconds> {
-        match self.mode {
-            Mode::Offline => None,
-            Mode::Realtime => Some(self.timestep),
-        }
-    }
-
     fn copies(&self) -> f64 {
         f64::from(self.deployment.copies.max(1))
     }
 
     /// Time of steps in ps, exact.
-    fn time_of(&self, steps: &[StepTime]) -> u128 {
-        steps.iter().map(|time| u128::from(paced(time.total(), self.bin()).0)).sum()
+    fn time(&self, steps: &StepSums) -> u128 {
+        match self.mode {
+            Mode::Offline => steps.time,
+            Mode::Realtime => steps.paced_time,
+        }
     }
 
-    /// Energy of a step that powered cores spend alike in every step, for one copy, in fJ: equation (8).
-    fn core_step_fj(&self, table: &CostTable) -> f64 {
-        table.core_step_energy.0 as f64 * self.deployment.cores_powered as f64 / self.copies()
+    /// What one copy spends in a step beside its events, under one preset.
+    #[must_use]
+    pub fn price(&self, table: &CostTable) -> StepPrice {
+        step_price(table, self.deployment, self.copies_counted, self.mode)
     }
 
     /// Dynamic energy of one copy in fJ, in so many steps with these events.
     fn dynamic_fj(&self, events: Femtojoules, steps: f64, table: &CostTable) -> f64 {
-        events.0 as f64 / f64::from(self.copies_counted.max(1)) + self.core_step_fj(table) * steps
-    }
-
-    /// Energy of one copy in each step: of its events and cores, and with all power that flows meanwhile.
-    fn steps_uj(&self, table: &CostTable, lane: &Lane, powers: &Powers) -> (Vec<f64>, Vec<f64>) {
-        let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
-        let of_events = |energy: &Femtojoules| energy.0 as f64 / f64::from(self.copies_counted.max(1));
-        let dynamic: Vec<f64> =
-            lane.energy.iter().map(|energy| (of_events(energy) + self.core_step_fj(table)) / 1e9).collect();
-        let powered = |time: Picoseconds| always_mw * paced(time, self.bin()).microseconds() / 1e3;
-        let whole = dynamic.iter().zip(&lane.time).map(|(dynamic, time)| dynamic + powered(time.total())).collect();
-        (dynamic, whole)
+        let price = self.price(table);
+        events.0 as f64 / price.copies_counted + price.core_step_fj * steps
     }
 
     fn powers(&self, table: &CostTable, lane: &Lane) -> Powers {
         let share = |cores: u64, power: f64| cores as f64 * power / self.copies();
         let events = energy(self.activity, table, 0).total();
-        let time = self.time_of(&lane.time);
+        let time = self.time(&lane.whole);
         let known = time > 0;
         Powers {
             x86_static: share(self.deployment.x86_cores, table.x86_static_power.milliwatts()),
@@ -231,7 +218,7 @@ impl Case<'_> {
             neuron_static: share(self.deployment.cores_powered, table.core_static_power.milliwatts()),
             // 1 fJ in 1 ps is 1 mW.
             neuron_dynamic: known.then(|| self.dynamic_fj(events, self.activity.steps() as f64, table) / time as f64),
-            latency_us: known.then(|| time as f64 / 1e6 / lane.time.len() as f64),
+            latency_us: known.then(|| time as f64 / 1e6 / lane.whole.steps as f64),
         }
     }
 
@@ -281,35 +268,44 @@ pub struct Spent {
     pub energy_uj: f64,
 }
 
-/// What one copy spends in these steps of the meter, whatever the convention: for the whole run, the mean of a step (13)
-/// times the steps.
+/// What one copy spends in these steps of the meter, summed under the case's preset, whatever the convention: for the
+/// whole run, the mean of a step (13) times the steps.
 ///
 /// # Panics
-/// When the meter has no such preset or step: a mistake of the caller.
+/// When the meter has no such preset: a mistake of the caller.
 #[must_use]
-pub fn spent(case: &Case<'_>, steps: impl IntoIterator<Item = Range<usize>>) -> Spent {
-    let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
-    let (mut time, mut events, mut count) = (0, Femtojoules::default(), 0);
-    for range in steps {
-        time += case.time_of(&lane.time[range.clone()]);
-        events += lane.energy[range.clone()].iter().copied().sum();
-        count += range.len();
-    }
-    let time_us = time as f64 / 1e6;
-    let powers = case.powers(table, lane);
-    let always_mw = powers.x86_static + powers.x86_dynamic + powers.neuron_static;
-    let dynamic_uj = case.dynamic_fj(events, count as f64, table) / 1e9;
-    Spent { time_us, energy_uj: always_mw * time_us / 1e3 + dynamic_uj }
+pub fn spent(case: &Case<'_>, steps: &StepSums) -> Spent {
+    let table = &case.meter.tables()[case.preset];
+    let time_us = case.time(steps) as f64 / 1e6;
+    let dynamic_uj = case.dynamic_fj(steps.energy, steps.steps as f64, table) / 1e9;
+    Spent { time_us, energy_uj: case.price(table).always_mw * time_us / 1e3 + dynamic_uj }
 }
 
-/// What one copy spends in each step of a run, physical, in the order of the meter.
+/// What one copy spends on the mean in the first, second, ... step of a sample, physical; empty unless the meter kept
+/// these sums for the case's preset.
 ///
 /// # Panics
 /// When the meter has no such preset: a mistake of the caller.
 #[must_use]
 pub fn spent_by_step_uj(case: &Case<'_>) -> Vec<f64> {
-    let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
-    case.steps_uj(table, lane, &case.powers(table, lane)).1
+    let kept = case.meter.settings().by_step == Some(case.preset);
+    let steps = if kept { case.meter.by_step() } else { &[] };
+    steps.iter().map(|sums| spent(case, sums).energy_uj / sums.steps.max(1) as f64).collect()
+}
+
+/// What one copy of a deployment spends in a step beside its events, under one preset.
+#[must_use]
+pub fn step_price(table: &CostTable, deployment: &Deployment, copies_counted: u32, mode: Mode) -> StepPrice {
+    let share = |cores: u64, each: f64| cores as f64 * each / f64::from(deployment.copies.max(1));
+    let x86 =
+        [table.x86_static_power, table.x86_busy_power].map(|power| share(deployment.x86_cores, power.milliwatts()));
+    StepPrice {
+        copies_counted: f64::from(copies_counted.max(1)),
+        // Equation (8).
+        core_step_fj: share(deployment.cores_powered, table.core_step_energy.0 as f64),
+        always_mw: x86[0] + x86[1] + share(deployment.cores_powered, table.core_static_power.milliwatts()),
+        paced: mode == Mode::Realtime,
+    }
 }
 
 /// Power, latency and energy of one copy.
@@ -319,6 +315,8 @@ pub fn spent_by_step_uj(case: &Case<'_>) -> Vec<f64> {
 #[must_use]
 pub fn estimate(case: &Case<'_>) -> Estimate {
     assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
+    let settings = case.meter.settings();
+    assert_eq!(settings.timestep, case.timestep, "the meter knows the timestep");
     let presets: Vec<(&CostTable, &Lane)> = case.meter.tables().iter().zip(case.meter.lanes()).collect();
     let all: Vec<[EnergyRow; 3]> = presets.iter().map(|(table, lane)| case.rows(case.powers(table, lane))).collect();
     let mut rows = all[case.preset].clone();
@@ -336,13 +334,14 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
         row.high = Some(bound(f64::max));
     }
     let (table, lane) = presets[case.preset];
+    let price = case.price(table);
     let steps = case.activity.steps() as f64;
     let some_steps = case.activity.steps() > 0;
 
     let mut notes = Vec::new();
     if !some_steps {
         notes.push("no timestep was run: dynamic power, latency and energy are not known".to_string());
-    } else if case.time_of(&lane.time) == 0 {
+    } else if case.time(&lane.whole) == 0 {
         notes
             .push("a timestep takes no time under these constants: dynamic power and energy are not known".to_string());
     }
@@ -356,32 +355,24 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
 
     let breakdown_pj = some_steps.then(|| {
         let events = energy(case.activity, table, 0);
-        let per_step = 1e3 * steps * f64::from(case.copies_counted.max(1));
+        let per_step = 1e3 * steps * price.copies_counted;
         let part = |(name, energy): (&'static str, Femtojoules)| match name {
-            "core_step" => (name, case.core_step_fj(table) / 1e3),
+            "core_step" => (name, price.core_step_fj / 1e3),
             _ => (name, energy.0 as f64 / per_step),
         };
         events.parts().into_iter().map(part).collect()
     });
-    let powers = case.powers(table, lane);
-    let (dynamic_uj, whole_uj) = case.steps_uj(table, lane, &powers);
-    let mean_us = |part: fn(&StepTime) -> Picoseconds| {
-        lane.time.iter().map(|time| u128::from(part(time).0)).sum::<u128>() as f64 / 1e6 / steps
-    };
+    let asked = settings.distribution == Some((case.preset, price));
+    let distribution = asked.then(|| case.meter.distribution());
+    let spread = |of: fn(&Distribution) -> &Quantiles| Some(of(distribution?).spread()?.map(|fj| fj / 1e9));
+    let names = StepTime::default().parts().map(|(name, _)| name);
+    let mean_us = |part: usize| (names[part], lane.whole.parts[part] as f64 / 1e6 / steps);
     Estimate {
         rows: rows.into(),
         breakdown_pj,
-        per_timestep_uj: Spread::from_series(whole_uj),
-        per_timestep_dynamic_uj: Spread::from_series(dynamic_uj),
-        time_us: some_steps.then(|| {
-            [
-                ("injection", mean_us(|time| time.injection)),
-                ("readout", mean_us(|time| time.readout)),
-                ("slowest core", mean_us(|time| time.slowest_core)),
-                ("transport", mean_us(|time| time.transport)),
-                ("barrier", mean_us(|time| time.barrier)),
-            ]
-        }),
+        per_timestep_uj: spread(|distribution| &distribution.whole),
+        per_timestep_dynamic_uj: spread(|distribution| &distribution.dynamic),
+        time_us: some_steps.then(|| [0, 1, 2, 3, 4].map(mean_us)),
         notes,
     }
 }
@@ -400,11 +391,31 @@ pub(crate) mod tests {
 
     pub(crate) fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles: u64) -> (Activity, StepMeter) {
         let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
-        let mut meter = crate::cost::meter::tests::meter(tables, tiles);
+        let mut meter = crate::cost::meter::tests::meter(tables, tiles, None);
+        add(steps, &mut activity, &mut meter);
+        (activity, meter)
+    }
+
+    fn add(steps: &[StepActivity], activity: &mut Activity, meter: &mut StepMeter) {
         for step in steps {
             activity.add_steps(step, 1);
-            meter.add(step, 1);
+            meter.add(step, 1, false);
         }
+    }
+
+    /// A run whose meter keeps the distribution under the first preset and the price of this deployment.
+    fn run_priced(
+        steps: &[StepActivity],
+        tables: Vec<CostTable>,
+        tiles: u64,
+        deployment: &Deployment,
+        copies: u32,
+        mode: Mode,
+    ) -> (Activity, StepMeter) {
+        let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
+        let price = step_price(&tables[0], deployment, copies, mode);
+        let mut meter = crate::cost::meter::tests::meter(tables, tiles, Some((0, price)));
+        add(steps, &mut activity, &mut meter);
         (activity, meter)
     }
 
@@ -498,7 +509,6 @@ pub(crate) mod tests {
             messages_out: 10,
         };
         busy.hops.local = 10;
-        let run = run(&[quiet, busy], vec![table("davies2018")], 1);
         let deployment = Deployment {
             name: "packed".to_string(),
             copies: 2,
@@ -508,6 +518,7 @@ pub(crate) mod tests {
             chips_used: 1,
             x86_cores: 1,
         };
+        let run = run_priced(&[quiet, busy], vec![table("davies2018")], 1, &deployment, 1, Mode::Offline);
         let offline = case(&run, &deployment);
         let found = estimate(&offline);
         // ps: 100 * 5300 + 113000; and 50 * 3500 + 100 * 5300 + 10 * 3100 + 2100 + 113000.
@@ -539,6 +550,12 @@ pub(crate) mod tests {
         near(slow.rows[1].latency_us.unwrap(), 1000.0);
         near(slow.rows[1].dynamic_mw.unwrap(), (quiet_fj + busy_fj) / 2e9);
         near(slow.rows[0].dynamic_mw.unwrap(), 67.5);
+        // The distribution was kept for another price.
+        assert_eq!(slow.per_timestep_uj, None);
+        // The first step of the sample and the second.
+        let by_step = spent_by_step_uj(&offline);
+        near(by_step[0], quiet_fj / 1e9 + 69.3 * first / 1e9);
+        near(by_step[1], busy_fj / 1e9 + 69.3 * second / 1e9);
         // Counted for both copies at once, one copy is half.
         let halved = estimate(&Case { copies_counted: 2, ..offline });
         near(halved.rows[1].dynamic_mw.unwrap(), neuron.dynamic_mw.unwrap() / 2.0);
@@ -574,11 +591,13 @@ pub(crate) mod tests {
         ) {
             let mut constants = preset("sanafe-calibrated");
             constants.core_step_energy.value = f64::from(core_step).into();
-            let run = run(&steps, vec![CostTable::new(&constants).unwrap(), table("davies2018")], 5);
             let deployment = Deployment { copies, cores_powered: powered, ..paper() };
+            let mode = if realtime { Mode::Realtime } else { Mode::Offline };
+            let tables = vec![CostTable::new(&constants).unwrap(), table("davies2018")];
+            let run = run_priced(&steps, tables, 5, &deployment, copies_counted, mode);
             let found = estimate(&Case {
                 copies_counted,
-                mode: if realtime { Mode::Realtime } else { Mode::Offline },
+                mode,
                 convention: if published { Convention::Published } else { Convention::Physical },
                 ..case(&run, &deployment)
             });

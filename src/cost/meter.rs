@@ -1,34 +1,102 @@
-//! Energy and time of each step of a run, for every preset at once.
+//! Energy and time of the steps of a run, for every preset at once, in memory that does not grow with the run.
 //!
-//! Input: the counts of each timestep. Output: energy and time of each step, and order statistics of them. Meters of
-//! samples that ran in parallel are merged in the order of the samples.
+//! Input: the counts of each timestep, and whether its sample was decided before. Output: exact sums of energy and time,
+//! over all steps and over those until the decision; where asked for, the distribution of a step's energy and sums by the
+//! step's number in its sample. Invariant: a meter is a function of the multiset of its samples, so that meters of samples
+//! that ran in parallel give the same figures whatever the order in which they are merged.
 //!
-//! The constant energy of powered cores (equation (8)) is not metered: it depends on the deployment, not on the
-//! activity, and [`crate::cost::estimate`] adds it.
+//! The constant energy of powered cores (equation (8)) is in no sum: it depends on the deployment, not on the activity,
+//! and [`crate::cost::estimate`] adds it. The distribution is of the whole energy of a step, so its [`StepPrice`] has to be
+//! known before.
 
 use std::sync::Arc;
 
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
-use crate::cost::model::{StepTime, step_energy};
+use crate::cost::model::{StepTime, energy_of_counts, sum_of_cores};
+use crate::cost::quantiles::Quantiles;
 use crate::cost::transport::{MessageRoutes, Transport};
 use crate::ir::activity::StepActivity;
 use crate::ir::program::Program;
 
+/// Sums over steps under one preset, exact.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StepSums {
+    /// Steps.
+    pub steps: u64,
+    /// Energy of their events.
+    pub energy: Femtojoules,
+    /// Time in ps, as fast as possible.
+    pub time: u128,
+    /// Time in ps when every step takes at least the timestep.
+    pub paced_time: u128,
+    /// The parts of `time`, in the order of [`StepTime::parts`].
+    pub parts: [u128; 5],
+}
+
+impl StepSums {
+    fn add(&mut self, energy: Femtojoules, time: &StepTime, timestep: Picoseconds, times: u64) {
+        let total = time.total();
+        self.steps += times;
+        self.energy += energy * times;
+        self.time += u128::from(total.0) * u128::from(times);
+        self.paced_time += u128::from(total.max(timestep).0) * u128::from(times);
+        for (sum, (_, part)) in self.parts.iter_mut().zip(time.parts()) {
+            *sum += u128::from(part.0) * u128::from(times);
+        }
+    }
+
+    fn merge(&mut self, other: &StepSums) {
+        self.steps += other.steps;
+        self.energy += other.energy;
+        self.time += other.time;
+        self.paced_time += other.paced_time;
+        self.parts.iter_mut().zip(other.parts).for_each(|(sum, part)| *sum += part);
+    }
+}
+
 /// The steps of a run under one preset.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Lane {
-    /// Energy of each step's events.
-    pub energy: Vec<Femtojoules>,
-    /// Time of each step.
-    pub time: Vec<StepTime>,
+    /// All of them.
+    pub whole: StepSums,
+    /// Those of each sample up to and with the one that decided it; all of a sample that is never decided.
+    pub until_decided: StepSums,
 }
 
-/// Energy and time of each step so far.
+/// What one copy spends in a step beside its events: the whole energy of a step is
+/// events / `copies_counted` + `core_step_fj` + `always_mw` * time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepPrice {
+    /// Copies whose events are counted together.
+    pub copies_counted: f64,
+    /// Energy that is spent alike in each step, in fJ.
+    pub core_step_fj: f64,
+    /// Power that is drawn all the time.
+    pub always_mw: f64,
+    /// Whether each step takes at least the timestep.
+    pub paced: bool,
+}
+
+/// How the energy of a step is distributed over a run, in fJ of one copy.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Distribution {
+    /// Events and the energy that is alike in each step.
+    pub dynamic: Quantiles,
+    /// That and all power that is drawn meanwhile.
+    pub whole: Quantiles,
+}
+
+/// Energy and time of the steps so far.
 #[derive(Debug, Clone)]
 pub struct StepMeter {
-    board: Arc<MeterSettings>,
+    settings: Arc<MeterSettings>,
     lanes: Vec<Lane>,
+    distribution: Distribution,
+    /// Sums by the step's number in its sample.
+    by_step: Vec<StepSums>,
+    /// The number of the next step in its sample.
+    next: usize,
 }
 
 /// The conditions under which steps are metered.
@@ -44,65 +112,105 @@ pub struct MeterSettings {
     pub routes: Arc<MessageRoutes>,
     /// The model of the mesh.
     pub transport: Transport,
+    /// Length of a timestep of the model.
+    pub timestep: Picoseconds,
+    /// The preset, an index into `tables`, and the price under which the distribution of a step's energy is kept.
+    pub distribution: Option<(usize, StepPrice)>,
+    /// The preset under which sums by the step's number in its sample are kept.
+    pub by_step: Option<usize>,
 }
 
 impl MeterSettings {
-    /// Settings for one program.
+    /// Settings for one program, of sums alone.
     #[must_use]
-    pub fn new(tables: Vec<CostTable>, tiles_used: u64, copies: u64, program: &Program, transport: Transport) -> Self {
+    pub fn new(
+        tables: Vec<CostTable>,
+        tiles_used: u64,
+        copies: u64,
+        program: &Program,
+        transport: Transport,
+        timestep: Picoseconds,
+    ) -> Self {
         let routes = Arc::new(MessageRoutes::of_program(program));
-        MeterSettings { tables, tiles_used, copies, routes, transport }
+        MeterSettings { tables, tiles_used, copies, routes, transport, timestep, distribution: None, by_step: None }
     }
 }
 
 impl StepMeter {
     /// A meter for these presets.
     #[must_use]
-    pub fn new(metered: impl Into<Arc<MeterSettings>>) -> Self {
-        let board = metered.into();
-        let lanes = vec![Lane::default(); board.tables.len()];
-        StepMeter { board, lanes }
+    pub fn new(settings: impl Into<Arc<MeterSettings>>) -> Self {
+        let settings = settings.into();
+        let lanes = vec![Lane::default(); settings.tables.len()];
+        StepMeter { settings, lanes, distribution: Distribution::default(), by_step: Vec::new(), next: 0 }
     }
 
     /// An empty meter of the same kind, for another sample.
     #[must_use]
     pub fn fresh(&self) -> Self {
-        StepMeter::new(self.board.clone())
+        StepMeter::new(self.settings.clone())
     }
 
-    /// Adds a timestep that happened so many times in a row.
-    pub fn add(&mut self, step: &StepActivity, times: u32) {
-        let MeterSettings { tables, tiles_used, copies, routes, transport } = &*self.board;
+    /// Adds a timestep that happened so many times in a row; `decided` when its sample was decided before.
+    pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
+        let MeterSettings { tables, tiles_used, copies, routes, transport, timestep, distribution, by_step } =
+            &*self.settings;
         let step_times = routes.step_times(step, tables, *transport, *tiles_used, *copies);
-        for ((lane, table), time) in self.lanes.iter_mut().zip(tables).zip(step_times) {
-            let energy = step_energy(step, table, 0).total();
-            lane.energy.extend(std::iter::repeat_n(energy, times as usize));
-            lane.time.extend(std::iter::repeat_n(time, times as usize));
+        let sum = sum_of_cores(step);
+        for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
+            let energy = energy_of_counts(sum, step.hops, 1, table, 0).total();
+            lane.whole.add(energy, time, *timestep, times.into());
+            if !decided {
+                lane.until_decided.add(energy, time, *timestep, times.into());
+            }
+            if let Some((_, price)) = distribution.filter(|&(preset, _)| preset == number) {
+                let took = if price.paced { time.total().max(*timestep) } else { time.total() };
+                let dynamic = energy.0 as f64 / price.copies_counted + price.core_step_fj;
+                self.distribution.dynamic.add(dynamic, times.into());
+                // 1 mW for 1 ps is 1 fJ.
+                self.distribution.whole.add(dynamic + price.always_mw * took.0 as f64, times.into());
+            }
+            if *by_step == Some(number) {
+                let end = self.next + times as usize;
+                self.by_step.resize(self.by_step.len().max(end), StepSums::default());
+                self.by_step[self.next..end].iter_mut().for_each(|sums| sums.add(energy, time, *timestep, 1));
+                self.next = end;
+            }
         }
     }
 
-    /// Adds the steps of the samples that follow.
+    /// Adds what another meter saw, of other samples.
     ///
     /// # Panics
-    /// When the other meter has other presets: a mistake of the caller.
-    pub fn merge(&mut self, later: &StepMeter) {
-        assert!(Arc::ptr_eq(&self.board, &later.board), "meters of one kind");
-        for (lane, more) in self.lanes.iter_mut().zip(&later.lanes) {
-            lane.energy.extend_from_slice(&more.energy);
-            lane.time.extend_from_slice(&more.time);
+    /// When the other meter has other settings: a mistake of the caller.
+    pub fn merge(&mut self, other: &StepMeter) {
+        assert!(Arc::ptr_eq(&self.settings, &other.settings), "meters of one kind");
+        for (lane, more) in self.lanes.iter_mut().zip(&other.lanes) {
+            lane.whole.merge(&more.whole);
+            lane.until_decided.merge(&more.until_decided);
         }
+        self.distribution.dynamic.merge(&other.distribution.dynamic);
+        self.distribution.whole.merge(&other.distribution.whole);
+        self.by_step.resize(self.by_step.len().max(other.by_step.len()), StepSums::default());
+        self.by_step.iter_mut().zip(&other.by_step).for_each(|(sums, more)| sums.merge(more));
+    }
+
+    /// The conditions under which steps are metered.
+    #[must_use]
+    pub fn settings(&self) -> &MeterSettings {
+        &self.settings
     }
 
     /// The presets.
     #[must_use]
     pub fn tables(&self) -> &[CostTable] {
-        &self.board.tables
+        &self.settings.tables
     }
 
     /// The model of the mesh.
     #[must_use]
     pub fn transport(&self) -> Transport {
-        self.board.transport
+        self.settings.transport
     }
 
     /// The steps under each preset, in the presets' order.
@@ -111,40 +219,23 @@ impl StepMeter {
         &self.lanes
     }
 
+    /// How a step's energy is distributed; empty unless the settings ask for it.
+    #[must_use]
+    pub fn distribution(&self) -> &Distribution {
+        &self.distribution
+    }
+
+    /// Sums over all samples by the step's number in its sample; empty unless the settings ask for it.
+    #[must_use]
+    pub fn by_step(&self) -> &[StepSums] {
+        &self.by_step
+    }
+
     /// Number of timesteps.
     #[must_use]
     pub fn steps(&self) -> u64 {
-        self.lanes.first().map_or(0, |lane| lane.energy.len() as u64)
+        self.lanes.first().map_or(0, |lane| lane.whole.steps)
     }
-}
-
-/// The least, median, 99th percentile and greatest of a series, by nearest rank.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct Spread {
-    /// The least.
-    pub min: f64,
-    /// The least that half of the series does not exceed.
-    pub p50: f64,
-    /// The least that 99 % of the series does not exceed.
-    pub p99: f64,
-    /// The greatest.
-    pub max: f64,
-}
-
-impl Spread {
-    /// Of a series; `None` when it is empty.
-    #[must_use]
-    pub fn from_series(mut series: Vec<f64>) -> Option<Self> {
-        series.sort_unstable_by(f64::total_cmp);
-        let rank = |percent: usize| series[(series.len() * percent).div_ceil(100).max(1) - 1];
-        (!series.is_empty()).then(|| Spread { min: series[0], p50: rank(50), p99: rank(99), max: rank(100) })
-    }
-}
-
-/// Time of a step in a run that is held to `bin` per step, or free when there is none.
-#[must_use]
-pub fn paced(time: Picoseconds, bin: Option<Picoseconds>) -> Picoseconds {
-    bin.map_or(time, |bin| time.max(bin))
 }
 
 #[cfg(test)]
@@ -158,23 +249,22 @@ pub(crate) mod tests {
     use crate::ir::activity::Activity;
 
     /// A meter of steps whose messages are not followed.
-    pub(crate) fn meter(tables: Vec<CostTable>, tiles_used: u64) -> StepMeter {
+    pub(crate) fn meter(
+        tables: Vec<CostTable>,
+        tiles_used: u64,
+        distribution: Option<(usize, StepPrice)>,
+    ) -> StepMeter {
         let metered = MeterSettings {
             tables,
             tiles_used,
             copies: 1,
             routes: Arc::new(no_routes()),
             transport: Transport::Analytic,
+            timestep: Picoseconds(1_000_000_000),
+            distribution,
+            by_step: Some(0),
         };
         StepMeter::new(metered)
-    }
-
-    #[test]
-    fn order_statistics_are_by_nearest_rank() {
-        let spread = Spread::from_series((1..=200).rev().map(f64::from).collect()).unwrap();
-        assert_eq!(spread, Spread { min: 1.0, p50: 100.0, p99: 198.0, max: 200.0 });
-        assert_eq!(Spread::from_series(vec![3.0]).unwrap(), Spread { min: 3.0, p50: 3.0, p99: 3.0, max: 3.0 });
-        assert_eq!(Spread::from_series(vec![]), None);
     }
 
     proptest! {
@@ -182,19 +272,34 @@ pub(crate) mod tests {
         fn meters_of_parts_merge_to_the_meter_of_the_whole(
             steps in proptest::collection::vec(any_step(2), 0..10), cut in 0..10usize,
         ) {
-            let mut whole = meter(vec![table("davies2018"), table("sanafe-calibrated")], 3);
+            let price = StepPrice { copies_counted: 2.0, core_step_fj: 3e3, always_mw: 0.5, paced: false };
+            let mut whole = meter(vec![table("davies2018"), table("sanafe-calibrated")], 3, Some((1, price)));
             let (mut first, mut second) = (whole.fresh(), whole.fresh());
             let mut activity = Activity::new(2);
+            let mut one_by_one = whole.fresh();
             for (i, step) in steps.iter().enumerate() {
-                whole.add(step, 1);
-                activity.add_steps(step, 1);
-                if i < cut { first.add(step, 1) } else { second.add(step, 1) }
+                let (times, decided) = (1 + i as u32 % 3, i > 6);
+                activity.add_steps(step, times.into());
+                (0..times).for_each(|_| one_by_one.add(step, 1, decided));
+                if i < cut { first.add(step, times, decided) } else { second.add(step, times, decided) }
             }
-            first.merge(&second);
-            prop_assert_eq!(first.lanes(), whole.lanes());
+            whole.merge(&second);
+            whole.merge(&first);
+            prop_assert_eq!(one_by_one.lanes(), whole.lanes());
+            prop_assert_eq!(one_by_one.distribution(), whole.distribution());
+            prop_assert_eq!(one_by_one.steps(), activity.steps());
             for (lane, table) in whole.lanes().iter().zip(whole.tables()) {
-                prop_assert_eq!(lane.energy.iter().copied().sum::<Femtojoules>(), energy(&activity, table, 0).total());
+                let Lane { whole, until_decided } = lane;
+                prop_assert_eq!(whole.energy, energy(&activity, table, 0).total());
+                prop_assert_eq!(whole.parts.iter().sum::<u128>(), whole.time);
+                prop_assert!(whole.paced_time >= whole.time && until_decided.time <= whole.time);
+                prop_assert_eq!(until_decided == whole, steps.len() <= 7);
             }
+            // Two samples: those before the cut and the others.
+            let by_step = whole.by_step();
+            let sums = |get: fn(&StepSums) -> u128| by_step.iter().map(get).sum::<u128>();
+            prop_assert_eq!(sums(|sums| sums.energy.0), whole.lanes()[0].whole.energy.0);
+            prop_assert_eq!(sums(|sums| sums.steps.into()), activity.steps().into());
         }
     }
 }

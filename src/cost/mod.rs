@@ -14,9 +14,10 @@ pub mod deployment;
 pub mod estimate;
 pub mod meter;
 pub mod model;
+pub mod quantiles;
 pub mod transport;
 
 pub use constants::CostTable;
 pub use deployment::Deployment;
-pub use meter::{MeterSettings, StepMeter};
+pub use meter::{MeterSettings, StepMeter, StepPrice};
 pub use transport::{MessageRoutes, Transport};

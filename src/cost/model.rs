@@ -55,11 +55,17 @@ impl Breakdown {
 /// Energy of one timestep.
 #[must_use]
 pub fn step_energy(step: &StepActivity, table: &CostTable, cores_powered: u64) -> Breakdown {
+    energy_of_counts(sum_of_cores(step), step.hops, 1, table, cores_powered)
+}
+
+/// The counts of all cores in a step.
+#[must_use]
+pub fn sum_of_cores(step: &StepActivity) -> CoreCounts {
     let mut sum = CoreCounts::default();
     for core in &step.cores {
         sum += *core;
     }
-    energy_of_counts(sum, step.hops, 1, table, cores_powered)
+    sum
 }
 
 /// Energy of a whole run: equal to the sum over its steps.
@@ -68,7 +74,15 @@ pub fn energy(activity: &Activity, table: &CostTable, cores_powered: u64) -> Bre
     energy_of_counts(activity.sum(), activity.hops(), activity.steps(), table, cores_powered)
 }
 
-fn energy_of_counts(sum: CoreCounts, hops: HopCounts, steps: u64, table: &CostTable, cores_powered: u64) -> Breakdown {
+/// Energy of the counts of all cores together in so many steps.
+#[must_use]
+pub fn energy_of_counts(
+    sum: CoreCounts,
+    hops: HopCounts,
+    steps: u64,
+    table: &CostTable,
+    cores_powered: u64,
+) -> Breakdown {
     Breakdown {
         synapse: table.synapse_dense_energy * sum.events_dense + table.synapse_sparse_energy * sum.events_sparse,
         dendrite: table.dendrite_energy * sum.visited,
@@ -100,11 +114,22 @@ pub struct StepTime {
 }
 
 impl StepTime {
+    /// Name and time of every part, in a fixed order.
+    #[must_use]
+    pub fn parts(&self) -> [(&'static str, Picoseconds); 5] {
+        [
+            ("injection", self.injection),
+            ("readout", self.readout),
+            ("slowest core", self.slowest_core),
+            ("transport", self.transport),
+            ("barrier", self.barrier),
+        ]
+    }
+
     /// The whole step. A sum beyond the type's range (213 days) stays at its end.
     #[must_use]
     pub fn total(&self) -> Picoseconds {
-        let parts = [self.injection, self.readout, self.slowest_core, self.transport, self.barrier];
-        Picoseconds(parts.into_iter().fold(0, |sum, part| sum.saturating_add(part.0)))
+        Picoseconds(self.parts().into_iter().fold(0, |sum, (_, part)| sum.saturating_add(part.0)))
     }
 }
 

@@ -4,18 +4,30 @@
 
 use std::sync::Arc;
 
-use super::samples::{Run, Running, fast};
-use super::{Keep, Outcome};
+use super::samples::{Meter, Run, Running, fast};
+use super::{Keep, Outcome, Passed};
 use crate::base::diagnostic::Result;
+use crate::base::units::Picoseconds;
 use crate::compile::Compiled;
-use crate::cost::estimate::{Case, Estimate, estimate};
+use crate::cost::estimate::{Case, Estimate, estimate, step_price};
 use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
+use crate::desc::published::baseline::Mode;
 use crate::desc::target::Target;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::program::Program;
-use crate::ir::spikes::Sample;
+use crate::ir::spikes::{Copies, Sample};
 
-/// Runs samples and meters each step; the second meter holds all samples, in run order.
+impl Meter for StepMeter {
+    fn see(&mut self, step: &StepActivity, passed: Passed) {
+        self.add(step, passed.steps, passed.decided);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        StepMeter::merge(self, other);
+    }
+}
+
+/// Runs samples and meters each step.
 ///
 /// # Errors
 /// As [`fast`].
@@ -24,20 +36,15 @@ pub fn run_metered(
     samples: &[&Sample],
     metered: &Arc<MeterSettings>,
     running: Running<'_>,
-) -> Result<(Run<StepMeter>, StepMeter)> {
-    let prototype = StepMeter::new(metered.clone());
-    let add = |meter: &mut StepMeter, step: &StepActivity, times: u32| meter.add(step, times);
-    let run = fast(program, samples, Running { per_step: true, ..running }, || prototype.fresh(), add)?;
-    let mut meter = prototype.fresh();
-    run.meters.iter().for_each(|sample| meter.merge(sample));
-    Ok((run, meter))
+) -> Result<Run<StepMeter>> {
+    Ok(fast(program, samples, Running { per_step: true, ..running }, || StepMeter::new(metered.clone()))?)
 }
 
 /// Timesteps of each sample; `None` when samples differ.
 #[must_use]
-pub fn steps_per_sample(samples: &[Sample]) -> Option<u32> {
+pub fn steps_per_sample(samples: &[&Sample]) -> Option<u32> {
     let same = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
-    samples.first().filter(|_| same).map(Sample::steps)
+    samples.first().filter(|_| same).map(|sample| sample.steps())
 }
 
 /// What samples did, and what they cost.
@@ -60,15 +67,18 @@ pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> R
     let copies = compiled.options.copies;
     let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
     let (tables, tiles_used) = (vec![CostTable::new(&target.constants()[0])?], deployment.tiles_used);
-    let metered = MeterSettings::new(tables, tiles_used, copies.into(), &compiled.program, Transport::Analytic);
-    let metered = Arc::new(metered);
+    let timestep_ms = compiled.one.parts().timestep_ms;
+    let price = step_price(&tables[0], &deployment, copies, Mode::Offline);
+    let (program, timestep) = (&compiled.program, Picoseconds::from_milliseconds(timestep_ms));
+    let metered = MeterSettings::new(tables, tiles_used, copies.into(), program, Transport::Analytic, timestep);
+    let metered = Arc::new(MeterSettings { distribution: Some((0, price)), ..metered });
     // Copies share no input channels: each sees the whole sample.
-    let copied: Vec<Sample> = samples.iter().map(|sample| sample.copies(copies, compiled.one.channels())).collect();
-    let program = &compiled.program;
+    let copies = Copies { copies, channels: compiled.one.channels() };
     let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
-    let running = Running { keep: &keep, skip: true, per_step: true, progress: &|| () };
-    let (run, meter) = run_metered(program, &copied.iter().collect::<Vec<_>>(), &metered, running)?;
-    let case = Case::new(&run.activity, &meter, &deployment, compiled.one.parts().timestep_ms);
-    let estimate = estimate(&Case { steps_per_sample: steps_per_sample(samples), ..case });
+    let running = Running { keep: &keep, copies, skip: true, per_step: true, progress: &|| () };
+    let samples: Vec<&Sample> = samples.iter().collect();
+    let run = run_metered(program, &samples, &metered, running)?;
+    let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
+    let estimate = estimate(&Case { steps_per_sample: steps_per_sample(&samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })
 }

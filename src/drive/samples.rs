@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::{Keep, Outcome, Probe, Quantity, run_sample};
+use super::{Keep, Outcome, Passed, Probe, Quantity, run_copies, run_sample};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, Id};
 use crate::golden::Golden;
@@ -15,7 +15,7 @@ use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::firing_rates::Rates;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
-use crate::ir::spikes::{Engine, Sample};
+use crate::ir::spikes::{Copies, Engine, Sample};
 use crate::machine::{Image, Machine, Settings};
 use crate::reference::{Model, Real, Reference};
 
@@ -32,12 +32,29 @@ pub type Progress<'a> = &'a (dyn Fn() + Sync);
 pub struct Running<'a> {
     /// What to keep of each sample.
     pub keep: &'a Keep,
+    /// The copies of the program, all of which see the sample.
+    pub copies: Copies,
     /// Whether work that cannot change anything is left out.
     pub skip: bool,
     /// Whether the counts of each step are kept, for a meter.
     pub per_step: bool,
     /// Called after each sample.
     pub progress: Progress<'a>,
+}
+
+/// What watches the steps of a run, a part of it in each thread.
+pub trait Meter: Send {
+    /// Sees steps in a row that were alike.
+    fn see(&mut self, step: &StepActivity, passed: Passed);
+
+    /// Adds what another one saw of other samples. What it says may depend neither on the order nor on the parts.
+    fn merge(&mut self, other: &Self);
+}
+
+impl Meter for () {
+    fn see(&mut self, _: &StepActivity, _: Passed) {}
+
+    fn merge(&mut self, (): &()) {}
 }
 
 /// What a run on the machine yields.
@@ -47,26 +64,25 @@ pub struct Run<M> {
     pub outcomes: Vec<Outcome>,
     /// Of all samples.
     pub activity: Activity,
-    /// One meter a sample, in run order.
-    pub meters: Vec<M>,
+    /// What saw all samples.
+    pub meter: M,
     /// Compartment updates that were left out because the compartment was at rest.
     pub skipped_updates: u64,
     /// Seconds spent.
     pub wall_s: f64,
 }
 
-/// Runs samples on the machine; a meter is made for each sample and sees each step and how often it happened in a row.
+/// Runs samples on the machine; a meter is made for each sample and sees its steps.
 ///
 /// # Errors
 /// `run.too-large` when the program's sums could not be exact.
-pub fn fast<M: Send>(
+pub fn fast<M: Meter>(
     program: &Program,
     samples: &[&Sample],
     running: Running<'_>,
     new_meter: impl Fn() -> M + Sync,
-    meter: impl Fn(&mut M, &StepActivity, u32) + Sync,
 ) -> Result<Run<M>, Diagnostic> {
-    let Running { keep, skip, per_step, progress } = running;
+    let Running { keep, copies, skip, per_step, progress } = running;
     let synapses: u64 = program.cores().iter().map(|image| image.inputs.count()).sum();
     let large = synapses > LARGE || samples.len() == 1;
     let shards = if large && synapses > SHARED { rayon::current_num_threads() } else { 1 };
@@ -75,14 +91,16 @@ pub fn fast<M: Send>(
     let run = |part: &[&Sample]| {
         let mut machine = Machine::new(&image, Settings { skip, per_step });
         let mut results = Vec::with_capacity(part.len());
+        let mut all = new_meter();
         for sample in part {
-            let mut seen = new_meter();
-            let outcome =
-                run_sample(&mut machine, sample, keep, |machine, times| meter(&mut seen, machine.last_step(), times));
+            let mut meter = new_meter();
+            let see = |machine: &Machine<'_>, passed| meter.see(machine.last_step(), passed);
+            let outcome = run_copies(&mut machine, sample, copies, keep, see);
+            all.merge(&meter);
             progress();
-            results.push((outcome, seen, machine.skipped_updates()));
+            results.push((outcome, machine.skipped_updates()));
         }
-        (results, machine.take_activity())
+        (results, all, machine.take_activity())
     };
     let parts: Vec<_> = if shards > 1 {
         // A step that is shared from outside the pool would wake a thread each time.
@@ -95,15 +113,15 @@ pub fn fast<M: Send>(
     let mut result = Run {
         outcomes: Vec::with_capacity(samples.len()),
         activity: Activity::new(program.cores().len()),
-        meters: Vec::with_capacity(samples.len()),
+        meter: new_meter(),
         skipped_updates: 0,
         wall_s: 0.0,
     };
-    for (results, activity) in parts {
+    for (results, meter, activity) in parts {
         result.activity.merge(&activity);
-        for (outcome, meter, skipped) in results {
+        result.meter.merge(&meter);
+        for (outcome, skipped) in results {
             result.outcomes.push(outcome);
-            result.meters.push(meter);
             result.skipped_updates += skipped;
         }
     }

@@ -12,6 +12,20 @@ pub struct Sample {
     channels: Vec<ChannelId>,
 }
 
+/// Copies of a network that all see the same sample, each on channels of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Copies {
+    /// How many.
+    pub copies: u32,
+    /// Input channels of one.
+    pub channels: u32,
+}
+
+impl Copies {
+    /// The network itself.
+    pub const ONE: Copies = Copies { copies: 1, channels: 0 };
+}
+
 /// Why spikes do not make a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum SampleError {
@@ -75,6 +89,20 @@ impl Sample {
         }
         channels.truncate(kept);
         Ok(Sample { label, first, channels })
+    }
+
+    /// The channels that spike in a step when each of so many copies of a network, one after the other, sees the sample:
+    /// ascending, each once. They are written to `shown` where there are several copies.
+    pub fn at_copies<'s>(&'s self, step: u32, copies: Copies, shown: &'s mut Vec<ChannelId>) -> &'s [ChannelId] {
+        let Copies { copies, channels } = copies;
+        if copies == 1 {
+            return self.at(step);
+        }
+        shown.clear();
+        for first in (0..copies).map(|copy| copy * channels) {
+            shown.extend(self.at(step).iter().map(|channel| ChannelId(channel.0 + first)));
+        }
+        shown
     }
 
     /// The same spikes on the channels of so many copies of a network, one after the other.

@@ -36,12 +36,20 @@ impl InputArgs {
 /// # Errors
 /// [`Error::Usage`] when the range holds no sample.
 pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sample>, Error> {
+    Ok(select_numbers(samples.len(), args)?.into_iter().map(|number| &samples[number]).collect())
+}
+
+/// The numbers of the samples that a run asks for, of so many, as often as it asks.
+///
+/// # Errors
+/// [`Error::Usage`] when the range holds no sample.
+pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Error> {
     let range = args.samples.as_ref().map_or(0..usize::MAX, |range| range.0.clone());
-    let end = range.end.min(samples.len());
-    let chosen = samples.get(range.start..end).filter(|chosen| !chosen.is_empty());
-    let chosen = chosen
-        .ok_or_else(|| Error::Usage(format!("--samples {}..: there are {} samples", range.start, samples.len())))?;
-    Ok((0..args.repeat).flat_map(|_| chosen.iter()).collect())
+    let chosen = range.start..range.end.min(samples);
+    if chosen.is_empty() {
+        return Err(Error::Usage(format!("--samples {}..: there are {samples} samples", range.start)));
+    }
+    Ok((0..args.repeat).flat_map(|_| chosen.clone()).collect())
 }
 
 /// Refuses samples that use pruned channels; samples are numbered as in the input.

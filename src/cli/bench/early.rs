@@ -10,7 +10,7 @@ use crate::cli::energy::options::tables;
 use crate::cli::energy::workload::Workload;
 use crate::cli::output;
 use crate::cost::estimate::{Case, spent_by_step_uj};
-use crate::cost::{Deployment, Transport};
+use crate::cost::{Deployment, MeterSettings, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::error::Error;
 use crate::io;
@@ -69,11 +69,16 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
             return Ok(None);
         }
     };
-    let workload = Workload::new(&job, copies, &InputArgs::from_sources(&args.input))?;
+    let mut workload = Workload::new(&job, copies, &InputArgs::from_sources(&args.input))?;
+    if let Some(tested) = &model.tested {
+        workload.choose(tested).map_err(|sample| {
+            Error::Usage(format!("the study tested sample {sample}, which the input does not have"))
+        })?;
+    }
     let (tables, preset) = tables(workload.target, None)?;
     let deployment = Deployment::from_placement("packed", &workload.compiled.placement, workload.target.chip(), copies);
     let metered = workload.metered(tables, &deployment, Transport::Analytic);
-    let (run, meter) = workload.simulate(&metered, None, true, context)?;
+    let run = workload.simulate(MeterSettings { by_step: Some(preset), ..metered }, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
         return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));
     };
@@ -82,15 +87,11 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
         preset,
         mode: if args.realtime { Mode::Realtime } else { Mode::Offline },
         steps_per_sample: Some(steps),
-        ..Case::new(&run.activity, &meter, &deployment, timestep_ms)
+        ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
     });
-    let chosen = model.tested.clone().unwrap_or_else(|| (0..workload.samples.len()).collect());
-    let samples = &workload.samples;
-    let trial = Trial::new(
-        TrialRun { samples, outcomes: &run.outcomes, steps: steps as usize, timestep_ms, spent_uj: &spent },
-        &chosen,
-    )?;
-    Ok(Some(trial))
+    let (samples, outcomes) = (workload.samples(), &run.outcomes);
+    let steps = steps as usize;
+    Ok(Some(Trial::new(TrialRun { samples: &samples, outcomes, steps, timestep_ms, spent_uj: &spent })?))
 }
 
 /// Runs the command.

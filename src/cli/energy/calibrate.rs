@@ -37,14 +37,14 @@ impl Bench<'_> {
         let tables = presets.iter().map(CostTable::new).collect::<Result<Vec<_>, _>>()?;
         let metered = self.workload.metered(tables, &self.deployment, self.args.transport);
         let skip = self.args.skip == Switch::On;
-        let (run, meter) = self.workload.simulate(&metered, None, skip, self.context)?;
+        let run = self.workload.simulate(metered, None, skip, self.context)?;
         let timestep_ms = self.workload.compiled.one.parts().timestep_ms;
         let case = |preset| Case {
             preset,
             mode: self.table.mode,
             convention: self.convention,
             steps_per_sample: Some(self.table.steps_per_sample),
-            ..Case::new(&run.activity, &meter, &self.deployment, timestep_ms)
+            ..Case::new(&run.activity, &run.meter, &self.deployment, timestep_ms)
         };
         Ok((0..presets.len()).map(|preset| estimate(&case(preset)).rows).collect())
     }
@@ -176,13 +176,14 @@ pub fn run(args: &EnergyArgs, table: &str, context: Context) -> Result<Answer, E
     };
     let rows = bench.rows(std::slice::from_ref(&preset))?;
     preset.residuals = residuals(&table, &rows[0])?;
-    let steps: u64 = workload.samples.iter().map(|sample| u64::from(sample.steps())).sum();
-    let spikes: u64 = workload.samples.iter().map(|sample| sample.spikes() as u64).sum();
+    let samples = workload.samples();
+    let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+    let spikes: u64 = samples.iter().map(|sample| sample.spikes() as u64).sum();
     let activity = format!(
         "{} shown {} ({} samples, {steps} steps, {:.3} input spikes a step and copy)",
         table.model,
         workload.origin.join(", "),
-        workload.samples.len(),
+        samples.len(),
         spikes as f64 / steps.max(1) as f64
     );
     let names = table.fit.iter().flat_map(|fit| std::iter::once(&fit.constant).chain(&fit.equal));

@@ -1,7 +1,5 @@
 //! From a finished run to its report.
 
-use std::ops::Range;
-
 use crate::cost::Deployment;
 use crate::cost::estimate::{Case, Convention, EnergyRow, estimate, spent};
 use crate::desc::published::baseline::Mode;
@@ -37,21 +35,10 @@ pub struct EnergyJob<'a> {
     pub early_exit: Option<Saved>,
 }
 
-/// The steps of each sample until it is decided, in the order of the meter; whole samples where it is not.
-fn until_decided(outcomes: &[Outcome]) -> Vec<Range<usize>> {
-    let mut first = 0;
-    let steps = |outcome: &Outcome| {
-        let begin = first;
-        first += outcome.steps as usize;
-        begin..first - outcome.steps_saved as usize
-    };
-    outcomes.iter().map(steps).collect()
-}
-
 /// What ending samples when they are decided would save of the whole run: equation (16).
 pub(super) fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
-    let whole = spent(case, std::iter::once(0..case.activity.steps() as usize));
-    let early = spent(case, until_decided(outcomes));
+    let lane = &case.meter.lanes()[case.preset];
+    let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
     Saved {
         rule,
@@ -65,7 +52,8 @@ pub(super) fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved 
 
 /// The mean cost of a sample until it is decided.
 pub(super) fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDecision {
-    let (spent, samples) = (spent(case, until_decided(outcomes)), outcomes.len().max(1) as f64);
+    let until_decided = &case.meter.lanes()[case.preset].until_decided;
+    let (spent, samples) = (spent(case, until_decided), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
     PerDecision {
         rule: rule.to_string(),

@@ -20,11 +20,12 @@ use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
-use crate::cost::Deployment;
-use crate::cost::estimate::Case;
+use crate::cost::estimate::{Case, step_price};
+use crate::cost::{Deployment, MeterSettings};
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::error::Error;
 use crate::io;
+use crate::ir::spikes::Copies;
 use crate::report::energy::table::nothing;
 use crate::report::sanafe::Export;
 
@@ -70,12 +71,14 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         (DeploymentArg::Packed, _) => None,
         _ => Some(Deployment::from_placement("packed", placement, target.chip(), copies)),
     };
+    let price = step_price(&tables[preset], &deployment, copies, mode);
     let metered = workload.metered(tables, &deployment, args.transport);
+    let metered = MeterSettings { distribution: Some((preset, price)), ..metered };
     // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
     let rule = args.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
-    let (run, meter) = workload.simulate(&metered, Some(watched), args.skip == Switch::On, context)?;
-    let case = Case::new(&run.activity, &meter, &deployment, compiled.one.parts().timestep_ms);
+    let run = workload.simulate(metered, Some(watched), args.skip == Switch::On, context)?;
+    let case = Case::new(&run.activity, &run.meter, &deployment, compiled.one.parts().timestep_ms);
     let steps_per_sample = workload.steps_per_sample();
     let alone = match asked.cpu && copies > 1 {
         true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, 1)?),
@@ -89,7 +92,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let one = OneCopy {
         network: &compiled.one,
         program,
-        samples: &workload.samples,
+        samples: &workload.samples(),
         steps: steps_per_sample,
         timestep: case.timestep,
     };
@@ -105,7 +108,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         model,
         target: &target,
         case,
-        samples: workload.samples.len() as u64,
+        samples: run.outcomes.len() as u64,
         seed: workload.seed,
         baselines: &others.rows,
         per_decision: Some(&decision),
@@ -118,8 +121,9 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         io::write::text(path, context.force, &svg)?;
     }
     if let Some(folder) = &args.export_sanafe {
-        let table = &meter.tables()[preset];
-        let export = Export { compiled, table, sample: &workload.copied[0], tiles_used: deployment.tiles_used };
+        let Copies { copies, channels } = workload.shown();
+        let (table, sample) = (&run.meter.tables()[preset], workload.samples()[0].copies(copies, channels));
+        let export = Export { compiled, table, sample: &sample, tiles_used: deployment.tiles_used };
         let mut batch = io::write::Batch::new(context.force);
         for (path, text) in sanafe_files(folder).iter().zip(export.files()?) {
             batch.add(path, |out| out.write_all(text.as_bytes()))?;

@@ -32,7 +32,7 @@ pub struct OneCopy<'a> {
     /// It, mapped alone.
     pub program: Option<&'a Program>,
     /// What it is shown.
-    pub samples: &'a [Sample],
+    pub samples: &'a [&'a Sample],
     /// Timesteps of a sample; `None` when samples differ.
     pub steps: Option<u32>,
     /// Length of a timestep.

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::cli::args::input::{InputArgs, check_pruned, select};
+use crate::base::units::Picoseconds;
+use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
 use crate::cli::args::jobs::Job;
 use crate::cli::context::Context;
 use crate::cli::output;
@@ -15,7 +16,7 @@ use crate::drive::inputs;
 use crate::drive::priced::{run_metered, steps_per_sample};
 use crate::drive::samples::{Run, Running};
 use crate::error::Error;
-use crate::ir::spikes::Sample;
+use crate::ir::spikes::{Copies, Sample, Stimulus};
 
 /// A mapped network of one or several copies, and what it is shown.
 #[derive(Debug)]
@@ -26,10 +27,10 @@ pub struct Workload<'j> {
     pub target: &'j Target,
     /// Copies of the network on the target.
     pub copies: u32,
-    /// Samples of one copy, in run order.
-    pub samples: Vec<Sample>,
-    /// The same for all copies: they share nothing, input channels included, so each sees the whole sample.
-    pub copied: Vec<Sample>,
+    /// What all copies see: they share nothing, input channels included, so each sees the whole sample.
+    given: Vec<Sample>,
+    /// Numbers of the samples that are run, in run order.
+    order: Vec<usize>,
     /// How the samples were made.
     pub origin: Vec<String>,
     /// Seed of the input, if it was made from one.
@@ -47,43 +48,73 @@ impl<'j> Workload<'j> {
             return Err(Error::Fault("energy needs a mapped job".to_string()));
         };
         let stimulus = inputs::stimulus(&compiled.one, &input.input, job.scene(), input.seed)?;
-        let samples = select(&stimulus.samples, input)?;
+        let order = select_numbers(stimulus.samples.len(), input)?;
+        let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
         check_pruned(&compiled.one, &samples, input)?;
-        let copied = samples.iter().map(|sample| sample.copies(copies, compiled.one.channels())).collect();
-        let samples = samples.into_iter().cloned().collect();
         let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
-        Ok(Workload { compiled, target, copies, samples, copied, origin: stimulus.origin, seed: stimulus.seed, routes })
+        let Stimulus { samples: given, origin, seed } = stimulus;
+        Ok(Workload { compiled, target, copies, given, order, origin, seed, routes })
     }
 
-    /// What its steps are metered under.
+    /// Samples of one copy, in run order.
     #[must_use]
-    pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> Arc<MeterSettings> {
-        let (tiles_used, copies, routes) = (deployment.tiles_used, self.copies.into(), self.routes.clone());
-        Arc::new(MeterSettings { tables, tiles_used, copies, routes, transport })
+    pub fn samples(&self) -> Vec<&Sample> {
+        self.order.iter().map(|&sample| &self.given[sample]).collect()
+    }
+
+    /// Runs only these of the samples from here on.
+    ///
+    /// # Errors
+    /// The first number that is no sample's.
+    pub fn choose(&mut self, samples: &[usize]) -> Result<(), usize> {
+        let number = |&sample: &usize| self.order.get(sample).copied().ok_or(sample);
+        self.order = samples.iter().map(number).collect::<Result<_, usize>>()?;
+        Ok(())
+    }
+
+    /// The copies, all of which see each sample.
+    #[must_use]
+    pub fn shown(&self) -> Copies {
+        Copies { copies: self.copies, channels: self.compiled.one.channels() }
+    }
+
+    /// What its steps are metered under: sums alone.
+    #[must_use]
+    pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
+        MeterSettings {
+            tables,
+            tiles_used: deployment.tiles_used,
+            copies: self.copies.into(),
+            routes: self.routes.clone(),
+            transport,
+            timestep: Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms),
+            distribution: None,
+            by_step: None,
+        }
     }
 
     /// Timesteps of a sample; `None` when samples differ.
     #[must_use]
     pub fn steps_per_sample(&self) -> Option<u32> {
-        steps_per_sample(&self.samples)
+        steps_per_sample(&self.samples())
     }
 
-    /// Runs all samples; meters are merged in run order.
+    /// Runs all samples.
     ///
     /// # Errors
     /// [`Error::Input`] when the program's sums could not be exact.
     pub fn simulate(
         &self,
-        metered: &Arc<MeterSettings>,
+        metered: MeterSettings,
         early_exit: Option<EarlyExit>,
         skip: bool,
         context: Context,
-    ) -> Result<(Run<StepMeter>, StepMeter), Error> {
+    ) -> Result<Run<StepMeter>, Error> {
         let program = &self.compiled.program;
         let keep = Keep { output: program.output(), probes: Vec::new(), early_exit };
-        let copied: Vec<&Sample> = self.copied.iter().collect();
-        let run = output::with_progress(context, copied.len(), "samples", |progress| {
-            run_metered(program, &copied, metered, Running { keep: &keep, skip, per_step: true, progress })
+        let (samples, copies, metered) = (self.samples(), self.shown(), Arc::new(metered));
+        let run = output::with_progress(context, samples.len(), "samples", |progress| {
+            run_metered(program, &samples, &metered, Running { keep: &keep, copies, skip, per_step: true, progress })
         })?;
         Ok(run)
     }
