@@ -15,7 +15,7 @@ use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::model::{StepTime, energy_of_counts, sum_of_cores};
 use crate::cost::quantiles::Quantiles;
-use crate::cost::transport::{MessageRoutes, Transport};
+use crate::cost::transport::{MessageRoutes, QueueMemory, Transport};
 use crate::ir::activity::StepActivity;
 use crate::ir::program::Program;
 
@@ -97,6 +97,7 @@ pub struct StepMeter {
     by_step: Vec<StepSums>,
     /// The number of the next step in its sample.
     next: usize,
+    memory: QueueMemory,
 }
 
 /// The conditions under which steps are metered.
@@ -142,7 +143,14 @@ impl StepMeter {
     pub fn new(settings: impl Into<Arc<MeterSettings>>) -> Self {
         let settings = settings.into();
         let lanes = vec![Lane::default(); settings.tables.len()];
-        StepMeter { settings, lanes, distribution: Distribution::default(), by_step: Vec::new(), next: 0 }
+        StepMeter {
+            settings,
+            lanes,
+            distribution: Distribution::default(),
+            by_step: Vec::new(),
+            next: 0,
+            memory: QueueMemory::default(),
+        }
     }
 
     /// An empty meter of the same kind, for another sample.
@@ -155,7 +163,7 @@ impl StepMeter {
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         let MeterSettings { tables, tiles_used, copies, routes, transport, timestep, distribution, by_step } =
             &*self.settings;
-        let step_times = routes.step_times(step, tables, *transport, *tiles_used, *copies);
+        let step_times = routes.step_times(step, tables, *transport, *tiles_used, *copies, &mut self.memory);
         let sum = sum_of_cores(step);
         for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
             let energy = energy_of_counts(sum, step.hops, 1, table, 0).total();

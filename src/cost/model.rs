@@ -162,8 +162,7 @@ pub fn route_time(route: Route, table: &CostTable) -> Picoseconds {
 
 /// A saturating sum of products.
 pub(crate) fn times(terms: &[(Picoseconds, u64)]) -> Picoseconds {
-    let sum = terms.iter().fold(0u128, |sum, &(time, count)| sum + u128::from(time.0) * u128::from(count));
-    Picoseconds(u64::try_from(sum).unwrap_or(u64::MAX))
+    Picoseconds(terms.iter().fold(0, |sum: u64, &(time, count)| sum.saturating_add(time.0.saturating_mul(count))))
 }
 
 #[cfg(test)]
@@ -172,11 +171,20 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::cost::constants::tests::{preset, table};
-    use crate::cost::transport::{Transport, tests::no_routes};
+    use crate::cost::transport::{QueueMemory, Transport, tests::no_routes};
 
     /// The time of a step whose messages are not followed.
     fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
-        no_routes().step_times(step, std::slice::from_ref(table), Transport::Analytic, tiles_used, 1).remove(0)
+        no_routes()
+            .step_times(
+                step,
+                std::slice::from_ref(table),
+                Transport::Analytic,
+                tiles_used,
+                1,
+                &mut QueueMemory::default(),
+            )
+            .remove(0)
     }
 
     /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5 dense events on the other.
@@ -231,7 +239,15 @@ pub(crate) mod tests {
         assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
         let read = StepActivity { spikes_out: 3, ..step() };
         assert_eq!(
-            no_routes().step_times(&read, std::slice::from_ref(&table), Transport::Analytic, 1, 4)[0].readout,
+            no_routes().step_times(
+                &read,
+                std::slice::from_ref(&table),
+                Transport::Analytic,
+                1,
+                4,
+                &mut QueueMemory::default()
+            )[0]
+            .readout,
             Picoseconds(3 * 4 * 11_000)
         );
         let time = step_time(&step(), &table, 1);

@@ -195,7 +195,7 @@ impl MessageRoutes {
     }
 
     /// The times of a step under each preset, (11) or (17), with so many tiles in the barrier and copies whose outputs are
-    /// read.
+    /// read. The memory is that of an earlier step, so that a step allocates nothing of the mesh's size.
     #[must_use]
     pub fn step_times(
         &self,
@@ -204,6 +204,7 @@ impl MessageRoutes {
         transport: Transport,
         tiles_used: u64,
         copies: u64,
+        memory: &mut QueueMemory,
     ) -> Vec<StepTime> {
         let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.links() > 0;
         let busiest = match transport {
@@ -219,12 +220,13 @@ impl MessageRoutes {
             (cores, Picoseconds(way.0.saturating_add(wait)))
         };
         let time = |table: &CostTable| {
+            let injection = times(&[(table.injection_time, step.spikes_in), (table.injection_step_time, copies)]);
             let (slowest_core, transport) = match transport {
                 Transport::Analytic => analytic(table),
-                Transport::Queued => Queue::new(self, table).run(step),
+                Transport::Queued => Queue::new(self, table, memory).run(step, injection),
             };
             StepTime {
-                injection: times(&[(table.injection_time, step.spikes_in), (table.injection_step_time, copies)]),
+                injection,
                 readout: times(&[(table.readout_time, step.spikes_out.saturating_mul(copies))]),
                 slowest_core,
                 transport,
@@ -249,37 +251,45 @@ struct Ready {
 /// Occupancy is fixed-point in fractions of a message: integers, so that subtracting undoes adding exactly.
 const MESSAGE: u64 = 1 << 32;
 
-/// Messages in flight in one step.
-struct Queue<'w> {
-    routes: &'w MessageRoutes,
-    table: &'w CostTable,
+/// What the queue needs of memory, to be used again. Every number is 0 between two steps.
+#[derive(Debug, Clone, Default)]
+pub struct QueueMemory {
     /// Of each link, in parts of a [`MESSAGE`].
     occupied: Vec<u64>,
     /// When each link can take the next message.
     free: Vec<u64>,
+    /// The links whose numbers are not 0, some of them several times.
+    touched: Vec<Link>,
     /// When each core has handled its messages.
     done: Vec<u64>,
     /// Time of receipt, sender, receiver, handling.
     under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
-    /// Sum of their handling times.
+    /// The links of the message that is sent, and which of them join two chips; the sender's own is first.
+    path: Vec<(Link, bool)>,
+}
+
+/// Messages in flight in one step.
+struct Queue<'w> {
+    routes: &'w MessageRoutes,
+    table: &'w CostTable,
+    memory: &'w mut QueueMemory,
+    /// Sum of the handling times of the messages under way.
     handling: u128,
 }
 
 impl<'w> Queue<'w> {
-    fn new(routes: &'w MessageRoutes, table: &'w CostTable) -> Self {
-        Queue {
-            routes,
-            table,
-            occupied: vec![0; routes.links()],
-            free: vec![0; routes.links()],
-            done: vec![0; routes.cores],
-            under_way: BinaryHeap::new(),
-            handling: 0,
-        }
+    fn new(routes: &'w MessageRoutes, table: &'w CostTable, memory: &'w mut QueueMemory) -> Self {
+        memory.occupied.resize(routes.links(), 0);
+        memory.free.resize(routes.links(), 0);
+        memory.done.resize(routes.cores, 0);
+        Queue { routes, table, memory, handling: 0 }
     }
 
     /// What each sender sends, in order, and how long it is busy after its last message.
-    fn senders(&self, step: &StepActivity) -> Vec<(Vec<Ready>, u64)> {
+    ///
+    /// The k-th of n input spikes enters the mesh when k / n of the injection have passed, while others are injected; cores
+    /// begin when all are.
+    fn senders(&self, step: &StepActivity, injection: u64) -> Vec<(Vec<Ready>, u64)> {
         let (routes, table) = (self.routes, self.table);
         let handling = |message: &Message| {
             let counts = [
@@ -291,11 +301,17 @@ impl<'w> Queue<'w> {
         };
         let ready = |after: u64, message: &Message| Ready { after, to: message.core.0, handling: handling(message) };
         let mut senders: Vec<(Vec<Ready>, u64)> = vec![Default::default(); routes.tiles.len()];
-        for channel in &step.channels {
+        let spikes = step.channels.len() as u128;
+        for (number, channel) in (1..).zip(&step.channels) {
+            let now = (u128::from(injection) * number / spikes) as u64;
             for message in routes.inputs.get(channel.index()) {
-                senders[routes.port(message.core)].0.push(ready(0, message));
+                // Between messages a port keeps the time that has passed.
+                let (messages, passed) = &mut senders[routes.port(message.core)];
+                messages.push(ready(now - std::mem::replace(passed, now), message));
             }
         }
+        senders[routes.cores..].iter_mut().for_each(|(_, passed)| *passed = 0);
+        senders[..routes.cores].iter_mut().for_each(|(_, after)| *after = injection);
         // Visits in slot order, each for the mean time of its core's.
         let visits: Vec<u64> = step
             .cores
@@ -324,63 +340,69 @@ impl<'w> Queue<'w> {
 
     /// Takes what was received by now out of the mesh.
     fn advance(&mut self, now: u64) {
-        while let Some(&Reverse((received, from, to, handling))) = self.under_way.peek()
+        while let Some(&Reverse((received, from, to, handling))) = self.memory.under_way.peek()
             && received <= now
         {
-            self.under_way.pop();
+            self.memory.under_way.pop();
             self.handling -= u128::from(handling);
-            self.occupy(from as usize, to as usize, false);
+            let (routes, occupied) = (self.routes, &mut self.memory.occupied);
+            let (from, to) = (from as usize, to as usize);
+            let part = MESSAGE / (u64::from(routes.route(from, to).links()) + 2);
+            occupied[routes.first_link(from) as usize] -= part;
+            routes.each_link(from, to, |link, _| occupied[link as usize] -= part);
         }
-    }
-
-    fn occupy(&mut self, from: usize, to: usize, enters: bool) {
-        let routes = self.routes;
-        let part = MESSAGE / (u64::from(routes.route(from, to).links()) + 2);
-        let mut change = |link: Link| {
-            let occupied = &mut self.occupied[link as usize];
-            *occupied = if enters { *occupied + part } else { *occupied - part };
-        };
-        change(routes.first_link(from));
-        routes.each_link(from, to, |link, _| change(link));
     }
 
     /// Sends a message at `now`; returns when its sender was done with it and when its receiver was.
     fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
-        let (routes, to) = (self.routes, message.to as usize);
+        let (routes, table, to) = (self.routes, self.table, message.to as usize);
+        let QueueMemory { occupied, free, touched, done, under_way, path } = &mut *self.memory;
         let route = routes.route(from, to);
-        let mut along = u128::from(self.occupied[routes.first_link(from) as usize]);
-        routes.each_link(from, to, |link, _| along += u128::from(self.occupied[link as usize]));
-        let links = u128::from(route.links()) + 1;
-        let mean = self.handling / (self.under_way.len() as u128).max(1);
-        let whole = u128::from(MESSAGE);
+        path.clear();
+        path.push((routes.first_link(from), false));
+        routes.each_link(from, to, |link, between_chips| path.push((link, between_chips)));
+        let links = path.len() as u64;
+        let part = MESSAGE / (links + 1);
+        let mut along = 0u128;
+        for &(link, _) in &*path {
+            let here = &mut occupied[link as usize];
+            if *here == 0 {
+                touched.push(link);
+            }
+            along += u128::from(*here);
+            *here += part;
+        }
+        let mean = quotient(self.handling, (under_way.len() as u64).max(1));
         // A way holds its links' buffers; what is beyond that has to be received first.
-        let beyond = along.saturating_sub(links * u128::from(self.table.link_buffer) * whole);
-        let leaves = now.saturating_add((beyond * mean / whole) as u64);
-        let congested = (along * mean / whole / links) as u64;
-        // One message after the other on each link.
+        let beyond = along.saturating_sub(u128::from(links) * u128::from(table.link_buffer) * u128::from(MESSAGE));
+        let leaves = now.saturating_add((beyond * mean / u128::from(MESSAGE)) as u64);
+        let congested = quotient(along * mean / u128::from(MESSAGE), links) as u64;
+        // One message after the other on each link; a sender's own link is as fast as the sender.
         let mut at = leaves;
-        routes.each_link(from, to, |link, between_chips| {
-            let free = &mut self.free[link as usize];
+        for &(link, between_chips) in &path[1..] {
+            let free = &mut free[link as usize];
             at = at.max(*free);
-            *free = at + if between_chips { self.table.link_chip_time.0 } else { self.table.link_time.0 };
-        });
+            *free = at + if between_chips { table.link_chip_time.0 } else { table.link_time.0 };
+        }
         let waited = at - leaves;
-        let way = (route_time(route, self.table).0 + waited).max(congested);
-        let received = self.done[to].max(leaves.saturating_add(way));
-        self.done[to] = received.saturating_add(message.handling);
-        self.under_way.push(Reverse((received, from as u32, message.to, message.handling)));
+        let way = (route_time(route, table).0 + waited).max(congested);
+        let received = done[to].max(leaves.saturating_add(way));
+        done[to] = received.saturating_add(message.handling);
+        under_way.push(Reverse((received, from as u32, message.to, message.handling)));
         self.handling += u128::from(message.handling);
-        self.occupy(from, to, true);
-        (leaves, self.done[to])
+        (leaves, done[to])
     }
 
-    /// The busiest core's own time and what the mesh adds to it.
-    fn run(mut self, step: &StepActivity) -> (Picoseconds, Picoseconds) {
-        let senders = self.senders(step);
+    /// The busiest core's own time and what the mesh adds to it, both counted from the end of the injection.
+    fn run(mut self, step: &StepActivity, injection: Picoseconds) -> (Picoseconds, Picoseconds) {
+        let senders = self.senders(step, injection.0);
         let mut received = vec![0u64; self.routes.cores];
         let mut alone = 0;
-        for (messages, after) in &senders {
-            alone = alone.max(messages.iter().map(|message| message.after).sum::<u64>() + after);
+        for (number, (messages, after)) in senders.iter().enumerate() {
+            let time = messages.iter().map(|message| message.after).sum::<u64>() + after;
+            if number < self.routes.cores {
+                alone = alone.max(time.saturating_sub(injection.0));
+            }
             messages.iter().for_each(|message| received[message.to as usize] += message.handling);
         }
         alone = alone.max(received.into_iter().max().unwrap_or(0));
@@ -393,18 +415,45 @@ impl<'w> Queue<'w> {
                 None => last = last.max(*after),
             }
         }
-        while let Some(Reverse((now, sender, number))) = next.pop() {
-            self.advance(now);
+        while let Some(Reverse((mut now, sender, mut number))) = next.pop() {
             let (messages, after) = &senders[sender];
-            let (left, done) = self.send(now, sender, messages[number]);
-            last = last.max(done);
-            match messages.get(number + 1) {
-                Some(message) => next.push(Reverse((left.saturating_add(message.after), sender, number + 1))),
-                None => last = last.max(left.saturating_add(*after)),
+            // A sender goes on while no other is earlier.
+            loop {
+                self.advance(now);
+                let (left, done) = self.send(now, sender, messages[number]);
+                last = last.max(done);
+                number += 1;
+                let Some(message) = messages.get(number) else {
+                    last = last.max(left.saturating_add(*after));
+                    break;
+                };
+                now = left.saturating_add(message.after);
+                if next.peek().is_some_and(|&Reverse((at, other, _))| (at, other) < (now, sender)) {
+                    next.push(Reverse((now, sender, number)));
+                    break;
+                }
             }
         }
-        (Picoseconds(alone), Picoseconds(last.saturating_sub(alone)))
+        self.clear();
+        // What was handled before the injection ended is no time of its own.
+        let took = last.saturating_sub(injection.0);
+        (Picoseconds(alone.min(took)), Picoseconds(took.saturating_sub(alone)))
     }
+
+    fn clear(&mut self) {
+        let QueueMemory { occupied, free, touched, done, under_way, .. } = &mut *self.memory;
+        for link in touched.drain(..) {
+            occupied[link as usize] = 0;
+            free[link as usize] = 0;
+        }
+        done.fill(0);
+        under_way.clear();
+    }
+}
+
+/// Division of what mostly fits into 64 bits, where it is several times faster.
+fn quotient(dividend: u128, divisor: u64) -> u128 {
+    u64::try_from(dividend).map_or_else(|_| dividend / u128::from(divisor), |small| (small / divisor).into())
 }
 
 #[cfg(test)]
@@ -487,7 +536,10 @@ pub(crate) mod tests {
     }
 
     fn queued(routes: &MessageRoutes, step: &StepActivity, table: &CostTable) -> u64 {
-        let (alone, added) = Queue::new(routes, table).run(step);
+        let mut memory = QueueMemory::default();
+        let mut time = || Queue::new(routes, table, &mut memory).run(step, Picoseconds(0));
+        let (alone, added) = time();
+        assert_eq!(time(), (alone, added), "the memory is as before");
         alone.0 + added.0
     }
 
@@ -541,7 +593,8 @@ pub(crate) mod tests {
         assert_eq!(queued(&routes, &step, &slow), 11 * 1_000_000 + 4_100 + 16_000);
         step.messages_from_inputs = 12;
         step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 12);
-        let time = routes.step_times(&step, &[slow], Transport::Analytic, 1, 1);
+        let memory = &mut QueueMemory::default();
+        let time = routes.step_times(&step, &[slow], Transport::Analytic, 1, 1, memory);
         assert_eq!(time[0].transport, Picoseconds(4_100 + 11 * 1_000_000));
     }
 
@@ -571,14 +624,38 @@ pub(crate) mod tests {
         let sana = table("sanafe-calibrated");
         let list: Vec<&[(u32, u32)]> = vec![&[(0, 5), (1, 3), (2, 9)]; 10];
         let routes = routes(&[(7, 3), (3, 2), (0, 0)], &list, &[&[] as &[_]; 30]);
-        let mut queue = Queue::new(&routes, &sana);
+        let mut memory = QueueMemory::default();
+        let mut queue = Queue::new(&routes, &sana, &mut memory);
         for (at, message) in
-            queue.senders(&step(3, &(0..10).collect::<Vec<_>>(), &[])).pop().unwrap().0.iter().enumerate()
+            queue.senders(&step(3, &(0..10).collect::<Vec<_>>(), &[]), 0).pop().unwrap().0.iter().enumerate()
         {
             queue.send(at as u64 * 10, 3, *message);
         }
-        assert!(queue.occupied.iter().any(|&part| part > 0) && queue.handling > 0);
+        assert!(queue.memory.occupied.iter().any(|&part| part > 0) && queue.handling > 0);
         queue.advance(u64::MAX);
-        assert!(queue.occupied.iter().all(|&part| part == 0) && queue.handling == 0 && queue.under_way.is_empty());
+        assert!(queue.memory.occupied.iter().all(|&part| part == 0) && queue.handling == 0);
+        queue.clear();
+        let QueueMemory { occupied, free, touched, done, under_way, .. } = &memory;
+        assert!([occupied, free, done].iter().all(|numbers| numbers.iter().all(|&number| number == 0)));
+        assert!(under_way.is_empty() && touched.is_empty());
+    }
+
+    #[test]
+    fn inputs_are_handled_while_others_are_injected() {
+        let sana = table("sanafe-calibrated");
+        let list: Vec<&[(u32, u32)]> = vec![&[(0, 50)]; 12];
+        let routes = routes(&[(1, 0)], &list, &[&[] as &[_]; 10]);
+        let step = step(1, &(0..12).collect::<Vec<_>>(), &[]);
+        let each = 16_000 + 50 * 3_800;
+        let mut memory = QueueMemory::default();
+        let mut time = |injection| {
+            let (alone, added) = Queue::new(&routes, &sana, &mut memory).run(&step, Picoseconds(injection));
+            alone.0 + added.0
+        };
+        assert_eq!(time(0), 4_100 + 12 * each);
+        // The receiver is slower than the injection: it began with the first of twelve spikes.
+        assert_eq!(time(12 * 1_000), 1_000 + 4_100 + 12 * each - 12 * 1_000);
+        // It waits for each: the last one is left when the injection ends, and the visits are shorter.
+        assert_eq!(time(12 * 1_000_000), 4_100 + each);
     }
 }
