@@ -98,6 +98,8 @@ fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
     let moved = |fit: Fit, count: u32| Fit {
         dv: nsim::base::fixed::Decay::new(900).unwrap(),
         refractory: nsim::base::fixed::Refractory::new(2).unwrap(),
+        delay: 2,
+        own: vec![vec![fit.threshold * 0.2], (0..count).map(|i| -0.02 * fit.threshold * f64::from(i)).collect()],
         threshold: fit.threshold * 0.6,
         gains: (0..count).map(|i| 0.8 + 0.05 * f64::from(i)).collect(),
         biases: (0..count).map(|i| 0.01 * (f64::from(i) - 3.0)).collect(),

@@ -131,6 +131,144 @@ fn recorded_trace(
     trace
 }
 
+/// What a network in real numbers does in a sample, potentials in thresholds.
+pub fn real_trace(graph: &Graph, compartments: u32) -> impl Fn(&Sample) -> Trace + Sync + use<> {
+    let (model, thresholds) =
+        (Model::<f64>::new(graph, reference::Options::default()), neuron::model_thresholds(graph));
+    move |sample| {
+        let potential = |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
+        Trace::record(&mut Reference::new(&model), sample, compartments, potential)
+    }
+}
+
+/// What a mapped network does in a sample.
+///
+/// # Errors
+/// `run.too-large`.
+pub fn machine_trace<'a>(
+    network: &Quantised,
+    program: &'a Program,
+) -> Result<impl Fn(&Sample) -> Trace + Sync + use<'a>> {
+    let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
+    let (thresholds, compartments) = (neuron::thresholds(network), network.compartments());
+    Ok(move |sample: &Sample| {
+        let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+        Trace::record(&mut machine, sample, compartments, |m, c| relative(m, c, &thresholds))
+    })
+}
+
+/// One of two networks: its layers, and what it does in a sample.
+#[derive(Clone, Copy)]
+pub struct Side<'a> {
+    /// The populations of compartments.
+    pub layers: &'a [Layer],
+    /// What it does.
+    pub trace: &'a (dyn Fn(&Sample) -> Trace + Sync),
+}
+
+impl std::fmt::Debug for Side<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Side").field("layers", &self.layers).finish_non_exhaustive()
+    }
+}
+
+/// Compares two networks whose populations of compartments have the same names and sizes, in whatever order. The shift of each
+/// layer is measured on the first samples.
+///
+/// # Errors
+/// `agree.populations` when the second lacks a population of the first or has it in another size.
+pub fn compare_networks(
+    (a, b): (Side<'_>, Side<'_>),
+    output: &Layer,
+    samples: &[&Sample],
+    steps: Option<u32>,
+    progress: Progress<'_>,
+) -> Result<Agreement> {
+    let there = |layer: &Layer| {
+        b.layers.iter().find(|other| other.name == layer.name && other.count == layer.count).ok_or_else(|| {
+            let message = format!("the second network has no population '{}' of {}", layer.name, layer.count);
+            Diagnostic::new("agree.populations", message).help("compare networks of the same layers")
+        })
+    };
+    let pairs = a.layers.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
+    // The second's compartments at the first's places.
+    let placed = |trace: Trace| {
+        let (all, row) =
+            (a.layers.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0), trace.steps as usize);
+        let mut out = Trace {
+            steps: trace.steps,
+            trains: vec![Vec::new(); all as usize],
+            potentials: vec![0.0; if trace.potentials.is_empty() { 0 } else { all as usize * row }],
+        };
+        for (here, there) in &pairs {
+            for i in 0..here.count {
+                let (to, from) = ((here.first + i) as usize, (there.first + i) as usize);
+                out.trains[to].clone_from(&trace.trains[from]);
+                if !out.potentials.is_empty() {
+                    out.potentials[to * row..(to + 1) * row]
+                        .copy_from_slice(&trace.potentials[from * row..(from + 1) * row]);
+                }
+            }
+        }
+        out
+    };
+    let limit = steps.unwrap_or(u32::MAX);
+    let both = |sample: &&Sample| {
+        let traces = ((a.trace)(sample).until(limit), placed((b.trace)(sample)).until(limit));
+        progress();
+        traces
+    };
+    let mut tally = Tally { layers: a.layers.to_vec(), output: output.clone(), ..Tally::default() };
+    for (batch, some) in samples.chunks(BATCH).enumerate() {
+        let traces: Vec<(Trace, Trace)> = some.par_iter().map(both).collect();
+        tally.add(batch * BATCH, &traces, some, &|layer, pairs| measured_shift(layer, pairs));
+    }
+    Ok(tally.agreement(samples))
+}
+
+/// Comparisons of layers and classes so far.
+#[derive(Debug, Default)]
+struct Tally {
+    layers: Vec<Layer>,
+    output: Layer,
+    comparisons: Vec<(Comparison, i32)>,
+    same: usize,
+    right: (usize, usize),
+}
+
+/// The shift of a layer, from the first traces.
+type ShiftOf<'a> = &'a dyn Fn(&Layer, &[(&Trace, &Trace)]) -> i32;
+
+impl Tally {
+    fn add(&mut self, first: usize, traces: &[(Trace, Trace)], samples: &[&Sample], shift: ShiftOf<'_>) {
+        if self.comparisons.is_empty() {
+            let pairs: Vec<(&Trace, &Trace)> = traces.iter().map(|(a, b)| (a, b)).collect();
+            self.comparisons = self.layers.iter().map(|layer| (Comparison::default(), shift(layer, &pairs))).collect();
+        }
+        for (i, ((a, b), sample)) in traces.iter().zip(samples).enumerate() {
+            for (layer, (comparison, shift)) in self.layers.iter().zip(&mut self.comparisons) {
+                comparison.add(first + i, layer, a, b, *shift);
+            }
+            let (class_a, class_b) = (a.class(&self.output), b.class(&self.output));
+            self.same += usize::from(class_a == class_b);
+            self.right.0 += usize::from(class_a == sample.label());
+            self.right.1 += usize::from(class_b == sample.label());
+        }
+    }
+
+    fn agreement(self, samples: &[&Sample]) -> Agreement {
+        let known = self.layers.contains(&self.output);
+        let labelled = known && samples.iter().all(|sample| sample.label().is_some());
+        let share = |count: usize| count as f64 / samples.len().max(1) as f64;
+        let rows = self.layers.into_iter().zip(self.comparisons);
+        Agreement {
+            layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
+            same_class: known.then_some(self.same),
+            accuracy: labelled.then(|| (share(self.right.0), share(self.right.1))),
+        }
+    }
+}
+
 /// Runs both networks on all samples and compares them.
 ///
 /// # Errors
@@ -177,37 +315,15 @@ pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Prog
         progress();
         (first, second.until(limit))
     };
-    let mut comparisons: Vec<(Comparison, i32)> = Vec::new();
-    let (mut same, mut right) = (0usize, (0usize, 0usize));
+    let mut tally = Tally { layers: compared, output, ..Tally::default() };
     for (batch, some) in samples.chunks(BATCH).enumerate() {
         let indexed: Vec<(usize, &&Sample)> = some.iter().enumerate().map(|(i, s)| (batch * BATCH + i, s)).collect();
         let traces: Vec<(Trace, Trace)> = indexed.into_par_iter().map(pair).collect();
-        if comparisons.is_empty() {
-            let pairs: Vec<(&Trace, &Trace)> = traces.iter().map(|(a, b)| (a, b)).collect();
-            let shift = |layer: &Layer| match counterpart {
-                Counterpart::Srm => -1,
-                Counterpart::Cuba | Counterpart::Golden => 0,
-                Counterpart::Recorded(_) => measured_shift(layer, &pairs),
-            };
-            comparisons = compared.iter().map(|layer| (Comparison::default(), shift(layer))).collect();
-        }
-        for (i, ((a, b), sample)) in traces.iter().zip(some).enumerate() {
-            for (layer, (comparison, shift)) in compared.iter().zip(&mut comparisons) {
-                comparison.add(batch * BATCH + i, layer, a, b, *shift);
-            }
-            let (class_a, class_b) = (a.class(&output), b.class(&output));
-            same += usize::from(class_a == class_b);
-            right.0 += usize::from(class_a == sample.label());
-            right.1 += usize::from(class_b == sample.label());
-        }
+        tally.add(batch * BATCH, &traces, some, &|layer, pairs| match counterpart {
+            Counterpart::Srm => -1,
+            Counterpart::Cuba | Counterpart::Golden => 0,
+            Counterpart::Recorded(_) => measured_shift(layer, pairs),
+        });
     }
-    let known = compared.contains(&output);
-    let labelled = known && samples.iter().all(|sample| sample.label().is_some());
-    let share = |count: usize| count as f64 / samples.len().max(1) as f64;
-    let rows = compared.into_iter().zip(comparisons);
-    Ok(Agreement {
-        layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
-        same_class: known.then_some(same),
-        accuracy: labelled.then(|| (share(right.0), share(right.1))),
-    })
+    Ok(tally.agreement(samples))
 }

@@ -8,11 +8,14 @@
 //! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every product one of 24 by 13 bits,
 //! so that the doubles hold exactly what the chip's registers hold.
 
+use petgraph::graph::NodeIndex;
+
 use crate::base::diagnostic::Diagnostic;
 use crate::compile::frontend::analytic::{self, Fit};
-use crate::compile::frontend::quantise::{quantise, scales};
+use crate::compile::frontend::exponents::Detail;
+use crate::compile::frontend::quantise::{quantise_with, scales};
 use crate::desc::network::ThresholdTest;
-use crate::ir::graph::{Graph, NeuronParameters, PopulationKind, SrmParameters};
+use crate::ir::graph::{self, Graph, NeuronParameters, PopulationKind, SrmParameters};
 use crate::ir::quantised::{self, Quantised, Reset, Units};
 use crate::ir::spikes::Sample;
 use crate::neuron::RealForm;
@@ -67,6 +70,13 @@ impl Rung {
         self.0[cause as usize]
     }
 
+    /// The same with one less.
+    #[must_use]
+    pub fn without(mut self, cause: Cause) -> Rung {
+        self.0[cause as usize] = false;
+        self
+    }
+
     /// The same with one more.
     #[must_use]
     pub fn with(mut self, cause: Cause) -> Rung {
@@ -96,17 +106,18 @@ struct Link {
     source: usize,
     target: usize,
     delay: u32,
-    /// In register units: real, and rounded without and with what a search chose.
-    real: Synapses<f64>,
-    rounded: Synapses<f64>,
-    calibrated: Synapses<f64>,
+    /// Whether it stands for what a hard reset takes.
+    restores: bool,
+    /// In register units.
+    synapses: Synapses<f64>,
 }
 
 /// A network in every form at once.
 #[derive(Debug)]
 pub struct Ladder {
     populations: Vec<Population>,
-    links: Vec<Link>,
+    /// In real numbers without what a search chose, and with it; the same rounded.
+    links: [Vec<Link>; 4],
     compartments: u32,
     slots: usize,
     test: ThresholdTest,
@@ -125,7 +136,6 @@ struct Neuron {
     keep_v: f64,
     threshold: f64,
     bias: f64,
-    gain: f64,
     refractory: u32,
     clip: (f64, f64),
 }
@@ -139,8 +149,16 @@ impl Ladder {
     /// The ladder of a network; `fits` are in the order of its populations.
     ///
     /// # Errors
-    /// As [`quantise`].
+    /// As [`quantise`](crate::compile::frontend::quantise::quantise).
     pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<Ladder, Diagnostic> {
+        Ladder::with_exponents(graph, fits, Detail::Groups)
+    }
+
+    /// The same with exponents chosen this finely.
+    ///
+    /// # Errors
+    /// As [`quantise`](crate::compile::frontend::quantise::quantise).
+    pub fn with_exponents(graph: &Graph, fits: &[Option<Fit>], detail: Detail) -> Result<Ladder, Diagnostic> {
         let timestep_ms = graph.facts().timestep_ms;
         let plain: Vec<Option<Fit>> = graph
             .populations()
@@ -151,10 +169,10 @@ impl Ladder {
             })
             .collect();
         let (real, chosen) = (analytic::with_fits(graph, &plain), analytic::with_fits(graph, fits));
-        let (rounded, calibrated) = (quantise(&real)?, quantise(&chosen)?);
+        let (rounded, calibrated) = (quantise_with(&real, detail)?, quantise_with(&chosen, detail)?);
         // Everything is in the register units of the network that is deployed.
-        let units = scales(&chosen)?;
-        let plain_units = scales(&real)?;
+        let units = scales(&chosen, detail)?;
+        let plain_units = scales(&real, detail)?;
         let (mut channels, mut compartments) = (0, 0);
         let mut populations = Vec::new();
         for (((node, population), fit), scale) in graph.populations().zip(fits).zip(&units) {
@@ -170,34 +188,50 @@ impl Ladder {
             populations.push(Population { origin, first: *counter, count, scale: scale.unwrap_or(1.0) });
             *counter += count;
         }
-        let mut links = Vec::new();
-        for ((_, source, target, projection), (whole, chosen)) in
-            graph.projections().zip(rounded.projections().iter().zip(calibrated.projections()))
-        {
-            let (sources, targets) = (populations[source.index()].count, populations[target.index()].count);
-            let payload = graph.population(source).spike_factor();
-            let factor = match units[target.index()] {
-                Some(scale) => scale,
-                None => {
-                    projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value)
-                        * libm::exp2(6.0 + projection.weight_exp.value as f64)
+        let real_links = |graph: &Graph| {
+            let link = |(_, source, target, projection): (_, NodeIndex, NodeIndex, &graph::Projection)| {
+                let factor = units[target.index()].unwrap_or_else(|| {
+                    let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
+                    scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
+                });
+                let (sources, targets) = (populations[source.index()].count, populations[target.index()].count);
+                let factor = factor * graph.population(source).spike_factor();
+                Link {
+                    source: source.index(),
+                    target: target.index(),
+                    delay: projection.delay.get().into(),
+                    restores: analytic::stands_for_reset(&projection.name),
+                    synapses: Synapses::new(projection, sources, targets, factor),
                 }
             };
-            // A network rounded at another scale is brought to the units of the deployed one.
-            let rescale = match (units[target.index()], plain_units[target.index()]) {
-                (Some(here), Some(there)) => here / there,
-                _ => 1.0,
+            graph.projections().map(link).collect::<Vec<Link>>()
+        };
+        // A network rounded at another scale is brought to the units of the deployed one.
+        let integer_links = |network: &Quantised, own: &[Option<f64>]| {
+            let link = |projection: &quantised::Projection| {
+                let (source, target) = (projection.source.0 as usize, projection.target.0 as usize);
+                let rescale = match (units[target], own[target]) {
+                    (Some(here), Some(there)) => here / there,
+                    _ => 1.0,
+                };
+                let payload = f64::from(network.populations()[projection.source].spike_factor());
+                Link {
+                    source,
+                    target,
+                    delay: projection.delay.get().into(),
+                    restores: analytic::stands_for_reset(&projection.name),
+                    synapses: integer(projection, populations[source].count, rescale * payload),
+                }
             };
-            links.push(Link {
-                source: source.index(),
-                target: target.index(),
-                delay: projection.delay.get().into(),
-                real: Synapses::new(projection, sources, targets, factor * payload),
-                rounded: integer(whole, sources, rescale * payload),
-                calibrated: integer(chosen, sources, payload),
-            });
-        }
-        let slots = links.iter().map(|link| link.delay as usize + 2).max().unwrap_or(1);
+            network.projections().iter().map(link).collect::<Vec<Link>>()
+        };
+        let links = [
+            real_links(&real),
+            real_links(&chosen),
+            integer_links(&rounded, &plain_units),
+            integer_links(&calibrated, &units),
+        ];
+        let slots = links.iter().flatten().map(|link| link.delay as usize + 2).max().unwrap_or(1);
         let facts = graph.facts();
         let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
         let mut ladder = Ladder {
@@ -309,7 +343,6 @@ impl Ladder {
                 };
                 let real = matched * moved * of.scale;
                 let weights = rung.has(Cause::Weights);
-                let at = |each: &[f64], default: f64| each.get(index as usize).copied().unwrap_or(default);
                 Neuron {
                     keep_u: keeps.0,
                     keep_v: keeps.1,
@@ -321,10 +354,9 @@ impl Ladder {
                     },
                     bias: match (chosen, weights) {
                         (true, true) => integers.bias,
-                        (true, false) => at(&fit.biases, 0.0) * of.scale,
+                        (true, false) => fit.biases.get(index as usize).copied().unwrap_or(0.0) * of.scale,
                         (false, _) => 0.0,
                     },
-                    gain: if chosen && !weights { at(&fit.gains, 1.0) } else { 1.0 },
                     refractory: u32::from(fit.refractory.get()).max(1),
                     clip,
                 }
@@ -343,12 +375,11 @@ impl Ladder {
                     keep_v: decay("tau_v_ms", integers.keep_v),
                     threshold: in_registers("vth", integers.threshold),
                     bias: in_registers("bias", integers.bias),
-                    gain: 1.0,
                     refractory: integers.refractory,
                     clip,
                 }
             }
-            None => Neuron { keep_u: 0.0, keep_v: 0.0, threshold: 1.0, bias: 0.0, gain: 1.0, refractory: 1, clip },
+            None => Neuron { keep_u: 0.0, keep_v: 0.0, threshold: 1.0, bias: 0.0, refractory: 1, clip },
         }
     }
 
@@ -369,14 +400,15 @@ impl Ladder {
             potentials: if potentials { vec![0.0; self.compartments as usize * steps as usize] } else { Vec::new() },
         };
         let mut spikes: Vec<(usize, u32)> = Vec::new();
+        let links = &self.links[usize::from(rung.has(Cause::Weights)) * 2 + usize::from(rung.has(Cause::Calibration))];
         for now in 0..steps {
-            for link in self.links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
+            for link in links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
                 let of = &self.populations[link.source];
                 // Spike response kernels are 0 at their start.
                 let late = states[link.target].as_ref().is_some_and(|state| state.late);
                 let slot = (now + link.delay + u32::from(late)) as usize % self.slots;
                 let mine = sample.at(now).iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
-                mine.for_each(|c| _ = link.synapses(rung).deliver(c, &mut arrivals[link.target][slot]));
+                mine.for_each(|c| _ = link.synapses.deliver(c, &mut arrivals[link.target][slot]));
             }
             spikes.clear();
             let slot = now as usize % self.slots;
@@ -401,10 +433,10 @@ impl Ladder {
                     }
                 }
             }
-            for link in &self.links {
+            for link in links.iter().filter(|link| !link.restores || rung.has(Cause::HardReset)) {
                 let slot = (now + 1 + link.delay) as usize % self.slots;
                 for &(_, neuron) in spikes.iter().filter(|(population, _)| *population == link.source) {
-                    link.synapses(rung).deliver(neuron, &mut arrivals[link.target][slot]);
+                    link.synapses.deliver(neuron, &mut arrivals[link.target][slot]);
                 }
             }
         }
@@ -421,10 +453,12 @@ pub fn layers(network: &Quantised) -> Vec<Layer> {
     network.populations().iter().filter_map(layer).collect()
 }
 
-/// A fit without what only a search would choose: the peaks matched, no gains, no biases.
+/// A fit without what only a search would choose: the peaks matched, no delay, no synapse onto itself, no gains, no biases.
 fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
     Fit {
         threshold: analytic::matched_threshold(srm, timestep_ms, analytic::keep(fit.du), analytic::keep(fit.dv)),
+        delay: 0,
+        own: Vec::new(),
         gains: Vec::new(),
         biases: Vec::new(),
         ..fit.clone()
@@ -442,16 +476,6 @@ fn integer(projection: &quantised::Projection, sources: u32, factor: f64) -> Syn
         });
     }
     Synapses::list(sources, synapses)
-}
-
-impl Link {
-    fn synapses(&self, rung: Rung) -> &Synapses<f64> {
-        match (rung.has(Cause::Weights), rung.has(Cause::Calibration)) {
-            (false, _) => &self.real,
-            (true, false) => &self.rounded,
-            (true, true) => &self.calibrated,
-        }
-    }
 }
 
 /// A population of a rung while it runs.
@@ -576,7 +600,7 @@ impl State {
         }
         for (i, &arrived) in arrivals.iter().enumerate() {
             let n = self.neurons[i];
-            let x = narrow(arrived * n.gain);
+            let x = narrow(arrived);
             let q = if self.integers { wrapped(x, 21) } else { x };
             let free = if truncated {
                 self.past[self.newest][i] = q;

@@ -108,7 +108,8 @@ impl TrainSums {
 }
 
 /// Coincidences beyond chance, and what they could be at most (the factor's numerator and denominator).
-fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
+#[must_use]
+pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
     let rate = b.len() as f64 / f64::from(steps.max(1));
     let window = |delta: u32| f64::from(2 * delta + 1);
     let delta = (0..=WIDEST).rev().find(|&delta| rate * window(delta) <= 0.5).unwrap_or(0);

@@ -5,7 +5,7 @@ use crate::base::id::CompartmentId;
 use crate::ir::spikes::{Engine, Sample};
 
 /// A population as a trace has it: its neurons' place in the network.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Layer {
     /// Its name.
     pub name: String,

@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::agree::attribution::attribute;
-use crate::agree::compare::{Counterpart, Deployed, compare, output_layer};
+use crate::agree::compare::{
+    Counterpart, Deployed, Side, compare, compare_networks, machine_trace, output_layer, real_trace,
+};
 use crate::agree::ladder::{Ladder, layers};
 use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::{InputArgs, select};
@@ -14,6 +16,7 @@ use crate::cli::output;
 use crate::compile::frontend::analytic::Fit;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{CompileError, Form, Options, compile};
+use crate::convert::staged::is_real;
 use crate::desc::stimulus::{InputArg, InputSource};
 use crate::drive::inputs;
 use crate::error::Error;
@@ -21,6 +24,7 @@ use crate::io;
 use crate::io::spikes::read_source;
 use crate::ir::graph::Graph;
 use crate::ir::quantised::Quantised;
+use crate::ir::spikes::{Sample, Stimulus};
 use crate::report::agree::AgreeReport;
 
 const EXAMPLES: &str = "\
@@ -29,6 +33,7 @@ EXAMPLES:
   nsim agree container-tactile --input dataset.ron       a network of Loihi neurons against itself in real numbers
   nsim agree model.ron --input s.npy --against golden --require-exact
   nsim agree model.ron --input in.npy --against hidden=h.npy --against out=o.npy --require-exact
+  nsim agree srm.ron --against converted.ron             the trained network against a model file, on the same input
   nsim agree --require-class-agreement 0.99 --svg causes.svg";
 
 /// Compare a trained network with its deployed form: spikes, potentials, classes, and the causes of differences
@@ -41,7 +46,7 @@ pub struct Args {
     #[command(flatten)]
     input: InputArgs,
     /// What the deployed network is compared with: srm (as trained), cuba (current-based neurons in real numbers), golden
-    /// (the reference interpreter), or recorded spikes, [POPULATION=]FILE [default: srm for spike response networks, else cuba]
+    /// (the reference interpreter), a model file, or recorded spikes, [POPULATION=]FILE [default: srm for spike response networks, else cuba]
     #[arg(long, value_name = "srm|cuba|golden|FILE")]
     against: Vec<String>,
     #[command(flatten)]
@@ -90,6 +95,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Form::require_written("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
+    if let Some(other) = model_file(args) {
+        return with_model(args, (&graph, &analytic), other, (&stimulus, &samples), context);
+    }
     let against = against(args, &graph, &analytic)?;
 
     let wanted = args.calibration_samples as usize;
@@ -144,10 +152,74 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         output::update_section(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
     }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
-    let exact = agreement.layers.iter().all(|row| row.comparison.first_divergence.is_none());
+    Ok(answer(args, &report))
+}
+
+/// Whether the bounds that were asked for are kept; layers that never fire agree in nothing.
+fn answer(args: &Args, report: &AgreeReport<'_>) -> Answer {
+    let fired = report.layers.iter().any(|row| row.comparison.tally.spikes_a > 0);
+    let exact = fired && report.layers.iter().all(|row| row.comparison.first_divergence.is_none());
     let enough =
         args.require_class_agreement.is_none_or(|share| report.class_agreement().is_some_and(|is| is >= share));
-    Ok(if enough && (exact || !args.require_exact) { Answer::Yes } else { Answer::No })
+    if enough && (exact || !args.require_exact) { Answer::Yes } else { Answer::No }
+}
+
+/// The model file that `--against` names, if it names one.
+fn model_file(args: &Args) -> Option<&str> {
+    let [word] = args.against.as_slice() else { return None };
+    let extension = Path::new(word).extension()?.to_string_lossy().to_ascii_lowercase();
+    let foreign = ["nir", "net"].contains(&extension.as_str());
+    // A manifest of recorded spikes is RON as well.
+    let model = extension == "ron" && io::text::read_text(Path::new(word)).is_ok_and(|t| t.text().contains("Network("));
+    (Path::new(word).exists() && (foreign || model)).then_some(word)
+}
+
+/// A network as it was trained beside another model file in integers, on the same input.
+fn with_model(
+    args: &Args,
+    (graph, integers): (&Graph, &Quantised),
+    other: &str,
+    (stimulus, samples): (&Stimulus, &[&Sample]),
+    context: Context,
+) -> Result<Answer, Error> {
+    let (_, second) = real_and_integers(&io::model::load_model(other)?)?;
+    Form::require_written("nsim agree", &second, 1)?;
+    let target = io::target::load_target(&args.target)?;
+    let options = Options::default();
+    let programs = compile(integers.clone(), &target, &options)
+        .and_then(|first| Ok((first, compile(second.clone(), &target, &options)?)));
+    let (first, deployed) = match programs {
+        Ok(programs) => programs,
+        Err(CompileError::DoesNotFit(reasons)) => {
+            return Refusal::new(&args.model, target, reasons).say(crate::report::agree::nothing(), context);
+        }
+        Err(other) => return Err(other.into()),
+    };
+    let (real, machine) = (real_trace(graph, integers.compartments()), machine_trace(integers, &first.program)?);
+    let second_trace = machine_trace(&second, &deployed.program)?;
+    let (here, there) = (layers(integers), layers(&second));
+    let a = Side { layers: &here, trace: if is_real(graph) { &real } else { &machine } };
+    let b = Side { layers: &there, trace: &second_trace };
+    let output = output_layer(integers);
+    let agreement = output::with_progress(context, samples.len(), "samples", |done| {
+        compare_networks((a, b), &output, samples, args.steps, done)
+    })?;
+    let report = AgreeReport {
+        model: &graph.facts().name,
+        against: "another model",
+        input: &stimulus.origin,
+        seed: stimulus.seed,
+        samples: samples.len(),
+        same_class: agreement.same_class,
+        accuracy: agreement.accuracy,
+        layers: &agreement.layers,
+        found: None,
+        fits: &[],
+        attribution: None,
+        attribution_samples: 0,
+    };
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(answer(args, &report))
 }
 
 fn named(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {

@@ -7,6 +7,7 @@ pub mod agree;
 pub mod args;
 pub mod bench;
 pub mod context;
+pub mod convert;
 pub mod diagnostics;
 pub mod energy;
 pub mod export;
@@ -72,6 +73,7 @@ enum Command {
     /// Estimate power, latency and energy of a network, and compare with other hardware
     Energy(energy::args::EnergyArgs),
     Agree(agree::Args),
+    Convert(convert::Args),
     Bench(bench::Args),
     Scene(scene::Args),
     Train(train::Args),
@@ -96,6 +98,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
         Command::Agree(args) => agree::run(args, context),
+        Command::Convert(args) => convert::run(args, context),
         Command::Bench(args) => bench::run(args, context),
         Command::Scene(args) => scene::run(args, context),
         Command::Train(args) => train::run(args, context),

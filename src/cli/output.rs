@@ -83,13 +83,27 @@ pub fn update_section(
     svg: &str,
     context: Context,
 ) -> Result<(), Error> {
+    let beside = path.parent().unwrap_or(Path::new("")).join(picture);
+    let changed = with_section(path, mark, section)?;
+    io::write::file(&beside, context.force, |out| out.write_all(svg.as_bytes()))?;
+    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
+}
+
+/// Replaces the section `<!-- MARK -->` of a document.
+///
+/// # Errors
+/// As [`update_section`].
+pub fn update_text(path: &Path, mark: &str, section: &str, context: Context) -> Result<(), Error> {
+    let changed = with_section(path, mark, section)?;
+    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
+}
+
+fn with_section(path: &Path, mark: &str, section: &str) -> Result<String, Error> {
     let text = io::text::read_text(path)?;
     let changed = replaced(text.text(), mark, section).ok_or_else(|| {
         Diagnostic::new("document.section", format!("there is no section '<!-- {mark} -->'"))
             .help(format!("put '<!-- {mark} -->' and '<!-- end {mark} -->' on lines of their own"))
             .in_file(path)
     })?;
-    let beside = path.parent().unwrap_or(Path::new("")).join(picture);
-    io::write::file(&beside, context.force, |out| out.write_all(svg.as_bytes()))?;
-    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
+    Ok(changed)
 }

@@ -1,4 +1,6 @@
 //! Networks in real numbers -> integers, searched on samples.
 
 pub mod calibration;
+pub mod model_file;
 pub mod search;
+pub mod staged;

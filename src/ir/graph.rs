@@ -435,6 +435,15 @@ impl Graph {
         graph
     }
 
+    /// The same network with more projections, which come last; each with source and target.
+    #[must_use]
+    pub fn and_projections(mut self, added: Vec<(NodeIndex, NodeIndex, Projection)>) -> Graph {
+        for (source, target, projection) in added {
+            self.graph.add_edge(source, target, projection);
+        }
+        self
+    }
+
     /// The petgraph, for algorithms over it.
     #[must_use]
     pub fn petgraph(&self) -> &DiGraph<Population, Projection> {

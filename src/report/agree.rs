@@ -53,6 +53,11 @@ fn rounded(x: f64) -> f64 {
     format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
+/// Whether neither network spikes in a layer: equal trains of no spikes are nothing to compare.
+fn silent(row: &LayerRow) -> bool {
+    row.comparison.tally.spikes_a + row.comparison.tally.spikes_b == 0
+}
+
 fn score_json(score: &ConversionScore) -> Value {
     json!({
         "class_agreement": rounded(score.class_agreement),
@@ -66,7 +71,7 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
     ("shift", |row| row.shift.to_string()),
     ("spikes a", |row| row.comparison.tally.spikes_a.to_string()),
     ("spikes b", |row| row.comparison.tally.spikes_b.to_string()),
-    ("coincidence", |row| four(row.comparison.tally.coincidence())),
+    ("coincidence", |row| if silent(row) { "silent".to_string() } else { four(row.comparison.tally.coincidence()) }),
     ("van Rossum", |row| four(row.comparison.tally.van_rossum())),
     ("Victor-Purpura", |row| four(row.comparison.tally.victor_purpura())),
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
@@ -105,7 +110,7 @@ impl AgreeReport<'_> {
             "shift": row.shift,
             "spikes_a": tally.spikes_a,
             "spikes_b": tally.spikes_b,
-            "coincidence": rounded(tally.coincidence()),
+            "coincidence": (!silent(row)).then(|| rounded(tally.coincidence())),
             "van_rossum": rounded(tally.van_rossum()),
             "victor_purpura": rounded(tally.victor_purpura()),
             "potential_rmse": tally.potential_rmse().map(rounded),
@@ -304,6 +309,10 @@ impl AgreeReport<'_> {
         let table = table_of(self.layers, &LAYER_COLUMNS, 1);
         out += &format!("{table}\n\n");
         for row in self.layers {
+            if silent(row) {
+                out += &format!("'{}': neither spikes: nothing to compare\n", row.name);
+                continue;
+            }
             let Some(d) = row.comparison.first_divergence else {
                 out += &format!("'{}': every spike agrees\n", row.name);
                 continue;

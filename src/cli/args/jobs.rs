@@ -7,8 +7,12 @@ use crate::base::id::PopulationId;
 use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
+use crate::compile::frontend::analytic::with_fits;
+use crate::compile::frontend::quantise::quantise;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{self, CompileError, Compiled, Form, Options, Reason, mapping_file};
+use crate::convert::calibration::{self, RunInput};
+use crate::convert::search::search;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
 use crate::desc::target::Target;
@@ -17,6 +21,7 @@ use crate::io;
 use crate::ir::graph::Graph;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
 use crate::report;
 
 /// What names the network and the hardware.
@@ -248,15 +253,35 @@ fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| matches!(population.value, PopulationDesc::Srm(_)))
 }
 
-/// Warns that a network was trained with other neurons than it will run with.
-fn say_converted(network: &Network) {
-    if has_srm(network) {
-        tracing::warn!(
-            "{}: its spike response neurons are replaced by Loihi compartments (equal decays, matched peaks); `nsim agree` says \
-             how far they agree",
-            network.file().name
-        );
+/// Samples that a model is converted on where no command says how many.
+const CALIBRATION_SAMPLES: usize = 60;
+
+/// A network in integers: spike response neurons as `nsim convert` has them, on samples of the model's own scene, or by
+/// analysis where it has none. Deterministic, so that a saved mapping fits the same network again.
+fn converted(network: &Network) -> Result<compile::Front, Error> {
+    if !has_srm(network) {
+        return Ok(compile::front(network)?);
     }
+    let (graph, start) = real_and_integers(network)?;
+    let name = &network.file().name;
+    let run = RunInput { sources: &[], seed: None, scene: network.file().scene.as_deref() };
+    let Some(stimulus) = calibration::stimulus(&start, &[], run, CALIBRATION_SAMPLES)? else {
+        tracing::warn!(
+            "{name}: its spike response neurons become Loihi compartments by analysis alone (equal decays, matched peaks), as \
+             it has no scene to convert on; `nsim convert` takes samples and keeps the result"
+        );
+        return Ok(start.into());
+    };
+    let samples: Vec<&Sample> = stimulus.samples.iter().collect();
+    let found = search(&graph, &samples, |_| ())?;
+    tracing::warn!(
+        "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes agree in \
+         {:.4}, coincidence {:.3}; `nsim convert -o` keeps them",
+        found.samples,
+        found.end.class_agreement,
+        found.end.coincidence
+    );
+    Ok(quantise(&with_fits(&graph, &found.fits))?.into())
 }
 
 /// A network in integers, without what `--prune` leaves out.
@@ -264,8 +289,7 @@ fn say_converted(network: &Network) {
 /// # Errors
 /// [`Error`] when the network or what it is pruned for cannot be used.
 pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
-    let front = compile::front(network)?;
-    say_converted(network);
+    let front = converted(network)?;
     let probed: Vec<PopulationId> = probed.iter().filter_map(|name| front.quantised().population_named(name)).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
         Some(plan) => {

@@ -11,9 +11,11 @@
 //!
 //! The scale is free: weights and threshold are real here, and `quantise` takes the largest scale at which they fit.
 
-use crate::base::fixed::{DECAY_ONE, Decay, Refractory};
+use crate::base::fixed::{DECAY_ONE, Decay, Delay, Refractory, SignMode};
 use crate::desc::neurons::NeuronKind;
-use crate::ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, Projection, SrmParameters, Values};
+use crate::ir::graph::{
+    Graph, NeuronParameters, PerCompartment, PopulationKind, Projection, ProjectionKind, SrmParameters, Values,
+};
 
 /// The counterpart of a population of spike response neurons.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,6 +28,11 @@ pub struct Fit {
     pub refractory: Refractory,
     /// Threshold in the units of the weights.
     pub threshold: f64,
+    /// Steps by which all that comes in is delayed.
+    pub delay: u32,
+    /// Synapses of each compartment onto itself in the units of the weights: those of delay 0, 1, .., for each one weight for
+    /// all or one each.
+    pub own: Vec<Vec<f64>>,
     /// Factors of each compartment's incoming weights; none: all 1. Only for populations whose projections are all
     /// `Dense` or `Sparse`.
     pub gains: Vec<f64>,
@@ -70,6 +77,47 @@ pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, kee
     srm.theta * peak(keep_u, keep_v) / (std::f64::consts::E * r / tau * peak(r, r))
 }
 
+/// The threshold at which a constant input brings the potential as far as the alpha kernel does, relative to the threshold.
+#[must_use]
+pub fn area_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
+    // The sum of eps(k) = (e / tau) k r^k is (e / tau) r / (1 - r)^2.
+    let (tau, r) = (srm.tau_sr_ms / timestep_ms, real_keep(srm, timestep_ms));
+    let area = std::f64::consts::E / tau * r / ((1.0 - r) * (1.0 - r));
+    srm.theta / (area * (1.0 - keep_u) * (1.0 - keep_v))
+}
+
+/// Weights of the synapses of a compartment onto itself, of delay 0, 1, .., that give back what a spike's hard reset takes
+/// and bring the refractory response in its place.
+///
+/// A spike at step t leaves v(t) = 0 where the spike response neuron keeps its potential and adds nu(k), k steps later, nu(k) =
+/// -scale (k / tau_ref) exp(1 - k / tau_ref). With thresholds of 1 and g the voltage at a spike, the synapses have to bring the
+/// response `c(k) = g keep_v^k + nu(k)`. What arrives passes current and voltage, so that their weights are
+/// `w(z) = (1 - keep_u z) (1 - keep_v z) c(z)`, cut off after `count`. The voltage at a spike is above the threshold by up to the
+/// last step's input: `given_back` is its mean, which calibration finds. `refractory` scales nu.
+#[must_use]
+pub fn own_synapses(
+    (srm, timestep_ms): (&SrmParameters, f64),
+    (keep_u, keep_v): (f64, f64),
+    (given_back, refractory): (f64, f64),
+    count: usize,
+) -> Vec<f64> {
+    let tau = srm.tau_ref_ms / timestep_ms;
+    let nu = |k: usize| match k {
+        0 => 0.0,
+        _ => -refractory * srm.scale_ref * (k as f64 / tau) * libm::exp(1.0 - k as f64 / tau),
+    };
+    let before = |k: usize, by: usize| k.checked_sub(by).map_or(0.0, nu);
+    let weight = |k: usize| {
+        let given = match k {
+            1 => given_back * keep_v,
+            2 => -given_back * keep_v * keep_u,
+            _ => 0.0,
+        };
+        given + nu(k) - (keep_u + keep_v) * before(k, 1) + keep_u * keep_v * before(k, 2)
+    };
+    (1..=count).map(weight).collect()
+}
+
 /// The analytic start of a population at this timestep.
 #[must_use]
 pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
@@ -81,6 +129,8 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
         dv: decay,
         refractory: Refractory::new(1).unwrap_or(Refractory::MIN),
         threshold: matched_threshold(srm, timestep_ms, keep(decay), keep(decay)),
+        delay: 0,
+        own: Vec::new(),
         gains: Vec::new(),
         biases: Vec::new(),
     }
@@ -114,6 +164,15 @@ fn parameters(fit: &Fit) -> NeuronParameters {
     }
 }
 
+/// How the name of a projection from a population onto itself ends that stands for a reset.
+const ITSELF: &str = " -> itself";
+
+/// Whether a projection of this name is one of [`Fit::own`].
+#[must_use]
+pub fn stands_for_reset(name: &str) -> bool {
+    name.contains(ITSELF)
+}
+
 /// The network with Loihi compartments only, those of `fits` (in the order of the file) in place of spike response neurons.
 #[must_use]
 pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
@@ -121,13 +180,37 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),
         (other, _) => other.clone(),
     });
-    kinds.with_projections(|target, projection| match &fits[target.index()] {
-        Some(Fit { gains, .. }) if !gains.is_empty() && projection.kind.has_own_weights() => {
-            let kind = projection.kind.map_weights(|target, weight| weight * gains[target]);
-            Projection { kind, ..projection.clone() }
+    let changed = kinds.with_projections(|target, projection| {
+        let Some(Fit { gains, delay, .. }) = &fits[target.index()] else { return projection.clone() };
+        let late = i64::from(projection.delay.get()) + i64::from(*delay);
+        let kind = match !gains.is_empty() && projection.kind.has_own_weights() {
+            true => projection.kind.map_weights(|target, weight| weight * gains[target]),
+            false => projection.kind.clone(),
+        };
+        Projection { kind, delay: Delay::new(late).unwrap_or(Delay::MAX), ..projection.clone() }
+    });
+    let mut added = Vec::new();
+    for (node, population) in graph.populations() {
+        let own = fits[node.index()].as_ref().map_or(&[][..], |fit| &fit.own);
+        for (delay, weights) in own.iter().enumerate() {
+            let weight = |i: u32| weights.get(i as usize).or(weights.first()).copied().unwrap_or(0.0);
+            let all = (0..population.shape.len()).map(|i| (i, i, weight(i), population.span));
+            let projection = Projection {
+                name: format!("{}{ITSELF}", population.name),
+                span: population.span,
+                first_source: 0,
+                weight_exp: 0.into(),
+                sign: SignMode::Mixed,
+                weight_bits: 8.into(),
+                delay: Delay::new(delay as i64).unwrap_or(Delay::MAX),
+                weight_scale: None,
+                weights_span: population.span,
+                kind: ProjectionKind::Sparse { synapses: all.collect() },
+            };
+            added.push((node, node, projection));
         }
-        _ => projection.clone(),
-    })
+    }
+    changed.and_projections(added)
 }
 
 /// The network with Loihi compartments only, by analysis alone.
@@ -159,6 +242,19 @@ mod tests {
             let height = (0..5000).map(quantised).fold(0.0, f64::max) / fit.threshold;
             let wanted = (0..5000).map(alpha).fold(0.0, f64::max) / PAPER.theta;
             assert!((height / wanted - 1.0).abs() < 1e-12, "tau {tau}: {height} {wanted}");
+        }
+    }
+
+    #[test]
+    fn own_synapses_give_back_what_a_reset_takes() {
+        let (keep_u, keep_v, given) = (0.93, 0.7, 1.25);
+        let own = own_synapses((&PAPER, 1.0), (keep_u, keep_v), (given, 1.0), 40);
+        let (mut u, mut v) = (0.0, 0.0);
+        for (k, weight) in (1..).zip(&own) {
+            u = keep_u * u + weight;
+            v = keep_v * v + u;
+            let wanted = given * f64::powi(keep_v, k) - 2.0 * f64::from(k) * f64::exp(1.0 - f64::from(k));
+            assert!((v - wanted).abs() < 1e-12, "step {k}: {v} {wanted}");
         }
     }
 

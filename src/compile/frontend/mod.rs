@@ -2,6 +2,7 @@
 
 pub mod analytic;
 pub mod copies;
+pub mod exponents;
 pub mod lower;
 pub mod prune;
 pub mod quantise;

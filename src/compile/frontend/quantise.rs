@@ -3,8 +3,8 @@
 //! A population is in one of two domains. With `vth_mant` its threshold, bias and incoming weights are the hardware's own
 //! integers (a projection may still give real weights with a `weight_scale`). With a real `vth` everything that comes in
 //! is real, and one scale S, in register units for a real unit, turns it into integers: a weight of a format with
-//! exponent e has mantissa `w S / 2^(6 + e)`, the threshold mantissa is `vth S / 64`, the bias `b S`. S is the largest for
-//! which every weight and the threshold fit, unless a `weight_scale` pins it.
+//! exponent e has mantissa `w S / 2^(6 + e)`, the threshold mantissa is `vth S / 64`, the bias `b S`. S and the exponents are
+//! those of [`super::exponents`], unless a `weight_scale` pins S or a projection says its exponent.
 //!
 //! Time constants become `4096 (1 - exp(-dt / tau))`, the exact decay of an exponential over one timestep. Weights are
 //! rounded to their format's least step as `weight_rounding` says (`docs/semantics.md`, weights); whatever that changed is
@@ -21,6 +21,7 @@ use crate::base::fixed::{
     WeightBits, WeightExponent,
 };
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId};
+use crate::compile::frontend::exponents::{Detail, assigned};
 use crate::desc::network::{Semantics, WeightRounding};
 use crate::desc::neurons::{Conversion, ParameterField};
 use crate::desc::tensor::Tensor;
@@ -35,6 +36,15 @@ use crate::neuron;
 /// # Errors
 /// A diagnostic at the first number that fits no field, with its place in the model file.
 pub fn quantise(graph: &Graph) -> Result<Quantised> {
+    quantise_with(graph, Detail::Groups)
+}
+
+/// The same with exponents chosen this finely.
+///
+/// # Errors
+/// As [`quantise`].
+pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
+    let graph = &assigned(graph, detail);
     let mut stage = Stage { graph, notes: Vec::new() };
     let scales: Vec<Option<f64>> =
         graph.populations().map(|(node, population)| stage.scale(node, population)).collect::<Result<_, _>>()?;
@@ -83,7 +93,8 @@ pub fn quantise(graph: &Graph) -> Result<Quantised> {
 ///
 /// # Errors
 /// As [`quantise`], for thresholds and scales.
-pub fn scales(graph: &Graph) -> Result<Vec<Option<f64>>> {
+pub fn scales(graph: &Graph, detail: Detail) -> Result<Vec<Option<f64>>> {
+    let graph = &assigned(graph, detail);
     let stage = Stage { graph, notes: Vec::new() };
     graph.populations().map(|(node, population)| stage.scale(node, population)).collect()
 }
@@ -570,9 +581,10 @@ mod tests {
         assert_eq!(dense(&q), [128, 254, -64, 32], "1.0 takes the greatest weight, 254");
         let Units::Compartments { neurons, .. } = &q.populations().as_slice()[1].units else { panic!() };
         let neuron = neurons.get(1);
-        // S = 254 * 64 register units: the threshold 0.5 S / 64 = 127; du = 4096 (1 - exp(-1 / tau)) = 1024.
-        assert_eq!((neuron.vth.get(), neuron.du.get()), (127, 1024));
-        assert_eq!((neuron.bias_mant.get(), neuron.bias_exp.get()), (4064, 0));
+        // S = 254 * 64 * 2^3 register units, the last doubling at which 0.5 S is within 2^16: the threshold 0.5 S / 64 = 1,016;
+        // du = 4096 (1 - exp(-1 / tau)) = 1024.
+        assert_eq!((neuron.vth.get(), neuron.du.get()), (1016, 1024));
+        assert_eq!((neuron.bias_mant.get(), neuron.bias_exp.get()), (4064, 3));
     }
 
     #[test]

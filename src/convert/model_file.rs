@@ -1,0 +1,123 @@
+//! A network in integers -> the model file that holds them.
+//!
+//! Input: a network as `quantise` left it. Output: a model whose quantisation is that network again, number by number. Errors:
+//! synapses that a seed stands for, and spikes with a payload, which a written model does not hold.
+
+use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
+use crate::ir::graph::{Graph, Shape, Window};
+use crate::ir::quantised::{Connectivity, Neuron, Quantised, Units};
+
+fn shape(shape: Shape) -> Vec<u64> {
+    match shape {
+        Shape::Line(n) => vec![n.into()],
+        Shape::Volume(c, h, w) => vec![c.into(), h.into(), w.into()],
+    }
+}
+
+fn pair((y, x): (u32, u32)) -> (u64, u64) {
+    (y.into(), x.into())
+}
+
+fn unsupported(what: &str) -> Diagnostic {
+    Diagnostic::new("convert.unsupported", format!("{what} cannot be written as a converted model"))
+        .help("give it as an array")
+}
+
+/// The model of a network in integers; `graph` is what it was made from.
+///
+/// # Errors
+/// `convert.unsupported`.
+pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<ModelBuilder> {
+    let (parts, facts) = (network.parts(), graph.facts());
+    let mut model = ModelBuilder::new(&parts.name, parts.timestep_ms);
+    for population in &parts.populations {
+        if population.payload.is_some() {
+            return Err(unsupported(&format!("'{}', whose spikes have a payload,", population.name)));
+        }
+        let shape = shape(population.shape);
+        let built = match &population.units {
+            Units::Input(_) => PopulationBuilder::input(&population.name, shape),
+            Units::Compartments { neurons, start_step, .. } => {
+                let each: Vec<Neuron> = (0..population.shape.len()).map(|index| neurons.get(index)).collect();
+                let kind = each.first().map_or(Neuron::PLAIN.kind, |neuron| neuron.kind);
+                let values = |name: &str| -> Vec<f64> {
+                    let value = |neuron: &Neuron| match name {
+                        "du" => f64::from(neuron.du.get()),
+                        "dv" => f64::from(neuron.dv.get()),
+                        "vth_mant" => f64::from(neuron.vth.get()),
+                        "bias_mant" => f64::from(neuron.bias_mant.get()),
+                        "bias_exp" => f64::from(neuron.bias_exp.get()),
+                        "refractory" => f64::from(neuron.refractory.get()),
+                        "vmin_exp" => f64::from(neuron.vmin.get()),
+                        _ => f64::from(neuron.vmax.get()),
+                    };
+                    each.iter().map(value).collect()
+                };
+                let given = kind.parameters().iter().filter_map(|parameter| {
+                    let values = Parameter::from_values(values(parameter.name));
+                    let default = parameter.default.map(|default| Parameter::Same(default as f64));
+                    (default.as_ref() != Some(&values)).then_some((parameter.name, values))
+                });
+                let loihi = PopulationBuilder::loihi(&population.name, shape, given.collect());
+                PopulationBuilder { kind, start_step: *start_step, ..loihi }
+            }
+        };
+        model.populations.push(built);
+    }
+    for projection in &parts.projections {
+        let (source, target) = (&parts.populations[projection.source], &parts.populations[projection.target]);
+        let (sources, targets) = (source.shape.len() as usize, target.shape.len() as usize);
+        let window = |window: &Window| (pair(window.stride), pair(window.padding));
+        let kind = match &projection.connectivity {
+            Connectivity::Dense { weights, .. } => {
+                let at = |i: usize| f64::from(weights[i % sources * targets + i / sources]);
+                ProjectionKind::Dense(tensor(vec![targets, sources], (0..sources * targets).map(at).collect()))
+            }
+            Connectivity::Sparse { .. } => {
+                let mut listed = Vec::new();
+                for source in 0..sources as u32 {
+                    projection.connectivity.for_each_from(source, |target, weight| {
+                        listed.push((u64::from(source), u64::from(target), f64::from(weight)));
+                    });
+                }
+                ProjectionKind::Sparse(listed)
+            }
+            Connectivity::Conv2d { window: geometry, kernel } => {
+                let (stride, padding) = window(geometry);
+                let (kh, kw) = geometry.kernel;
+                let shape = [geometry.target.0, geometry.source.0 / geometry.groups, kh, kw];
+                ProjectionKind::Conv2d {
+                    weights: tensor(
+                        shape.iter().map(|&axis| axis as usize).collect(),
+                        kernel.iter().map(|&weight| f64::from(weight)).collect(),
+                    ),
+                    stride,
+                    padding,
+                    dilation: pair(geometry.dilation),
+                    groups: geometry.groups.into(),
+                }
+            }
+            Connectivity::SumPool2d { window: geometry, weight } => {
+                let (stride, padding) = window(geometry);
+                ProjectionKind::SumPool2d { kernel: pair(geometry.kernel), stride, padding, weight: f64::from(*weight) }
+            }
+            Connectivity::Random { .. } => return Err(unsupported("a Random projection")),
+        };
+        model.projections.push(ProjectionBuilder {
+            delay: projection.delay.get().into(),
+            weight_exp: projection.format.exponent.get().into(),
+            sign: projection.format.sign,
+            weight_bits: projection.format.bits.get().into(),
+            ..ProjectionBuilder::new(&source.name, &target.name, kind)
+        });
+    }
+    model.output = parts.populations[parts.output].name.clone();
+    model.classes = parts.classes.clone();
+    model.reset = facts.reset;
+    model.threshold = parts.threshold;
+    model.semantics = parts.semantics;
+    model.scene = facts.scene.clone();
+    model.provenance = Some(provenance);
+    Ok(model)
+}

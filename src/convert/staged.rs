@@ -1,0 +1,248 @@
+//! Conversion stage by stage: what each stage gains, what is left, and what to change about it.
+//!
+//! Input: a network with real numbers and calibration samples. Output: the network in integers, how near it is after each stage,
+//! and for each layer what it lost. Spike response networks go through [`super::search`], all others through the choice of
+//! exponents (`compile::frontend::exponents`). What the rest costs is found by putting the real number in the place of each kind of
+//! integer, all others staying (`agree::ladder`).
+
+use crate::agree::attribution::{Distance, distances};
+use crate::agree::compare::output_layer;
+use crate::agree::ladder::{Cause, Ladder, Rung};
+use crate::agree::trace::Comparison;
+use crate::base::diagnostic::Result;
+use crate::compile::frontend::analytic::{self, Fit};
+use crate::compile::frontend::exponents::Detail;
+use crate::convert::search::{self, SearchResult};
+use crate::golden::Golden;
+use crate::ir::graph::{Graph, PopulationKind};
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::{Engine, Sample};
+
+/// Samples on which overflows are counted, with the slow interpreter.
+const COUNTED: usize = 4;
+
+/// A stage and how near the network is after it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageRow {
+    /// What was done.
+    pub name: String,
+    /// How near that is, on the calibration samples.
+    pub distance: Distance,
+    /// Whether the result has it.
+    pub kept: bool,
+}
+
+/// What a layer lost.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerLoss {
+    /// The population.
+    pub name: String,
+    /// Coincidence factor; none where neither network spikes, as there is nothing to compare.
+    pub coincidence: Option<f64>,
+    /// Exponent of each projection into it.
+    pub weight_exp: Vec<i64>,
+    /// Voltages that were clipped, counted on a few samples.
+    pub clipped: u64,
+    /// What to change.
+    pub advice: Option<String>,
+}
+
+/// A kind of integer, and how near the network would be with the real number in its place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Left {
+    /// The kind.
+    pub cause: Cause,
+    /// How near it would be.
+    pub without: Distance,
+}
+
+/// How far integers are from the network that they stand for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// Over all layers.
+    pub distance: Distance,
+    /// Layer by layer: name, coincidence (none where nothing spikes), spikes of the integers.
+    pub layers: Vec<(String, Option<f64>, u64)>,
+    /// Samples.
+    pub samples: usize,
+}
+
+/// A network in integers and how it got there.
+#[derive(Debug)]
+pub struct Converted {
+    /// The integers.
+    pub network: Quantised,
+    /// What stands for each spike response population.
+    pub fits: Vec<Option<Fit>>,
+    /// Every stage that was tried.
+    pub stages: Vec<StageRow>,
+    /// Layer by layer.
+    pub layers: Vec<LayerLoss>,
+    /// What each kind of integer still costs.
+    pub left: Vec<Left>,
+    /// On the calibration samples.
+    pub calibration: Measured,
+    /// The steps between the network and its integers.
+    pub ladder: Ladder,
+}
+
+/// Whether a network has real numbers that are to become integers.
+#[must_use]
+pub fn is_real(graph: &Graph) -> bool {
+    let real = |kind: &PopulationKind| match kind {
+        PopulationKind::Input => false,
+        PopulationKind::Srm(_) => true,
+        PopulationKind::Neurons(parameters) => {
+            ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.get(name).is_some())
+        }
+    };
+    graph.populations().any(|(_, population)| real(&population.kind))
+        || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some())
+}
+
+/// The network as it was trained, kernels not truncated.
+fn trained(ladder: &Ladder) -> Rung {
+    ladder.trained().with(Cause::Untruncated)
+}
+
+fn measured(ladder: &Ladder, samples: &[&Sample]) -> Measured {
+    let output = output_layer(ladder.deployed());
+    let from = trained(ladder);
+    let distance = distances(ladder, from, &[Rung::MACHINE], &output, samples)[0];
+    let layers = ladder.layers();
+    let mut comparisons = vec![Comparison::default(); layers.len()];
+    for (index, sample) in samples.iter().enumerate() {
+        let (a, b) = (ladder.run(from, sample, false), ladder.run(Rung::MACHINE, sample, false));
+        let shift = ladder.shift(Rung::MACHINE) - ladder.shift(from);
+        layers.iter().zip(&mut comparisons).for_each(|(layer, sum)| sum.add(index, layer, &a, &b, shift));
+    }
+    let rows = layers.into_iter().zip(comparisons).map(|(layer, sum)| {
+        let silent = sum.tally.spikes_a + sum.tally.spikes_b == 0;
+        (layer.name, (!silent).then(|| sum.tally.coincidence()), sum.tally.spikes_b)
+    });
+    Measured { distance, layers: rows.collect(), samples: samples.len() }
+}
+
+impl Converted {
+    /// How far the integers are from the trained network on other samples.
+    #[must_use]
+    pub fn on(&self, samples: &[&Sample]) -> Measured {
+        measured(&self.ladder, samples)
+    }
+}
+
+/// Converts.
+///
+/// # Errors
+/// As `compile::frontend::quantise`.
+pub fn convert(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> Result<Converted> {
+    let (fits, stages, ladder) = match graph.has_srm() {
+        true => by_search(graph, samples, progress)?,
+        false => by_exponents(graph, samples)?,
+    };
+    let calibration = measured(&ladder, samples);
+    let output = output_layer(ladder.deployed());
+    let costly: Vec<Cause> =
+        ladder.causes().iter().copied().filter(|cause| !matches!(cause, Cause::Untruncated | Cause::Kernel)).collect();
+    let rungs: Vec<Rung> = costly.iter().map(|&cause| Rung::MACHINE.without(cause)).collect();
+    let without = distances(&ladder, trained(&ladder), &rungs, &output, samples);
+    let left: Vec<Left> = costly.into_iter().zip(without).map(|(cause, without)| Left { cause, without }).collect();
+    let network = ladder.deployed().clone();
+    let layers = losses(&network, &calibration, &left, samples);
+    Ok(Converted { network, fits, stages, layers, left, calibration, ladder })
+}
+
+type Steps = (Vec<Option<Fit>>, Vec<StageRow>, Ladder);
+
+fn by_search(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> Result<Steps> {
+    let SearchResult { fits, stages, .. } = search::search(graph, samples, progress)?;
+    let last = stages.iter().position(|(_, of_stage, _)| *of_stage == fits).unwrap_or(0);
+    let row = |(place, (stage, of_stage, _)): (usize, &(search::Stage, Vec<Option<Fit>>, _))| {
+        let ladder = Ladder::new(graph, of_stage)?;
+        let output = output_layer(ladder.deployed());
+        let distance = distances(&ladder, trained(&ladder), &[Rung::MACHINE], &output, samples)[0];
+        Ok(StageRow { name: stage.name().to_string(), distance, kept: place <= last })
+    };
+    let rows = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
+    let ladder = Ladder::new(graph, &fits)?;
+    Ok((fits, rows, ladder))
+}
+
+fn by_exponents(graph: &Graph, samples: &[&Sample]) -> Result<Steps> {
+    let fits = analytic::starts(graph);
+    let mut rows = Vec::new();
+    for (name, detail) in [
+        ("analytic start", Detail::Zero),
+        ("a scale a population, an exponent a projection", Detail::Projections),
+        ("an exponent for weights of like size", Detail::Groups),
+    ] {
+        let ladder = Ladder::with_exponents(graph, &fits, detail)?;
+        let output = output_layer(ladder.deployed());
+        let distance = distances(&ladder, trained(&ladder), &[Rung::MACHINE], &output, samples)[0];
+        rows.push(StageRow { name: name.to_string(), distance, kept: true });
+    }
+    Ok((fits.clone(), rows, Ladder::new(graph, &fits)?))
+}
+
+/// What each layer lost, and what to do about it.
+fn losses(network: &Quantised, measured: &Measured, left: &[Left], samples: &[&Sample]) -> Vec<LayerLoss> {
+    let clipped = clipped(network, samples);
+    let most = left.iter().max_by(|a, b| a.without.coincidence.total_cmp(&b.without.coincidence));
+    let rows = measured.layers.iter().map(|(name, coincidence, spikes)| {
+        let target = network.population_named(name);
+        let into = network.projections().iter().filter(|projection| Some(projection.target) == target);
+        let clipped = clipped.iter().find(|(clips, _)| clips == name).map_or(0, |(_, count)| *count);
+        let advice = match (spikes, coincidence, clipped) {
+            (0, None, _) => Some("it never fires: nothing to compare; show it input that drives it".to_string()),
+            (0, Some(_), _) => {
+                Some("its integers never fire where the trained layer does: lower its threshold".to_string())
+            }
+            (_, _, 1..) => {
+                Some("its voltages clip: raise vmin_exp, or divide its weights and threshold by 2".to_string())
+            }
+            (_, Some(coincidence), 0) if *coincidence < 0.95 => most.map(|left| advice(left.cause, measured, left)),
+            _ => None,
+        };
+        let weight_exp = into.map(|projection| projection.format.exponent.get().into()).collect();
+        LayerLoss { name: name.clone(), coincidence: *coincidence, weight_exp, clipped, advice }
+    });
+    rows.collect()
+}
+
+/// The one change that would recover most.
+fn advice(cause: Cause, measured: &Measured, left: &Left) -> String {
+    let (now, then) = (measured.distance.coincidence, left.without.coincidence);
+    let change = match cause {
+        Cause::HardReset => "the hard reset costs most: train with neurons that reset (nsim train, Loihi neurons)",
+        Cause::Weights => "weight rounding costs most: fine-tune, or spread large weights over two synapses",
+        Cause::Decays => "the steps of the decays cost most: choose a shorter timestep",
+        Cause::State => "rounding of the state costs most: scale weights and threshold up",
+        Cause::Calibration => "the calibration costs most: give it more samples (--calibration-samples)",
+        Cause::Untruncated | Cause::Kernel => "the kernel costs most",
+    };
+    format!("{change} (coincidence of all layers {now:.3}, {then:.3} without this cause)")
+}
+
+/// Voltages that are clipped in each population with any, on the first samples.
+fn clipped(network: &Quantised, samples: &[&Sample]) -> Vec<(String, u64)> {
+    let mut engine = Golden::new(network);
+    let mut counts: Vec<(String, u64)> = Vec::new();
+    for sample in samples.iter().take(COUNTED) {
+        engine.begin(sample.steps());
+        for step in 0..sample.steps() {
+            engine.step(sample.at(step));
+        }
+        let overflow = engine.overflow();
+        let Some((_, first)) = overflow.first.filter(|_| overflow.v_clipped > 0) else { continue };
+        let name = network.populations().iter().find(|population| {
+            population.first_compartment().is_some_and(|at| (at.0..at.0 + population.shape.len()).contains(&first.0))
+        });
+        if let Some(population) = name {
+            match counts.iter_mut().find(|(name, _)| *name == population.name) {
+                Some((_, count)) => *count += overflow.v_clipped,
+                None => counts.push((population.name.clone(), overflow.v_clipped)),
+            }
+        }
+    }
+    counts
+}
