@@ -578,7 +578,16 @@ mod tests {
             "Dense(from: [\"in\"], to: \"o\", weights: [[0.5, -0.25], [1.0, 0.125]])",
         );
         let q = quantised(&text).unwrap();
-        assert_eq!(dense(&q), [128, 254, -64, 32], "1.0 takes the greatest weight, 254");
+        let mut scaled = [[0; 2]; 2];
+        for projection in q.projections().iter() {
+            for source in 0..2 {
+                let at =
+                    |target: u32, weight| scaled[target as usize][source as usize] += projection.format.scaled(weight);
+                projection.connectivity.for_each_from(source, at);
+            }
+        }
+        // 1.0 takes the greatest weight, 254, with exponent 3; -0.25 and 0.125 have exponent 1.
+        assert_eq!(scaled, [[128 << 9, -(254 << 7)], [254 << 9, 128 << 7]]);
         let Units::Compartments { neurons, .. } = &q.populations().as_slice()[1].units else { panic!() };
         let neuron = neurons.get(1);
         // S = 254 * 64 * 2^3 register units, the last doubling at which 0.5 S is within 2^16: the threshold 0.5 S / 64 = 1,016;
