@@ -85,7 +85,7 @@ pub struct Args {
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    io::write::check_all_free(&args.svg, context.force)?;
+    let taken = output::check_files(None, &args.svg, context)?;
     if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
         return Err(Error::Usage("--require-class-agreement is a share between 0 and 1".to_string()));
     }
@@ -151,7 +151,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let svg = crate::report::agree::bars(name, attribution);
         output::update_section(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
     }
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    if !taken {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
     Ok(answer(args, &report))
 }
 

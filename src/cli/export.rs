@@ -9,6 +9,7 @@ use serde_json::json;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::compile::frontend;
 use crate::error::Error;
 use crate::io::foreign::{hdf5, nir_export};
 use crate::io::model_builder::ModelBuilder;
@@ -31,13 +32,15 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// When the model cannot be read or has parts that NIR has no form for.
+/// When the model cannot be read, is one that no command would run, or has parts that NIR has no form for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if args.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("nir")) {
         return Err(Error::Usage(format!("-o {}: models are exported as .nir", args.output.display())));
     }
     write::check_free(&args.output, context.force)?;
-    let model = ModelBuilder::from_network(&model::load_model(&args.model)?)?;
+    let network = model::load_model(&args.model)?;
+    frontend::check(&network)?;
+    let model = ModelBuilder::from_network(&network)?;
     let (tree, notes) = nir_export::export(&model)?;
     let bytes = hdf5::write(&tree)?;
     write::file(&args.output, context.force, |out| out.write_all(&bytes))?;

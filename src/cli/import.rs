@@ -11,7 +11,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::cli::args::values::one_of_named;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::frontend::lower::lower;
+use crate::compile::frontend;
 use crate::desc::network::ThresholdTest;
 use crate::error::Error;
 use crate::io::foreign::{self, Imported, Options, ResetMode};
@@ -89,16 +89,19 @@ impl Args {
 /// # Errors
 /// When the file cannot be read, is of no kind that is imported, or holds what nsim has no counterpart for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let taken = output::check_files(&args.output, None, context)?;
     let imported = foreign::read(&args.file, &args.options()?)?;
     let shown = args.output.as_deref().unwrap_or(&args.file);
-    lower(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;
+    frontend::check(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;
     let files = match &args.output {
         Some(path) => imported.model.write(path, context.force)?,
         None => Vec::new(),
     };
     let found = findings(&imported, &files);
     let file = args.file.display().to_string();
-    output::print(context.format, || found.text(&file), || found.json("nsim.import/1", &file), || found.csv())?;
+    if !taken {
+        output::print(context.format, || found.text(&file), || found.json("nsim.import/1", &file), || found.csv())?;
+    }
     Ok(Answer::Yes)
 }
 

@@ -1,6 +1,6 @@
 //! `nsim map`: compiles a model for a target and says how it fits, or every reason why it does not.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::cli::args::jobs::{self, JobArgs};
 use crate::cli::args::values::one_of;
@@ -77,13 +77,26 @@ pub struct MapArgs {
 /// # Errors
 /// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
-    io::write::check_all_free([&args.output, &args.svg, &args.pareto].into_iter().flatten(), context.force)?;
+    let pictures = [&args.svg, &args.pareto].into_iter().flatten();
+    let taken = output::check_files(&args.output, pictures, context)?;
     let network = io::model::load_model(&args.job.model)?;
     let target = io::target::load_target(&args.job.target)?;
     let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
     let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
     args.job.prune.not_with_mapping(mapping.is_some())?;
+    if mapping.is_none()
+        && !args.job.prune.asked()
+        && let Err(CompileError::DoesNotFit(reasons)) = compile::shapes::check(&network, &target, options.copies)
+    {
+        let model = &network.file().name;
+        let (pruned, remedies) = (&[][..], &[][..]);
+        let question = Question { model, target: &target, options: &options, pruned, remedies, scenario: None };
+        let outcome = Outcome::DoesNotFit(&reasons);
+        let json = || report::json(question, outcome);
+        output::print(context.format, || report::text(question, outcome), json, || Ok(report::csv(outcome)))?;
+        return Ok(Answer::No);
+    }
     let front = jobs::front(&args.job, &network, &[])?;
     let form = Form::for_network(front.quantised(), options.copies);
     if !args.profile.is_empty() {
@@ -131,8 +144,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         }
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
-    // A mapping that goes to stdout goes there alone.
-    if args.output.as_deref() != Some(Path::new("-")) || mapped.is_err() {
+    // A file that goes to stdout goes there alone.
+    if !taken || mapped.is_err() {
         let text = || report::text(question, outcome) + &report::pareto_text(&candidates);
         let json = || {
             let mut object = report::json(question, outcome);

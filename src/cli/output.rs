@@ -1,6 +1,6 @@
 //! What several commands share: printing, progress, replacing a section of a document.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -11,6 +11,35 @@ use crate::drive::samples::Progress;
 use crate::error::Error;
 use crate::io;
 use crate::report::text::replaced;
+
+/// Checks the files that a command is to write, before it works: that they may be written, that pictures are named for
+/// what they are, and that stdout carries one thing. Returns whether that is one of the files, and not the result.
+///
+/// # Errors
+/// [`Error::Usage`] for a picture of another kind, `-` beside JSON or CSV, and two files on stdout; `write.*`.
+pub fn check_files<'a>(
+    files: impl IntoIterator<Item = &'a PathBuf>,
+    pictures: impl IntoIterator<Item = &'a PathBuf>,
+    context: Context,
+) -> Result<bool, Error> {
+    let pictures: Vec<&PathBuf> = pictures.into_iter().collect();
+    for picture in &pictures {
+        let named = picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
+        if !named && !io::text::is_standard_stream(picture) {
+            return Err(Error::Usage(format!("{}: pictures are written as SVG; name it .svg", picture.display())));
+        }
+    }
+    let all: Vec<&PathBuf> = files.into_iter().chain(pictures).collect();
+    let on_stdout = all.iter().filter(|path| io::text::is_standard_stream(path)).count();
+    if on_stdout > 1 {
+        return Err(Error::Usage("two files cannot both go to stdout".to_string()));
+    }
+    if on_stdout == 1 && context.format != Format::Text {
+        return Err(Error::Usage("stdout carries the result: give the file a name other than -".to_string()));
+    }
+    io::write::check_all_free(all, context.force)?;
+    Ok(on_stdout == 1)
+}
 
 /// Prints a result in the format that is asked for.
 ///

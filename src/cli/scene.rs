@@ -69,8 +69,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let scene = Recorded::parse(&argument)?;
     write::check_all_free(args.output.as_ref().map(|folder| folder.join(MANIFEST)), context.force)?;
-    if let Some(path) = &args.plot {
-        write::check_free(path, context.force)?;
+    let taken = output::check_files(None, &args.plot, context)?;
+    if args.plot.is_some() {
         if let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples()) {
             return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
         }
@@ -106,7 +106,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         folder.finish(&mapping::pretty(&data_set(&scene, &argument, entries), 2)?)?;
     }
     let report = report(&scene, &argument, &facts, manifest);
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    if !taken {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
     Ok(Answer::Yes)
 }
 

@@ -259,7 +259,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let source = with_fields(&source, &fields)?;
     let job = job(&source, args)?;
     let weights = args.output.as_deref().map(weights_path);
-    io::write::check_all_free(args.output.iter().chain(&weights).chain(&args.log), context.force)?;
+    if args.output.as_deref().is_some_and(io::text::is_standard_stream) {
+        return Err(Error::Usage("-o -: a trained model has weights, which need a file beside it".to_string()));
+    }
+    let taken = output::check_files(args.output.iter().chain(&weights).chain(&args.log), None, context)?;
     let data = data(&job.file, job.plan.topology.classes(), args)?;
     let begin = Instant::now();
     let state = train(&job.plan, &data.train, args.checkpoint.as_deref(), context)?;
@@ -293,7 +296,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
         let (comment, provenance) = (report.provenance(&source, &args.set), report.summary());
         write_model(path, context.force, &job.file, &job.plan, weights, &comment, &provenance)?;
     }
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    if !taken {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
     Ok(Answer::Yes)
 }
 

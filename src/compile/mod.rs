@@ -17,6 +17,7 @@ pub mod partition;
 pub mod place;
 pub mod reason;
 pub mod resources;
+pub mod shapes;
 pub mod stages;
 #[cfg(test)]
 pub(crate) mod testing;

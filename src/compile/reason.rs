@@ -71,6 +71,14 @@ impl Reason {
         Reason { population, ..Reason::new(resource, need, limit, help.into_owned()) }
     }
 
+    /// A compartment of a population of this name needs more than any core has.
+    #[must_use]
+    pub fn of_named(population: &str, resource: Resource, need: u64, limit: u64) -> Self {
+        let resource = Capacity::from(resource);
+        let help = resource.advice().into_owned();
+        Reason { population: Some(population.to_string()), ..Reason::new(resource, need, limit, help) }
+    }
+
     /// A core of a given membership needs more than it has.
     #[must_use]
     pub fn of_core(core: CoreId, resource: Capacity, need: u64, limit: u64) -> Self {

@@ -44,11 +44,22 @@ fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
     diagnostic.in_file(path)
 }
 
-/// Opens a file, which is no folder.
+/// Whether a path names a descriptor that is open already, such as the pipe of a shell's `<(command)`.
+fn is_descriptor(path: &Path) -> bool {
+    ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|open| path.starts_with(open))
+}
+
+/// Opens a regular file, or a descriptor: nobody may ever write to a named pipe, and a device may have no end.
 ///
 /// # Errors
-/// `io.missing`, `io.folder`, `io.denied`, `io.read`.
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
 pub(super) fn open(path: &Path) -> Result<(File, Metadata)> {
+    let found = std::fs::metadata(path).map_err(|error| unreadable(path, &error))?;
+    if !found.is_file() && !found.is_dir() && !is_descriptor(path) {
+        return Err(Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file")
+            .help("give - to read stdin, or a regular file")
+            .in_file(path));
+    }
     let file = File::open(path).map_err(|error| unreadable(path, &error))?;
     let metadata = file.metadata().map_err(|error| unreadable(path, &error))?;
     if metadata.is_dir() {
@@ -73,7 +84,7 @@ pub(super) fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<()> {
 /// The bytes of a file of at most `limit` bytes.
 ///
 /// # Errors
-/// `io.missing`, `io.folder`, `io.denied`, `io.read`, `io.too-large`, `io.lfs-pointer`.
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`, `io.too-large`, `io.lfs-pointer`.
 pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let too_large = |size: String| {

@@ -19,6 +19,9 @@ use crate::desc::tensor::{Numbers, Tensor};
 /// The most channels or compartments that a network may have: above it, no target could hold them (768 chips of
 /// 131,072 compartments are 100,663,296).
 pub const MOST_UNITS: u64 = 1 << 27;
+/// The most channels of an input population: four times those of the largest event cameras, with both polarities. Each has
+/// lists of its own, whether or not anything comes of it.
+pub const MOST_CHANNELS: u64 = 1 << 24;
 /// The most synapses that a projection may have.
 pub const MOST_SYNAPSES: u64 = 1 << 32;
 

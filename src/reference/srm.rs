@@ -6,6 +6,8 @@
 //! SLAYER compares with `>=` (slayerPytorch `src/cuda/spikeKernels.h`); the paper says that u exceeds the threshold. The
 //! two differ only where u equals theta to the last bit.
 
+use std::collections::VecDeque;
+
 use super::kernel::{Alpha, EPSILON, Kernel};
 use super::real::Real;
 
@@ -57,10 +59,10 @@ pub enum Filter<F> {
     Truncated {
         /// The kernel from 1 step after the input on.
         taps: Vec<F>,
-        /// The last inputs: one row a step, the newest at `newest`.
-        past: Vec<Vec<F>>,
-        /// The row of the newest.
-        newest: usize,
+        /// The inputs since the beginning, the newest first, as many as there are taps: what was never put in costs nothing.
+        past: VecDeque<Vec<F>>,
+        /// Inputs of a step.
+        inputs: usize,
     },
 }
 
@@ -77,8 +79,7 @@ impl<F: Real> Filter<F> {
             },
             Kernel::Truncated => {
                 let taps: Vec<F> = alpha.truncated(EPSILON, LONGEST).into_iter().skip(1).map(F::from_f64).collect();
-                let past = vec![vec![F::default(); inputs]; taps.len().max(1)];
-                Filter::Truncated { taps, past, newest: 0 }
+                Filter::Truncated { taps, past: VecDeque::new(), inputs }
             }
         }
     }
@@ -90,7 +91,7 @@ impl<F: Real> Filter<F> {
                 first.fill(F::default());
                 second.fill(F::default());
             }
-            Filter::Truncated { past, .. } => past.iter_mut().for_each(|row| row.fill(F::default())),
+            Filter::Truncated { past, .. } => past.clear(),
         }
     }
 
@@ -105,12 +106,13 @@ impl<F: Real> Filter<F> {
                     *to += *gain * *second;
                 }
             }
-            Filter::Truncated { taps, past, newest } => {
-                let rows = past.len();
-                *newest = (*newest + rows - 1) % rows;
-                past[*newest].copy_from_slice(inputs);
-                for (k, &tap) in taps.iter().enumerate() {
-                    for (to, &x) in to.iter_mut().zip(&past[(*newest + k) % rows]) {
+            Filter::Truncated { taps, past, inputs: count } => {
+                let mut row = if past.len() < taps.len().max(1) { None } else { past.pop_back() }.unwrap_or_default();
+                row.clear();
+                row.extend_from_slice(&inputs[..*count]);
+                past.push_front(row);
+                for (&tap, row) in taps.iter().zip(past.iter()) {
+                    for (to, &x) in to.iter_mut().zip(row) {
                         *to += tap * x;
                     }
                 }

@@ -6,21 +6,27 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
+use super::cells::Cells;
 use super::fit::{EpochRow, Example, Plan, TrainingState};
-use super::network::Weights;
-use super::optimiser::Moments;
+use super::loss::Form;
+use super::network::{Layer, Source, Weights};
+use super::optimiser::{Moments, Rule};
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::desc::network::Semantics;
+use crate::desc::training::CreditDesc;
 use crate::io::text::{MOST_ARRAY, read_bytes};
 use crate::io::write;
+use crate::neuron::Fields;
 
-/// A digest of a training's plan and samples. The plan is digested as it prints for debugging: names of its types and
-/// fields are part of the digest, so renaming one invalidates stored checkpoints.
+/// A digest of a training's plan and samples. What is digested of the plan is written out field by field under names of its
+/// own: renaming a type invalidates no stored checkpoint.
 #[must_use]
 pub fn fingerprint(plan: &Plan, examples: &[Example]) -> String {
     let mut hash = Sha256::new();
-    hash.update(format!("{plan:?}"));
+    hash.update(described(plan).to_string());
     for example in examples {
         hash.update(example.label.to_le_bytes());
         for (step, unit) in example.inputs.iter().flat_map(super::raster::Raster::events) {
@@ -31,6 +37,95 @@ pub fn fingerprint(plan: &Plan, examples: &[Example]) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// A plan as an object whose keys do not depend on names in the source.
+fn described(plan: &Plan) -> Value {
+    let Plan { topology, loss, optimiser, rates, last_rate, batch, epochs, augment, averaging, initial, seed } = plan;
+    let form = match &loss.form {
+        Form::SpikeCount => json!(["spike-count"]),
+        Form::Weighted { beta, gamma } => json!(["weighted", beta, gamma]),
+        Form::NumSpikes { kernel } => json!(["num-spikes", kernel]),
+        Form::CrossEntropy { scale } => json!(["cross-entropy", scale]),
+    };
+    let rule = match optimiser.rule {
+        Rule::Adam => "adam",
+        Rule::RmsProp => "rmsprop",
+    };
+    json!({
+        "inputs": topology.inputs,
+        "layers": topology.layers.iter().map(layer).collect::<Vec<_>>(),
+        "loss": {"form": form, "right": loss.right, "wrong": loss.wrong},
+        "optimiser": {"rule": rule, "weight_decay": optimiser.weight_decay, "decoupled": optimiser.decoupled},
+        "rates": rates,
+        "last_rate": last_rate,
+        "batch": batch,
+        "epochs": epochs,
+        "augment": [
+            f64::from(augment.shift), f64::from(augment.jitter), augment.stretch, augment.drop_channel,
+            augment.drop_spike, augment.noise,
+        ],
+        "averaging": averaging,
+        "initial": initial,
+        "seed": seed,
+    })
+}
+
+fn layer(layer: &Layer) -> Value {
+    let source = |source: &Source| match source {
+        Source::Input(index) => json!(["input", index]),
+        Source::Layer(index) => json!(["layer", index]),
+    };
+    let cells = match &layer.cells {
+        Cells::Srm(srm) => json!({
+            "kind": "srm", "theta": srm.theta, "response": srm.response, "refractory": srm.refractory,
+            "truncated": srm.truncated,
+        }),
+        Cells::Loihi(loihi) => json!({
+            "kind": "loihi", "fields": loihi.fields.iter().map(fields).collect::<Vec<_>>(), "leaves": loihi.leaves,
+            "theta": loihi.theta, "weight_unit": loihi.weight_unit, "credit": credit(loihi.credit),
+        }),
+    };
+    json!({
+        "name": layer.name,
+        "sources": layer.sources.iter().map(source).collect::<Vec<_>>(),
+        "fan_in": layer.fan_in,
+        "cells": cells,
+        "mantissas": layer.mantissas.map(|mantissas| (mantissas.scale, mantissas.exponent.get())),
+        "surrogate": layer.surrogate.numbers(),
+    })
+}
+
+fn credit(credit: CreditDesc) -> &'static str {
+    match credit {
+        CreditDesc::Slayer => "slayer",
+        CreditDesc::UpToReset => "up-to-reset",
+    }
+}
+
+/// The numbers of a compartment.
+fn fields(fields: &Fields) -> Value {
+    let neuron = &fields.neuron;
+    let semantics = match fields.semantics {
+        Semantics::Hardware => "hardware",
+        Semantics::Lava => "lava",
+        Semantics::Slayer => "slayer",
+    };
+    json!([
+        neuron.kind.name(),
+        neuron.du.get(),
+        neuron.dv.get(),
+        semantics,
+        fields.bias,
+        fields.fires_from,
+        fields.vmin,
+        fields.vmax,
+        fields.refractory,
+        fields.start_step,
+        fields.resets_from,
+    ])
+}
+
+/// The entry of the file's metadata.
+const FACTS: &str = "nsim_training";
 const PARTS: [&str; 4] = ["weights", "average", "first", "second"];
 
 /// Writes a state; the file is replaced as a whole.
@@ -53,13 +148,11 @@ pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()>
     });
     let broken = |error: String| Diagnostic::new("write.failed", error).in_file(path);
     let views = views.collect::<Result<Vec<_>, _>>().map_err(|error| broken(error.to_string()))?;
-    let history = serde_json::to_string(&state.history).map_err(|error| broken(error.to_string()))?;
-    let facts = HashMap::from([
-        ("epoch".to_string(), state.epoch.to_string()),
-        ("steps".to_string(), state.moments.steps.to_string()),
-        ("history".to_string(), history),
-        ("fingerprint".to_string(), fingerprint.to_string()),
-    ]);
+    // One entry: the order of several would change from run to run.
+    let facts = json!({
+        "epoch": state.epoch, "steps": state.moments.steps, "history": state.history, "fingerprint": fingerprint,
+    });
+    let facts = HashMap::from([(FACTS.to_string(), facts.to_string())]);
     let file = safetensors::serialize(views, Some(facts)).map_err(|error| broken(error.to_string()))?;
     write::file(path, true, |out| out.write_all(&file))
 }
@@ -79,9 +172,9 @@ pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<Traini
     };
     let bytes = read_bytes(path, MOST_ARRAY)?;
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|_| wrong("this is no checkpoint"))?;
-    let fact = |key: &str| header.metadata().as_ref().and_then(|facts| facts.get(key).cloned());
-    let number = |key: &str| fact(key).and_then(|text| text.parse::<u64>().ok());
-    if fact("fingerprint").as_deref() != Some(fingerprint) {
+    let facts = header.metadata().as_ref().and_then(|facts| serde_json::from_str::<Value>(facts.get(FACTS)?).ok());
+    let fact = |key: &str| facts.as_ref().map_or(Value::Null, |facts| facts[key].clone());
+    if fact("fingerprint").as_str() != Some(fingerprint) {
         return Err(wrong("this checkpoint belongs to a training with other settings or samples"));
     }
     let tensors = SafeTensors::deserialize(&bytes).map_err(|_| wrong("this is no checkpoint"))?;
@@ -96,9 +189,15 @@ pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<Traini
     };
     let state = || {
         let [weights, average, first, second] = PARTS.map(read);
-        let history: Vec<EpochRow> = serde_json::from_str(&fact("history")?).ok()?;
-        let moments = Moments { first: first?, second: second?, steps: number("steps")? };
-        Some(TrainingState { epoch: number("epoch")? as u32, weights: weights?, average: average?, moments, history })
+        let history: Vec<EpochRow> = serde_json::from_value(fact("history")).ok()?;
+        let moments = Moments { first: first?, second: second?, steps: fact("steps").as_u64()? };
+        Some(TrainingState {
+            epoch: u32::try_from(fact("epoch").as_u64()?).ok()?,
+            weights: weights?,
+            average: average?,
+            moments,
+            history,
+        })
     };
     state().map(Some).ok_or_else(|| wrong("this checkpoint is not whole"))
 }

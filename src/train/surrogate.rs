@@ -13,6 +13,12 @@ pub struct Surrogate {
 }
 
 impl Surrogate {
+    /// Threshold, steepness and scale.
+    #[must_use]
+    pub fn numbers(&self) -> [f32; 3] {
+        [self.theta, self.steepness, self.scale]
+    }
+
     /// For a threshold; `tau_rho` is the width in thresholds.
     #[must_use]
     pub fn new(theta: f32, tau_rho: f32, scale_rho: f32) -> Self {

@@ -34,7 +34,7 @@ impl InputArgs {
 /// Takes the samples that a run asks for, as often as it asks.
 ///
 /// # Errors
-/// [`Error::Usage`] when the range holds no sample.
+/// [`Error::Usage`] when the range holds no sample, or ends behind the last one.
 pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sample>, Error> {
     Ok(select_numbers(samples.len(), args)?.into_iter().map(|number| &samples[number]).collect())
 }
@@ -45,6 +45,13 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
 /// [`Error::Usage`] when the range holds no sample.
 pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Error> {
     let range = args.samples.as_ref().map_or(0..usize::MAX, |range| range.0.clone());
+    if range.end != usize::MAX && range.end > samples {
+        let (start, end) = (range.start, range.end);
+        return Err(Error::Usage(format!(
+            "--samples {start}..{end}: there are {samples} samples, 0 to {}",
+            samples.max(1) - 1
+        )));
+    }
     let chosen = range.start..range.end.min(samples);
     if chosen.is_empty() {
         return Err(Error::Usage(format!("--samples {}..: there are {samples} samples", range.start)));

@@ -236,6 +236,13 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
         tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);
         *file = mapping_file::one_copy(file);
     }
+    if mapping.is_none()
+        && !args.prune.asked()
+        && let Err(CompileError::DoesNotFit(reasons)) = compile::shapes::check(&network, &target, copies)
+    {
+        let model = network.file().name.clone();
+        return Ok(Prepared::DoesNotFit(Refusal { model, target: Box::new(target), reasons }));
+    }
     match compiled(args, &network, &target, &options, mapping.as_ref(), probed)? {
         Ok(compiled) => {
             say_notes(&compiled.quantised);

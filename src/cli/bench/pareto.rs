@@ -67,7 +67,7 @@ const CALIBRATION_SAMPLES: usize = 100;
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
-    io::write::check_all_free(&args.svg, context.force)?;
+    let taken = output::check_files(None, &args.svg, context)?;
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);
     let network = io::model::load_model(&args.model)?;
@@ -110,6 +110,8 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
             context,
         )?;
     }
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    if !taken {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
     Ok(if rows.iter().all(|row| row.exact != Some(false)) { Answer::Yes } else { Answer::No })
 }

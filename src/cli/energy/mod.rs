@@ -38,7 +38,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         return calibrate::run(args, table, context);
     }
     let asked = baselines(args.baseline.as_deref())?;
-    io::write::check_all_free(&args.svg, context.force)?;
+    let taken = output::check_files(None, &args.svg, context)?;
     io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;
     let (mode, convention) = (args.mode, args.convention);
     let shipped = io::published::scenario::shipped_for(&args.job.model)?;
@@ -130,7 +130,9 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         }
         batch.commit()?;
     }
-    output::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
+    if !taken {
+        output::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
+    }
     if context.format != Format::Text {
         energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
     }

@@ -19,7 +19,8 @@ use crate::io::write;
 pub fn listen(format: Format) {
     let _ = flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
     let _ = flag::register_conditional_shutdown(SIGABRT, 4, Arc::new(AtomicBool::new(true)));
-    // A second signal does not wait for the first one's work.
+    // A later signal does not wait for the first one's work. One that comes with the first (`timeout` signals the process
+    // and its group) is the same.
     let ending = Arc::new(AtomicBool::new(false));
     let Ok(mut signals) = Signals::new([SIGINT, SIGTERM]) else { return };
     for signal in [SIGINT, SIGTERM] {
@@ -28,7 +29,11 @@ pub fn listen(format: Format) {
     let handle = signals.handle();
     let thread = std::thread::Builder::new().name("signals".into()).stack_size(256 << 10).spawn(move || {
         if let Some(signal) = signals.forever().next() {
-            ending.store(true, Ordering::SeqCst);
+            let later = std::thread::Builder::new().stack_size(64 << 10).spawn(move || {
+                std::thread::sleep(std::time::Duration::from_millis(300));
+                ending.store(true, Ordering::SeqCst);
+            });
+            drop(later);
             end(signal, format);
         }
     });

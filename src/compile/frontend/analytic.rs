@@ -45,8 +45,8 @@ pub struct Fit {
 #[must_use]
 pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
     let (mut u, mut v) = (1.0, 1.0);
-    // The answer rises once and falls for ever; a current that never decays lets it rise for as long as it is asked.
-    for _ in 0..10_000_000 {
+    // The answer rises once and falls for ever.
+    for _ in 0..ITERATED {
         u *= keep_u;
         let next = keep_v * v + u;
         if next <= v {
@@ -54,7 +54,25 @@ pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
         }
         v = next;
     }
-    v
+    late_peak(keep_u, keep_v)
+}
+
+/// Steps up to which an answer is computed step by step.
+const ITERATED: u32 = 100_000;
+/// The step at which an answer is read that never falls.
+const LATEST: f64 = 1e7;
+
+/// The greatest value of an answer that rises for longer: `(a^x - b^x) / (a - b)`, or `x a^(x - 1)` where a = b, at the x
+/// where its derivative is 0.
+fn late_peak(a: f64, b: f64) -> f64 {
+    let endless = a >= 1.0 || b >= 1.0;
+    if (a - b).abs() < 1e-12 {
+        let x = if endless { LATEST } else { (-1.0 / libm::log(a)).clamp(1.0, LATEST) };
+        return x * libm::pow(a, x - 1.0);
+    }
+    let x = if endless { LATEST } else { libm::log(libm::log(b) / libm::log(a)) / libm::log(a / b) };
+    let x = x.clamp(1.0, LATEST);
+    (libm::pow(a, x) - libm::pow(b, x)) / (a - b)
 }
 
 /// What remains of a current or voltage after a step with this decay.
@@ -242,6 +260,13 @@ mod tests {
             let height = (0..5000).map(quantised).fold(0.0, f64::max) / fit.threshold;
             let wanted = (0..5000).map(alpha).fold(0.0, f64::max) / PAPER.theta;
             assert!((height / wanted - 1.0).abs() < 1e-12, "tau {tau}: {height} {wanted}");
+        }
+    }
+
+    #[test]
+    fn a_late_peak_continues_the_early_ones() {
+        for (a, b) in [(0.999, 0.999), (0.9995, 0.998), (0.99, 0.9999)] {
+            assert!((late_peak(a, b) / peak(a, b) - 1.0).abs() < 1e-6, "{a}, {b}");
         }
     }
 

@@ -20,8 +20,8 @@ use crate::desc::neurons::ParameterField;
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::ir::graph::{
-    Graph, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment, Population, PopulationKind,
-    Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
+    Graph, MOST_CHANNELS, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment, Population,
+    PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
 };
 
 /// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
@@ -44,6 +44,10 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     for desc in &file.populations {
         let population = lowering.population(desc)?;
         units += u64::from(population.shape.len());
+        if matches!(population.kind, PopulationKind::Input) && u64::from(population.shape.len()) > MOST_CHANNELS {
+            let message = format!("{} input channels are more than {MOST_CHANNELS}", population.shape.len());
+            return Err(lowering.error("model.too-large", message, desc.value.shape().span));
+        }
         if units > MOST_UNITS {
             let message =
                 format!("the populations up to here have {units} channels and compartments, the limit is {MOST_UNITS}");

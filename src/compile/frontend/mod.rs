@@ -23,6 +23,18 @@ pub fn integers(graph: &Graph) -> Result<Quantised, Diagnostic> {
     }
 }
 
+/// Checks all that a model says, as a command that runs it does.
+///
+/// # Errors
+/// As [`lower::lower`] and, without spike response neurons, [`quantise::quantise`].
+pub fn check(network: &Network) -> Result<(), Diagnostic> {
+    let graph = lower::lower(network)?;
+    if !graph.has_srm() {
+        quantise::quantise(&graph)?;
+    }
+    Ok(())
+}
+
 /// A network in real numbers, as the file means it, and in integers.
 ///
 /// # Errors

@@ -3,9 +3,9 @@
 //! Input: the bytes of a file, or a tree. Output: a [`Group`] with all groups and data sets below it, or the bytes of a
 //! file. Numbers keep the bytes of their own type, in little-endian order.
 //!
-//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded ([`MOST_FIXED`] and
-//! [`MOST_RATIO`]), links to other files are not followed, and what the crate refuses becomes a diagnostic. Attributes are
-//! read for NIR's data files only. Compound types, references and numbers of unusual layouts become [`Item::Other`].
+//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded ([`Budget`]), links to other
+//! files are not followed, and what the crate refuses becomes a diagnostic. Attributes are read for NIR's data files only.
+//! Compound types, references and numbers of unusual layouts become [`Item::Other`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,14 +16,11 @@ use hdf5_pure::{
 };
 
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::budget::{Budget, Exceeded};
 use crate::io::element::Element;
 
 /// What every HDF5 file begins with (HDF5 file format specification 3.0, II.A).
 pub const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Decoded bytes that any file may have.
-pub const MOST_FIXED: u64 = 32 << 20;
-/// Decoded bytes that a file may have in addition, for each byte of its own: compressed arrays are larger than their file.
-pub const MOST_RATIO: u64 = 8;
 /// Groups and data sets of a file.
 const MOST_OBJECTS: usize = 1 << 16;
 /// Groups within groups.
@@ -207,35 +204,26 @@ impl Group {
 }
 
 /// What may still be decoded.
-struct Budget<'a> {
+struct Reading<'a> {
     path: &'a Path,
-    bytes: u64,
-    objects: usize,
+    budget: Budget,
 }
 
-impl Budget<'_> {
+impl Reading<'_> {
+    fn too_large(&self, exceeded: Exceeded) -> Diagnostic {
+        Diagnostic::new("hdf5.too-large", exceeded.to_string()).in_file(self.path)
+    }
+
     fn take(&mut self, bytes: u64) -> Result<()> {
-        match self.bytes.checked_sub(bytes) {
-            Some(rest) => self.bytes = rest,
-            None => {
-                let message = format!(
-                    "its arrays would decode to more than {} MiB and {MOST_RATIO} times the file's size",
-                    MOST_FIXED >> 20
-                );
-                return Err(Diagnostic::new("hdf5.too-large", message).in_file(self.path));
-            }
-        }
-        Ok(())
+        self.budget.bytes(bytes).map_err(|exceeded| self.too_large(exceeded))
+    }
+
+    fn take_numbers(&mut self, count: u64, width: u64) -> Result<()> {
+        self.budget.numbers(count, width).map_err(|exceeded| self.too_large(exceeded))
     }
 
     fn object(&mut self, depth: usize) -> Result<()> {
-        self.objects += 1;
-        if self.objects > MOST_OBJECTS || depth > DEEPEST {
-            let message =
-                format!("it has more than {MOST_OBJECTS} groups and data sets, or groups deeper than {DEEPEST}");
-            return Err(Diagnostic::new("hdf5.too-large", message).in_file(self.path));
-        }
-        Ok(())
+        self.budget.item(depth).map_err(|exceeded| self.too_large(exceeded))
     }
 
     fn wrong(&self, what: &dyn std::fmt::Display) -> Diagnostic {
@@ -252,13 +240,13 @@ impl Budget<'_> {
 /// # Errors
 /// `hdf5.format`, `hdf5.too-large`.
 pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
-    let mut budget = Budget { path, bytes: MOST_FIXED + MOST_RATIO * bytes.len() as u64, objects: 0 };
+    let mut budget = Reading { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
     let options = FileAccessProperties::new().with_chunk_cache(ChunkCacheConfig::disabled());
     let file = File::from_bytes_with_options(bytes, options).map_err(|error| budget.wrong(&error))?;
     group(&file.root(), &mut budget, 0)
 }
 
-fn group(group: &hdf5_pure::Group, budget: &mut Budget<'_>, depth: usize) -> Result<Group> {
+fn group(group: &hdf5_pure::Group, budget: &mut Reading<'_>, depth: usize) -> Result<Group> {
     budget.object(depth)?;
     let mut items = BTreeMap::new();
     for (name, child) in group.iter_groups().map_err(|error| budget.wrong(&error))? {
@@ -302,8 +290,8 @@ fn element(datatype: &Datatype) -> Option<(Element, bool)> {
     }
 }
 
-fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Item> {
-    let wrong = |budget: &Budget<'_>, error: &dyn std::fmt::Display| budget.wrong(&format!("{name}: {error}"));
+fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<Item> {
+    let wrong = |budget: &Reading<'_>, error: &dyn std::fmt::Display| budget.wrong(&format!("{name}: {error}"));
     let axes = dataset.shape().map_err(|error| wrong(budget, &error))?;
     if axes.len() > MOST_AXES {
         return Err(wrong(budget, &format!("an array of {} axes", axes.len())));
@@ -319,7 +307,7 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Budget<'_>) -> Result<Ite
     // Every axis is within memory, or the array is empty.
     let shape: Vec<usize> = axes.iter().map(|&axis| usize::try_from(axis).unwrap_or(usize::MAX)).collect();
     if let Some((element, is_big)) = element(&datatype) {
-        budget.take(size)?;
+        budget.take_numbers(size / width.max(1), width)?;
         let mut bytes = dataset.read_raw().map_err(|error| wrong(budget, &error))?;
         if is_big {
             bytes.chunks_exact_mut(width as usize).for_each(<[u8]>::reverse);

@@ -58,7 +58,9 @@ pub fn kind_of(bytes: &[u8]) -> Kind {
 pub fn is_foreign(path: &Path) -> bool {
     use std::io::Read;
     let mut begin = Vec::new();
-    let read = std::fs::File::open(path).and_then(|file| file.take(64).read_to_end(&mut begin));
+    // A pipe is left alone: what is read of it here is gone.
+    let Some((file, _)) = super::text::open(path).ok().filter(|(_, found)| found.is_file()) else { return false };
+    let read = file.take(64).read_to_end(&mut begin);
     let known = ["net", "nir", "pt", "pth", "npy", "yaml", "yml"];
     let named = path.extension().is_some_and(|e| known.contains(&e.to_string_lossy().to_ascii_lowercase().as_str()));
     read.is_ok() && (named || kind_of(&begin) != Kind::Unknown)

@@ -11,6 +11,7 @@ use zip::ZipArchive;
 
 use super::pickle::{self, Arena, PickleError, Value, ValueId};
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::budget::Budget;
 use crate::io::element::Element;
 
 /// What a zip archive begins with.
@@ -83,7 +84,15 @@ fn refused(error: &PickleError) -> Diagnostic {
 /// # Errors
 /// `import.pickle` for a pickled module, `import.torch` for what is malformed.
 pub fn open(bytes: Vec<u8>) -> Result<Checkpoint> {
-    if bytes.starts_with(ZIP) { open_zip(bytes) } else { open_legacy(bytes) }
+    let mut budget = Budget::for_file(bytes.len() as u64, MOST_TENSORS, DEEPEST);
+    let checkpoint = if bytes.starts_with(ZIP) { open_zip(bytes) } else { open_legacy(bytes) }?;
+    // Many tensors may be views of one storage: the sum of what they make of it counts.
+    for (_, view) in &checkpoint.views {
+        let count = view.shape.iter().fold(1u64, |product, &axis| product.saturating_mul(axis as u64));
+        let taken = budget.item(0).and_then(|()| budget.numbers(count, view.element.bytes() as u64));
+        taken.map_err(|exceeded| wrong(format!("the checkpoint is refused: {exceeded}")))?;
+    }
+    Ok(checkpoint)
 }
 
 fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint> {

@@ -40,7 +40,6 @@ fn point() -> Result<Fault> {
 }
 
 #[cfg(not(debug_assertions))]
-#[allow(clippy::unnecessary_wraps)]
 fn point() -> Result<Fault> {
     Ok(Fault::None)
 }
@@ -50,7 +49,6 @@ fn point() -> Result<Fault> {
 enum Fault {
     None,
     /// Half of it happens. Operations other than writes fail as a whole.
-    #[cfg_attr(not(debug_assertions), expect(dead_code))]
     Short,
 }
 

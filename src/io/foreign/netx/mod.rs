@@ -196,11 +196,18 @@ impl Reader<'_> {
 }
 
 /// An image as one number from 0 to 1 for each unit of `[channels, height, width]`: an array `[height, width]`,
-/// `[height, width, channels]` or `[channels, height, width]`; 8-bit integers count 255ths.
+/// `[height, width, channels]` or `[channels, height, width]`; 8-bit unsigned integers count 255ths, other numbers are
+/// from 0 to 1.
 fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>> {
     let array = npy::open(path)?;
     let scale = if array.dtype().ends_with("u1") { 255.0 } else { 1.0 };
     let tensor = array.tensor()?;
+    if let Some(outside) = tensor.reals().find(|real| !(0.0..=scale).contains(real)) {
+        let message = format!("{outside} is no brightness: 8-bit unsigned integers, or numbers from 0 to 1, are");
+        return Err(Diagnostic::new("import.image", message)
+            .help("divide the image by its greatest possible value, or store it as uint8")
+            .in_file(path));
+    }
     let axes: Vec<u64> = tensor.shape().iter().map(|&axis| axis as u64).collect();
     let (channels, height, width) = match *shape {
         [channels, height, width] => (channels, height, width),

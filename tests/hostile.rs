@@ -1,0 +1,368 @@
+//! Inputs and surroundings that used to break the command line: it answers with a status of its contract, in bounded time
+//! and memory. Every run is a process of its own with 3 GB of address space.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+#![cfg(unix)]
+
+use std::io::Write;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+const MODEL: &str = r#"Network(name: "x", timestep_ms: 1.0, populations: [Input(name: "in", shape: [4]),
+    Loihi(name: "o", shape: [2], du: 1, dv: 1, vth_mant: 8)],
+    projections: [Dense(from: ["in"], to: "o", weights: [[2, 2, 2, 2], [2, 2, 2, 2]])], output: "o")"#;
+const NOISE: &str = "scene:noise?samples=3&steps=10&seed=1";
+
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Place {
+        let place = Place(tempfile::tempdir().unwrap());
+        place.put("ok.ron", MODEL);
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn put(&self, name: &str, content: impl AsRef<[u8]>) {
+        std::fs::write(self.path(name), content).unwrap();
+    }
+
+    /// Runs a line of a shell in which `nsim` is the program.
+    fn run(&self, line: &str) -> Output {
+        let program = assert_cmd::cargo::cargo_bin("nsim");
+        let script = format!("ulimit -v 3000000; program={}; nsim() {{ $program \"$@\"; }}; {line}", program.display());
+        Command::new("bash").args(["-c", &script]).current_dir(self.0.path()).stdin(Stdio::null()).output().unwrap()
+    }
+
+    /// Runs it and checks how it ends, and that it does not panic.
+    fn ends(&self, line: &str, statuses: &[i32]) -> Output {
+        let output = self.run(line);
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        let code = output.status.code().unwrap_or(-output.status.signal().unwrap_or(0));
+        assert!(statuses.contains(&code), "{line}: {code}, not {statuses:?}: {err}");
+        assert!(!err.contains("panicked at") && !err.contains("fault of nsim"), "{line}: {err}");
+        output
+    }
+
+    /// The object that it prints.
+    fn object(&self, line: &str, status: i32) -> Value {
+        let output = self.ends(&format!("{line} --format json"), &[status]);
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{line}: {e}"))
+    }
+}
+
+fn model_with(old: &str, new: &str) -> String {
+    assert!(MODEL.contains(old));
+    MODEL.replace(old, new)
+}
+
+#[test]
+fn export_refuses_what_run_refuses() {
+    let place = Place::new();
+    let weights = "[[2, 2, 2, 2], [2, 2, 2, 2]]";
+    let cases = [
+        (weights, "[[2, 2, 2, 2]]"),
+        (weights, "[[2, 2], [2, 2], [2, 2], [2, 2]]"),
+        (weights, "[[1000, 2, 2, 2], [2, 2, 2, 2]]"),
+        ("du: 1", "du: 5000"),
+        ("dv: 1", "dv: [1, 2, 3]"),
+        ("vth_mant: 8", "vth_mant: -8"),
+        ("to: \"o\",", "to: \"o\", delay: 63,"),
+    ];
+    for (index, (old, new)) in cases.into_iter().enumerate() {
+        place.put("m.ron", model_with(old, new));
+        let error = place.object(&format!("nsim export m.ron -o {index}.nir"), 3);
+        assert_eq!(error["schema"], "nsim.error/1");
+        assert!(!place.path(&format!("{index}.nir")).exists());
+    }
+    place.ends("nsim export ok.ron -o ok.nir", &[0]);
+}
+
+#[test]
+fn a_data_set_that_names_itself_is_refused() {
+    let place = Place::new();
+    place.put("self.ron", r#"DataSet(name: "d", populations: {"t": "in"}, recordings: {"t": "self.ron"})"#);
+    place.ends("nsim run ok.ron --input self.ron", &[3]);
+}
+
+#[test]
+fn a_stderr_that_nobody_reads_loses_no_result() {
+    let place = Place::new();
+    let output = place.ends(&format!("nsim run ok.ron --input '{NOISE}' -vv --format json 2>/dev/full"), &[0]);
+    assert_eq!(serde_json::from_slice::<Value>(&output.stdout).unwrap()["schema"], "nsim.run/1");
+}
+
+#[test]
+fn sizes_are_refused_from_shapes() {
+    let place = Place::new();
+    let random =
+        |fan_out: u64| format!("Random(from: [\"in\"], to: \"o\", fan_out: {fan_out}, low: -9, high: 9, seed: 1)");
+    let dense = r#"Dense(from: ["in"], to: "o", weights: [[2, 2, 2, 2], [2, 2, 2, 2]])"#;
+    let uniform = r#"Dense(from: ["in"], to: "o", weights: Uniform(low: -9, high: 9, step: 1, seed: 1))"#;
+    let sized = |sources: u64, targets: u64, projection: &str| {
+        model_with(dense, projection)
+            .replace("shape: [4]", &format!("shape: [{sources}]"))
+            .replace("shape: [2]", &format!("shape: [{targets}]"))
+    };
+    for (name, model) in [
+        ("fan-out", sized(4, 2, &random(1_000_000_000))),
+        ("channels", sized(100_000_000, 2, &random(1))),
+        ("board", sized(1_000_000, 1_000_000, &random(1000))),
+        ("dense", sized(524_288, 512, uniform)),
+    ] {
+        place.put("m.ron", model);
+        let begin = Instant::now();
+        let object = place.object("nsim map m.ron", 1);
+        assert_eq!(object["fits"], false, "{name}");
+        assert!(!object["reasons"].as_array().unwrap().is_empty());
+        assert!(begin.elapsed() < Duration::from_secs(60), "{name}: {:?}", begin.elapsed());
+        place.ends("nsim run m.ron --input scene:noise", &[1]);
+    }
+}
+
+/// A pickle of a dictionary with so many views of one storage of `numbers` floats (opcodes: CPython `pickletools.py`).
+fn pickle(tensors: u32, numbers: u32) -> Vec<u8> {
+    let mut out = b"\x80\x02}".to_vec();
+    let text = |out: &mut Vec<u8>, text: &str| {
+        out.push(b'X');
+        out.extend((text.len() as u32).to_le_bytes());
+        out.extend(text.bytes());
+    };
+    let number = |out: &mut Vec<u8>, number: u32| {
+        out.push(b'J');
+        out.extend(number.to_le_bytes());
+    };
+    for tensor in 0..tensors {
+        text(&mut out, &format!("t{tensor}"));
+        out.extend(b"ctorch._utils\n_rebuild_tensor_v2\n((");
+        text(&mut out, "storage");
+        out.extend(b"ctorch\nFloatStorage\n");
+        text(&mut out, "0");
+        text(&mut out, "cpu");
+        number(&mut out, numbers);
+        out.extend(b"tQ");
+        number(&mut out, 0);
+        out.push(b'(');
+        number(&mut out, numbers);
+        out.extend(b"t(");
+        number(&mut out, 1);
+        out.extend(b"t\x89ccollections\nOrderedDict\n)RtRs");
+    }
+    out.push(b'.');
+    out
+}
+
+#[test]
+fn many_tensors_of_one_storage_are_refused() {
+    let place = Place::new();
+    let checkpoint = |name: &str, tensors: u32| {
+        let mut archive = zip::ZipWriter::new(std::fs::File::create(place.path(name)).unwrap());
+        let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        archive.start_file("a/data.pkl", options).unwrap();
+        archive.write_all(&pickle(tensors, 1 << 20)).unwrap();
+        archive.start_file("a/data/0", options).unwrap();
+        archive.write_all(&vec![0; 4 << 20]).unwrap();
+        archive.finish().unwrap();
+    };
+    checkpoint("many.pt", 16_384);
+    checkpoint("two.pt", 2);
+    place.ends("nsim inspect many.pt", &[3]);
+    place.ends("nsim import many.pt", &[3]);
+    place.ends("nsim inspect two.pt", &[0]);
+}
+
+#[test]
+fn packets_that_decompress_without_end_are_refused() {
+    let place = Place::new();
+    let mut packed = lz4_flex::frame::FrameEncoder::new(Vec::new());
+    packed.write_all(&vec![0; 60 << 20]).unwrap();
+    let packed = packed.finish().unwrap();
+    // A flatbuffer's root table with one field, the compression: 1, LZ4.
+    let header: [u8; 20] = [12, 0, 0, 0, 0, 0, 6, 0, 8, 0, 4, 0, 6, 0, 0, 0, 1, 0, 0, 0];
+    let mut file = b"#!AER-DAT4.0\r\n".to_vec();
+    file.extend((header.len() as u32).to_le_bytes());
+    file.extend(header);
+    for _ in 0..4 {
+        file.extend(0u32.to_le_bytes());
+        file.extend((packed.len() as u32).to_le_bytes());
+        file.extend(&packed);
+    }
+    place.put("a.aedat4", file);
+    let output = place.ends("nsim run ok.ron --input a.aedat4", &[3]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("decompress"), "{output:?}");
+}
+
+#[test]
+fn a_long_time_constant_costs_no_more_than_a_short_one() {
+    let place = Place::new();
+    let srm = r#"Srm(name: "o", shape: [2], tau_sr_ms: 1e9, tau_ref_ms: 1.0, scale_ref: 2.0, theta: 10.0)"#;
+    place.put("m.ron", model_with("Loihi(name: \"o\", shape: [2], du: 1, dv: 1, vth_mant: 8)", srm));
+    let begin = Instant::now();
+    place.ends("nsim agree m.ron --input 'scene:noise?samples=1&steps=300&seed=1'", &[0, 1, 3]);
+    assert!(begin.elapsed() < Duration::from_secs(60), "{:?}", begin.elapsed());
+}
+
+#[test]
+fn faults_have_a_status_and_an_object() {
+    let place = Place::new();
+    for (kind, status) in [("panic", 4), ("abort", 4)] {
+        let output = place.run(&format!("NSIM_FAULT={kind}:1 nsim map ok.ron -o {kind}.ron --format json -q"));
+        assert_eq!(output.status.code(), Some(status), "{kind}");
+    }
+    let output = place.run("NSIM_FAULT=panic:1 nsim scene slip --samples 2 -o s --format json");
+    let error: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((output.status.code(), &error["code"]), (Some(4), &Value::from("fault")));
+    assert!(error["message"].as_str().unwrap().contains("a panic was asked for"));
+}
+
+#[test]
+fn only_regular_files_are_replaced() {
+    let place = Place::new();
+    place.ends("mkfifo fifo; nsim map ok.ron -o fifo --force", &[2]);
+    place.ends("test -p fifo", &[0]);
+    place.ends("ln -s /dev/null null; nsim map ok.ron -o null --force", &[2]);
+    place.ends("test -c null", &[0]);
+    place.ends("nsim map ok.ron -o /dev/null --force", &[2]);
+    place.ends("touch real; ln -s real link; nsim map ok.ron -o link --force; test -L link -a -s real", &[0]);
+}
+
+#[test]
+fn pipes_without_a_writer_do_not_hang() {
+    let place = Place::new();
+    for name in ["p.bs2", "p.tact", "p.npy", "p.csv", "p.ron", "p.pt"] {
+        place.ends(&format!("mkfifo {name}; timeout 60 $program run ok.ron --input {name}"), &[3]);
+    }
+    place.ends("timeout 60 $program map p.ron", &[3]);
+    place.ends("timeout 60 $program inspect p.pt", &[3]);
+    place.ends("nsim map <(cat ok.ron)", &[0]);
+}
+
+#[test]
+fn a_file_beyond_its_limit_is_an_error_and_leaves_nothing() {
+    let place = Place::new();
+    place.ends("ulimit -f 1; nsim scene slip --samples 2 --plot p.svg", &[3]);
+    let left: Vec<_> = std::fs::read_dir(place.0.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left, ["ok.ron"]);
+}
+
+/// The program, which gets a signal after a second.
+fn timed(signal: &str) -> String {
+    format!("timeout --preserve-status -s {signal} 1 {}", assert_cmd::cargo::cargo_bin("nsim").display())
+}
+
+#[test]
+fn signals_end_with_their_status_and_what_was_begun_is_completed_by_the_same_command() {
+    let place = Place::new();
+    for (signal, status) in [("INT", 130), ("TERM", 143)] {
+        let folder = format!("s{status}");
+        let line = format!("nsim scene slip --samples 400 --seed 1 -o {folder} --format json");
+        let output = place.run(&line.replacen("nsim", &timed(signal), 1));
+        if output.status.code() == Some(0) {
+            continue;
+        }
+        assert_eq!(output.status.code(), Some(status));
+        let error: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(error["code"], "interrupted");
+        place.ends(&format!("ls -A {folder} | grep -c 'nsim-.*tmp'"), &[1]);
+        place.ends(&format!("nsim run --input {folder}/dataset.ron"), &[3]);
+        place.ends(&format!("nsim scene slip --samples 40 --seed 1 -o {folder}"), &[0]);
+        place.ends(&format!("nsim run vtsnn-slip --samples 0..2 --input {folder}/dataset.ron"), &[0]);
+    }
+}
+
+#[test]
+fn silence_is_no_agreement() {
+    let place = Place::new();
+    place.put("m.ron", model_with("vth_mant: 8", "vth_mant: 100000"));
+    let object = place.object(&format!("nsim agree m.ron --against golden --input '{NOISE}'"), 0);
+    assert_eq!(object["layers"][0]["coincidence"], Value::Null);
+    let output = place.ends(&format!("nsim agree m.ron --against golden --input '{NOISE}'"), &[0]);
+    assert!(!String::from_utf8_lossy(&output.stdout).contains("every spike agrees"));
+}
+
+#[test]
+fn options_that_cannot_be_met_are_refused() {
+    let place = Place::new();
+    place.ends(&format!("nsim run ok.ron --input '{NOISE}' --samples 2..100"), &[2]);
+    place.ends(&format!("nsim run ok.ron --input '{NOISE}' --samples 2.."), &[0]);
+    place.ends(&format!("nsim run ok.ron --input '{NOISE}' --threads 1000000"), &[2]);
+    let output = place.ends("nsim --help > /dev/full", &[3]);
+    assert!(!output.stderr.is_empty());
+    place.ends("nsim map ok.ron --svg p.png", &[2]);
+    assert!(!place.path("p.png").exists());
+    for option in ["--svg", "-o"] {
+        let error = place.object(&format!("nsim map ok.ron {option} -"), 2);
+        assert_eq!(error["code"], "usage");
+        let alone = place.ends(&format!("nsim map ok.ron {option} -"), &[0]);
+        assert!(!String::from_utf8_lossy(&alone.stdout).contains("fits"), "{option}");
+    }
+    place.ends("nsim map ok.ron --svg - -o -", &[2]);
+}
+
+#[test]
+fn one_process_is_enough() {
+    let place = Place::new();
+    // Without the right to start threads the command runs on its own; root is never limited.
+    let program = assert_cmd::cargo::cargo_bin("nsim");
+    place.ends(&format!("ulimit -u 1; exec {} run ok.ron --input '{NOISE}' --threads 4", program.display()), &[0]);
+}
+
+#[test]
+fn stored_trainings_are_the_same_bytes_however_they_were_interrupted() {
+    let place = Place::new();
+    let config = r#"Training(name: "s", timestep_ms: 1.0, inputs: [(name: "in", shape: [4])],
+        layers: [(name: "out", from: ["in"], size: 3)],
+        neuron: Srm(tau_sr_ms: Same(5.0), tau_ref_ms: 1.0, scale_ref: 2.0, theta: 1.0),
+        loss: SpikeCount(right: 12, wrong: 2), optimiser: Adam(rate: 0.03), batch: 4, epochs: EPOCHS, seed: 3)"#;
+    place.put("t.ron", config.replace("EPOCHS", "20"));
+    std::fs::create_dir(place.path("d")).unwrap();
+    for sample in 0..9u32 {
+        let mut npy = Vec::new();
+        let header = "{'descr': '|u1', 'fortran_order': False, 'shape': (4, 30), }";
+        npy.extend(b"\x93NUMPY\x01\x00");
+        npy.extend(((header.len() + 1) as u16).to_le_bytes());
+        npy.extend(header.bytes());
+        npy.push(b'\n');
+        npy.extend((0..120u32).map(|at| u8::from((at * 7 + sample * 13) % (5 + sample % 3) == 0)));
+        place.put(&format!("d/sample_{sample}_label_{}.npy", sample % 3), npy);
+    }
+    place.ends("nsim train t.ron --train d --checkpoint a.st --log a.csv -o a.ron", &[0]);
+    // The third checkpointed epoch never comes: the first process ends while it writes the second checkpoint.
+    let cut = place.run("NSIM_FAULT=kill:7 nsim train t.ron --train d --checkpoint b.st --log b.csv -o b.ron");
+    assert_eq!(cut.status.code(), Some(137));
+    assert!(place.path("b.st").exists() && !place.path("b.csv").exists());
+    place.ends("nsim train t.ron --train d --checkpoint b.st --log b.csv -o b.ron", &[0]);
+    let bytes = |name: &str| std::fs::read(place.path(name)).unwrap();
+    assert_eq!(bytes("a.csv"), bytes("b.csv"));
+    assert_eq!(bytes("a.st"), bytes("b.st"));
+    assert_eq!(bytes("a.safetensors"), bytes("b.safetensors"));
+}
+
+#[test]
+fn a_scene_that_was_killed_while_it_was_replaced_is_never_mixed() {
+    let place = Place::new();
+    place.ends("nsim scene slip --samples 40 --seed 1 -o s", &[0]);
+    for fault in [3, 9, 30, 77, 150] {
+        let killed = place.run(&format!("NSIM_FAULT=kill:{fault} nsim scene slip --samples 40 --seed 2 -o s --force"));
+        assert_eq!(killed.status.code(), Some(137));
+        assert!(!place.path("s/dataset.ron").exists());
+        place.ends("nsim run vtsnn-slip --input s/dataset.ron", &[3]);
+        place.ends("nsim run slip-tactile --input s/tactile", &[3]);
+    }
+    place.ends("nsim scene slip --samples 40 --seed 2 -o s", &[0]);
+    let hidden = |path: &Path| {
+        std::fs::read_dir(path)
+            .unwrap()
+            .filter(|entry| entry.as_ref().unwrap().file_name().to_string_lossy().starts_with('.'))
+            .count()
+    };
+    assert_eq!((hidden(&place.path("s")), hidden(&place.path("s/tactile"))), (0, 0));
+}
