@@ -14,6 +14,7 @@ pub mod measure;
 pub mod networks;
 pub mod pareto;
 pub mod power;
+pub mod published;
 pub mod suite;
 
 pub use environment::Environment;

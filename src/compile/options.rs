@@ -13,13 +13,15 @@ pub enum Objective {
     /// Few cores.
     #[default]
     Cores,
-    /// Little energy.
+    /// Little energy, host included: what `nsim energy` reports.
     Energy,
+    /// Little energy of neuron cores and mesh alone.
+    EnergyChip,
     /// Short timesteps.
     Latency,
 }
 
-named_variants!(Objective { Cores = "cores", Energy = "energy", Latency = "latency" });
+named_variants!(Objective { Cores = "cores", Energy = "energy", EnergyChip = "energy:chip", Latency = "latency" });
 
 /// How compartments are grouped into cores.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]

@@ -10,6 +10,7 @@ use crate::base::names::named_variants;
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
+use crate::cost::evidence::interval;
 use crate::cost::meter::{Distribution, Lane, StepMeter, StepPrice, StepSums};
 use crate::cost::model::{StepTime, energy};
 use crate::cost::quantiles::{Quantiles, Spread};
@@ -54,7 +55,7 @@ named_variants!(FigureSource {
     Assumed = "assumed",
 });
 
-/// One end of the range of a row's figures over the presets.
+/// One end of the intervals of a row's figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bound {
     /// Total power.
@@ -86,9 +87,9 @@ pub struct EnergyRow {
     pub energy_uj: Option<f64>,
     /// That times the latency, in pJ s.
     pub edp_pjs: Option<f64>,
-    /// The least of each figure over the presets, each figure on its own.
+    /// The low end of the 90 % interval of each figure, from the intervals of the constants.
     pub low: Option<Bound>,
-    /// The greatest.
+    /// The high end.
     pub high: Option<Bound>,
     /// Where it comes from.
     pub source: FigureSource,
@@ -119,8 +120,10 @@ pub struct Case<'a> {
     pub activity: &'a Activity,
     /// Its steps, under every preset.
     pub meter: &'a StepMeter,
-    /// The preset of the figures, an index into the meter's tables; the others give the range.
+    /// The preset of the figures, an index into the meter's tables.
     pub preset: usize,
+    /// So many tables behind it, in pairs, are the preset with a group of constants at the low and at the high end.
+    pub ends: usize,
     /// Copies whose activity was counted: 1 when one copy stands for all, else the copies of the mapping.
     pub copies_counted: u32,
     /// Where the copies are.
@@ -143,6 +146,7 @@ impl<'a> Case<'a> {
             activity,
             meter,
             preset: 0,
+            ends: 0,
             copies_counted: deployment.copies,
             deployment,
             mode: Mode::Offline,
@@ -320,18 +324,18 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
     let presets: Vec<(&CostTable, &Lane)> = case.meter.tables().iter().zip(case.meter.lanes()).collect();
     let all: Vec<[EnergyRow; 3]> = presets.iter().map(|(table, lane)| case.rows(case.powers(table, lane))).collect();
     let mut rows = all[case.preset].clone();
+    let ends = &all[case.preset + 1..][..case.ends];
     for (i, row) in rows.iter_mut().enumerate() {
-        let bound = |pick: fn(f64, f64) -> f64| {
-            let over =
-                |figure: fn(&EnergyRow) -> Option<f64>| all.iter().filter_map(|rows| figure(&rows[i])).reduce(pick);
-            Bound {
-                total_mw: over(|r| r.total_mw),
-                latency_us: over(|r| r.latency_us),
-                energy_uj: over(|r| r.energy_uj),
-            }
+        let over = |figure: fn(&EnergyRow) -> Option<f64>| {
+            let pairs = ends.chunks_exact(2).filter_map(|pair| Some([figure(&pair[0][i])?, figure(&pair[1][i])?]));
+            Some(interval(figure(&all[case.preset][i])?, pairs))
         };
-        row.low = Some(bound(f64::min));
-        row.high = Some(bound(f64::max));
+        let figures = [over(|row| row.total_mw), over(|row| row.latency_us), over(|row| row.energy_uj)];
+        let bound = |end: fn((f64, f64)) -> f64| {
+            let [total_mw, latency_us, energy_uj] = figures.map(|figure| figure.map(end));
+            Some(Bound { total_mw, latency_us, energy_uj })
+        };
+        (row.low, row.high) = (bound(|(low, _)| low), bound(|(_, high)| high));
     }
     let (table, lane) = presets[case.preset];
     let price = case.price(table);
@@ -428,6 +432,7 @@ pub(crate) mod tests {
             activity: &run.0,
             meter: &run.1,
             preset: 0,
+            ends: 0,
             copies_counted: 1,
             deployment,
             mode: Mode::Offline,

@@ -12,6 +12,7 @@ pub mod calibrate;
 pub mod constants;
 pub mod deployment;
 pub mod estimate;
+pub mod evidence;
 pub mod meter;
 pub mod model;
 pub mod quantiles;

@@ -238,16 +238,6 @@ macro_rules! constants {
                 vec![$((stringify!($field), &self.$field),)*]
             }
 
-            /// The preset with every constant that its source does not give taken from another.
-            #[must_use]
-            pub fn completed_by(&self, other: &Self) -> Self {
-                let mut whole = self.clone();
-                $(if whole.$field.status == Status::Assumed {
-                    whole.$field = other.$field.clone();
-                })*
-                whole
-            }
-
             /// Checks units and signs.
             ///
             /// # Errors

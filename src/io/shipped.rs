@@ -60,6 +60,29 @@ pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "tiny");
 pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "sanafe-calibrated", "vtsnn-calibrated");
 /// Shipped tables of measurements.
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
+/// The evidence for constants.
+pub const EVIDENCE: &[Shipped] = shipped!("mapping/constants": "evidence");
+/// Shipped workloads that others measured.
+pub const WORKLOADS: &[Shipped] = shipped!(
+    "mapping/workloads":
+    "smnist-nahuku",
+    "smnist-wolf-mountain",
+    "quartz-mnist-t8",
+    "quartz-mnist-t16",
+    "quartz-mnist-t32",
+    "quartz-mnist-t64",
+    "quartz-mnist-t128",
+    "quartz-cifar",
+    "relnet",
+    "nxtf-mnist",
+    "braille",
+    "ntidigits",
+    "blouw-base",
+    "blouw-branch",
+    "ceolini-emg",
+    "vtsnn-offline",
+    "vtsnn-realtime",
+);
 
 /// Shipped scenarios.
 pub const SCENARIOS: &[Shipped] = shipped!("mapping/scenarios": "vtsnn-slip-paper");

@@ -6,11 +6,10 @@ use crate::bench::early::{StudyModel, Trial, TrialGroup, TrialRun, study_models}
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::context::{Answer, Context};
-use crate::cli::energy::options::tables;
 use crate::cli::energy::workload::Workload;
 use crate::cli::output;
 use crate::cost::estimate::{Case, spent_by_step_uj};
-use crate::cost::{Deployment, MeterSettings, Transport};
+use crate::cost::{CostTable, Deployment, MeterSettings, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::error::Error;
 use crate::io;
@@ -75,16 +74,15 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
             Error::Usage(format!("the study tested sample {sample}, which the input does not have"))
         })?;
     }
-    let (tables, preset) = tables(workload.target, None)?;
+    let table = CostTable::new(&workload.target.constants()[0])?;
     let deployment = Deployment::from_placement("packed", &workload.compiled.placement, workload.target.chip(), copies);
-    let metered = workload.metered(tables, &deployment, Transport::Analytic);
-    let run = workload.simulate(MeterSettings { by_step: Some(preset), ..metered }, None, true, context)?;
+    let metered = workload.metered(vec![table], &deployment, Transport::Analytic);
+    let run = workload.simulate(MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
         return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));
     };
     let timestep_ms = workload.compiled.one.parts().timestep_ms;
     let spent = spent_by_step_uj(&Case {
-        preset,
         mode: if args.realtime { Mode::Realtime } else { Mode::Offline },
         steps_per_sample: Some(steps),
         ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)

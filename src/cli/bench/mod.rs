@@ -2,6 +2,7 @@
 
 pub mod early;
 pub mod pareto;
+pub mod published;
 
 use std::cell::OnceCell;
 use std::hint::black_box;
@@ -9,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use self::early::EarlyArgs;
 use self::pareto::ParetoArgs;
+use self::published::PublishedArgs;
 use crate::bench::networks::{BenchNetwork, StandardNetwork};
 use crate::bench::suite::{self, SuiteCase};
 use crate::bench::{Budget, Environment, mapping, measure};
@@ -33,7 +35,8 @@ EXAMPLES:
   nsim bench map                                    cores, traffic, energy and time of mappings by every strategy
   nsim bench map --network lenet pilotnet           of these networks
   nsim bench map --full                             with networks of a million compartments
-  nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network";
+  nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network
+  nsim bench published                              what others measured on the chip, beside what nsim predicts";
 
 /// Measure speed and mappings on standard networks, and run time against error
 #[derive(Debug, clap::Args)]
@@ -49,6 +52,7 @@ enum Which {
     Map(MapArgs),
     Early(EarlyArgs),
     Pareto(Box<ParetoArgs>),
+    Published(PublishedArgs),
 }
 
 /// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each mapping is run and its
@@ -107,6 +111,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Map(args) => map_suite(args, context),
         Which::Early(args) => early::run(args, context),
         Which::Pareto(args) => pareto::run(args, context),
+        Which::Published(args) => published::run(args, context),
     }
 }
 

@@ -17,12 +17,14 @@ pub struct EnergyJob<'a> {
     pub model: &'a str,
     /// Where it ran.
     pub target: &'a Target,
-    /// Its counts and the conditions of the estimate; the meter has a lane for each of the target's presets.
+    /// Its counts and the conditions of the estimate; the first of the target's presets is its.
     pub case: Case<'a>,
     /// Samples that were run, repeats included.
     pub samples: u64,
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
+    /// What it was shown.
+    pub input: &'a [String],
     /// Rows of other hardware with their sources.
     pub baselines: &'a [(EnergyRow, String)],
     /// The cost of a decision.
@@ -120,8 +122,8 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
         deployment: job.case.deployment.clone(),
         mode: job.case.mode,
         preset: tables[job.case.preset].name().to_string(),
-        presets: tables.iter().map(|table| table.name().to_string()).collect(),
         seed: job.seed,
+        input: job.input.to_vec(),
         samples: job.samples,
         timesteps: job.case.activity.steps(),
         estimate,

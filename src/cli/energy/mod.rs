@@ -60,7 +60,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let workload = Workload::new(&job, copies, &args.input)?;
     let (compiled, target) = (workload.compiled, workload.target);
     let (target, preset) = with_preset(target.clone(), args.constants.as_deref())?;
-    let (tables, preset) = tables(&target, preset.as_deref())?;
+    let (target, tables) = tables(target, preset.as_deref())?;
     let placement = &compiled.placement;
     let model = &compiled.one.parts().name;
     let deployment = source.deployment(model, copies, placement, &target)?;
@@ -71,9 +71,9 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         (DeploymentArg::Packed, _) => None,
         _ => Some(Deployment::from_placement("packed", placement, target.chip(), copies)),
     };
-    let price = step_price(&tables[preset], &deployment, copies, mode);
+    let price = step_price(&tables[0], &deployment, copies, mode);
     let metered = workload.metered(tables, &deployment, args.transport);
-    let metered = MeterSettings { distribution: Some((preset, price)), ..metered };
+    let metered = MeterSettings { distribution: Some((0, price)), ..metered };
     // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
     let rule = args.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
@@ -102,7 +102,8 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     if let Some(command) = &args.gpu_command {
         other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
     }
-    let case = Case { preset, mode, convention, steps_per_sample, ..case };
+    let ends = run.meter.tables().len() - 1;
+    let case = Case { ends, mode, convention, steps_per_sample, ..case };
     let decision = per_decision(rule, &case, &run.outcomes);
     let mut energy = job::report(&EnergyJob {
         model,
@@ -110,6 +111,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         case,
         samples: run.outcomes.len() as u64,
         seed: workload.seed,
+        input: &workload.origin,
         baselines: &others.rows,
         per_decision: Some(&decision),
         other: other.as_ref(),
@@ -122,7 +124,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     }
     if let Some(folder) = &args.export_sanafe {
         let Copies { copies, channels } = workload.shown();
-        let (table, sample) = (&run.meter.tables()[preset], workload.samples()[0].copies(copies, channels));
+        let (table, sample) = (&run.meter.tables()[0], workload.samples()[0].copies(copies, channels));
         let export = Export { compiled, table, sample: &sample, tiles_used: deployment.tiles_used };
         let mut batch = io::write::Batch::new(context.force);
         for (path, text) in sanafe_files(folder).iter().zip(export.files()?) {
@@ -221,8 +223,8 @@ mod tests {
     }
 
     fn with_report<T>(deployment: &Deployment, mode: Mode, convention: Convention, f: impl Fn(EnergyReport) -> T) -> T {
-        let target = nahuku();
-        let (tables, preset) = tables(&target, None).unwrap();
+        let (target, tables) = tables(nahuku(), None).unwrap();
+        let ends = tables.len() - 1;
         let (activity, meter) = run(&steps(), tables, deployment.tiles_used);
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
         let row = gpu.row(&vtsnn(), Some(150), MS, mode, convention).unwrap();
@@ -230,7 +232,7 @@ mod tests {
             model: "vtsnn-slip",
             target: &target,
             case: Case {
-                preset,
+                ends,
                 copies_counted: 1,
                 mode,
                 convention,
@@ -239,6 +241,7 @@ mod tests {
             },
             samples: 1,
             seed: Some(7),
+            input: &["scene".to_string()],
             baselines: &[(row, gpu.source())],
             per_decision: None,
             other: None,
@@ -342,8 +345,8 @@ mod tests {
     #[test]
     fn a_preset_that_the_target_does_not_name_is_a_mistake_of_usage() {
         let target = nahuku();
-        assert_eq!(tables(&target, Some("davies2018")).unwrap().1, 2);
-        assert_eq!(tables(&target, Some("davies")).unwrap_err().exit_status(), 2);
+        assert_eq!(tables(target.clone(), Some("davies2018")).unwrap().1[0].name(), "davies2018");
+        assert_eq!(tables(target, Some("davies")).unwrap_err().exit_status(), 2);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::base::diagnostic::Diagnostic;
 use crate::compile::mapping_file;
 use crate::cost::baseline::{Baseline, SHIPPED};
+use crate::cost::evidence;
 use crate::cost::{CostTable, Deployment};
 use crate::desc::mapping::MappingFile;
 use crate::desc::published::scenario::ScenarioFile;
@@ -35,25 +36,24 @@ impl From<&str> for DeploymentArg {
     }
 }
 
-/// The target's presets in integers, and which of them is asked for.
+/// The target with the preset that is asked for in front, and that preset in integers, and behind it, for each group of constants that are wrong together, the preset with
+/// that group at the low and at the high end of its intervals.
 ///
 /// # Errors
 /// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant that no integer holds.
-pub fn tables(target: &Target, preset: Option<&str>) -> Result<(Vec<CostTable>, usize)> {
+pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, Vec<CostTable>)> {
     let presets = target.constants();
     let chosen = match preset {
-        None => 0,
-        Some(name) => presets.iter().position(|preset| preset.name == name).ok_or_else(|| {
+        None => &presets[0],
+        Some(name) => presets.iter().find(|preset| preset.name == name).ok_or_else(|| {
             let names: Vec<&str> = presets.iter().map(|preset| preset.name.as_str()).collect();
             Error::Usage(format!("{} has no constants {name}; it has {}", target.name(), names.join(", ")))
         })?,
     };
-    // The others show how far sources disagree; what a source does not give is no disagreement.
-    let tables = presets.iter().enumerate().map(|(i, preset)| match i == chosen {
-        true => CostTable::new(preset),
-        false => CostTable::new(&preset.completed_by(&presets[chosen])),
-    });
-    Ok((tables.collect::<Result<Vec<_>, _>>()?, chosen))
+    let chosen = chosen.clone();
+    let ends = evidence::ends(&io::published::evidence::shipped()?, &chosen);
+    let tables = std::iter::once(&chosen).chain(&ends).map(CostTable::new).collect::<Result<Vec<_>, _>>()?;
+    Ok((target.with_preset(chosen), tables))
 }
 
 /// The target with the preset that is asked for, which may be a file; returns the preset's name.

@@ -31,8 +31,10 @@ pub struct Score {
     pub cores: u64,
     /// Cores that draw static power: all of a tile in use, where power comes in tiles.
     pub cores_powered: u64,
-    /// Energy of a mean step, events and static power of powered cores, in microjoules.
+    /// Energy of a mean step in microjoules: events, powered cores, and x86 cores in use.
     pub energy_uj: f64,
+    /// The same without x86 cores.
+    pub chip_energy_uj: f64,
     /// Time of a mean step in microseconds.
     pub step_us: f64,
     /// Static power of the powered cores in milliwatts.
@@ -69,7 +71,8 @@ pub fn score_of(
     let deployment = Deployment::from_placement("packed", placement, target.chip(), copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
     let injection = table.injection_time.microseconds() * activity.spikes_in as f64;
-    let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used)];
+    let turns = Picoseconds(table.injection_step_time.0.saturating_mul(copies.into()));
+    let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used), turns];
     let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
     // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
     let wait = (traffic.max_link_load * table.link_time.microseconds())
@@ -78,11 +81,14 @@ pub fn score_of(
     let events = step_energy(activity, &table, 0).total().microjoules() / UNIT;
     let powered = (table.core_step_energy * deployment.cores_powered).microjoules();
     let static_mw = table.core_static_power.milliwatts() * deployment.cores_powered as f64;
+    let x86_mw = table.x86_static_power.milliwatts() + table.x86_busy_power.milliwatts();
+    // Milliwatts times microseconds are nanojoules.
+    let chip_energy_uj = events + powered + static_mw * step_us * 1e-3;
     Ok(Score {
         cores: deployment.cores_used,
         cores_powered: deployment.cores_powered,
-        // Milliwatts times microseconds are nanojoules.
-        energy_uj: events + powered + static_mw * step_us * 1e-3,
+        energy_uj: chip_energy_uj + x86_mw * deployment.x86_cores as f64 * step_us * 1e-3,
+        chip_energy_uj,
         step_us,
         static_mw,
     })
@@ -179,6 +185,7 @@ impl Score {
         match objective {
             Objective::Cores => cores.then(energy).then(time),
             Objective::Energy => energy.then(time).then(cores),
+            Objective::EnergyChip => self.chip_energy_uj.total_cmp(&other.chip_energy_uj).then(time).then(cores),
             Objective::Latency => time.then(energy).then(cores),
         }
     }

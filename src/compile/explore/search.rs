@@ -176,8 +176,9 @@ impl Search<'_> {
         }
         let mut ways = vec![(Strategy::Sequential, 1)];
         let (divisors, least) = match options.objective {
-            Objective::Latency => (&SHORTEST[..], 2),
-            Objective::Cores | Objective::Energy => (&DIVISORS[..], 1),
+            // The host draws its power for as long as a step lasts, and draws more than the cores.
+            Objective::Latency | Objective::Energy => (&SHORTEST[..], 2),
+            Objective::Cores | Objective::EnergyChip => (&DIVISORS[..], 1),
         };
         let wanted = divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|way| *way != ways[0]);
         let most = affordable(SYNAPSES_PER_SECOND, one.synapses() * copies).max(least);
@@ -257,7 +258,7 @@ impl Search<'_> {
         let at_places = PlacedBoxes { network: all, boxes, placement: &placement };
         let bursts = match options.objective {
             Objective::Latency => population_bursts(all),
-            Objective::Cores | Objective::Energy => Vec::new(),
+            _ => Vec::new(),
         };
         let score = |rates: &PopulationRates| at_places.score(rates, &at_places.traffic(rates), target, options.copies);
         let times = bursts.iter().map(|rates| Ok(score(rates)?.step_us)).collect::<Result<_>>()?;

@@ -56,7 +56,7 @@ impl Costs {
     pub fn objective(&self, objective: Objective) -> u128 {
         let hops = 2 * u128::from(self.multicast) + u128::from(self.unicast);
         match objective {
-            Objective::Cores | Objective::Energy => hops,
+            Objective::Cores | Objective::Energy | Objective::EnergyChip => hops,
             Objective::Latency => hops + u128::from(self.busiest) * 8 + (u128::from(self.longest) << 80),
         }
     }

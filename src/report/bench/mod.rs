@@ -3,4 +3,5 @@
 pub mod early;
 pub mod mapping;
 pub mod pareto;
+pub mod published;
 pub mod step;

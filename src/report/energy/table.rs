@@ -96,10 +96,10 @@ pub struct EnergyReport {
     pub mode: Mode,
     /// Name of the preset of the figures.
     pub preset: String,
-    /// Names of all presets, whose range low and high are.
-    pub presets: Vec<String>,
     /// The seed of the input, if one was used.
     pub seed: Option<u64>,
+    /// What the network was shown.
+    pub input: Vec<String>,
     /// Samples of the run.
     pub samples: u64,
     /// Timesteps of all samples.
@@ -148,8 +148,9 @@ impl EnergyReport {
             "convention": self.convention(),
             "fits": true,
             "preset": self.preset,
-            "range_over": self.presets,
+            "interval": 0.9,
             "seed": self.seed,
+            "input": self.input,
             "samples": self.samples,
             "timesteps": self.timesteps,
             "rows": self.rows().collect::<Vec<_>>(),
@@ -323,9 +324,6 @@ impl EnergyReport {
     }
 
     fn ranges(&self) -> String {
-        if self.presets.len() < 2 {
-            return String::new();
-        }
         let mut table = plain(&["Hardware", "Unit", "Total (mW)", "Latency (us)", "Energy (uJ)"]);
         for row in &self.estimate.rows {
             let (Some(low), Some(high)) = (row.low, row.high) else { continue };
@@ -341,7 +339,7 @@ impl EnergyReport {
                 range(low.energy_uj, high.energy_uj),
             ]);
         }
-        format!("Range over the presets {}, each figure on its own:\n{}\n\n", self.presets.join(", "), table.trim_fmt())
+        format!("90 % intervals, from what sources say of each constant:\n{}\n\n", table.trim_fmt())
     }
 
     fn breakdown(&self) -> String {

@@ -1,0 +1,71 @@
+//! `nsim bench published`: what others measured beside what nsim predicts.
+
+use std::path::PathBuf;
+
+use crate::bench::published::predict::PredictError;
+use crate::bench::published::rows;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
+use crate::error::Error;
+use crate::io;
+use crate::io::published::{evidence, workload};
+use crate::report::bench::published::PublishedReport;
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim bench published                            every published figure, predicted with and without its own work
+  nsim bench published --only vt-snn              of one work
+  nsim bench published --svg published.svg        published against predicted, with intervals
+  nsim bench published --format csv > rows.csv    a row a figure";
+
+/// Energies, powers and times that others measured on the chip, beside what nsim predicts for their workloads: once by all that
+/// is known of the constants, once without what is known from the work itself
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct PublishedArgs {
+    /// Only works or workloads whose name contains this, for example vt-snn
+    #[arg(long, value_name = "WORK")]
+    only: Option<String>,
+    /// Write a chart of published against predicted figures
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
+}
+
+impl From<PredictError> for Error {
+    fn from(error: PredictError) -> Self {
+        match error {
+            PredictError::Input(diagnostic) => diagnostic.into(),
+            other => Error::Fault(other.to_string()),
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Error`] when no workload has the name, or the chart cannot be written.
+pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
+    io::write::check_all_free(&args.svg, context.force)?;
+    let evidence = evidence::shipped()?;
+    let base = io::target::load_constants(&evidence.base.value)?;
+    let workloads = workload::shipped()?;
+    // Intervals follow from how far other works were missed: all are predicted whatever is shown.
+    let mut rows = output::with_progress(context, workloads.len(), "workloads", |done| {
+        rows(&workloads, &evidence, &base, |name| Ok(io::target::load_target(name)?), done)
+    })?;
+    if let Some(only) = &args.only {
+        let only = only.to_lowercase();
+        rows.retain(|row| [&row.work, &row.workload].iter().any(|name| name.to_lowercase().contains(&only)));
+        if rows.is_empty() {
+            let mut works: Vec<&str> = workloads.iter().map(|file| file.work.as_str()).collect();
+            works.dedup();
+            return Err(Error::Usage(format!("--only {only}: no such work; there are {}", works.join(", "))));
+        }
+    }
+    let report = PublishedReport { rows: &rows };
+    if let Some(path) = &args.svg {
+        io::write::text(path, context.force, &report.svg())?;
+    }
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    Ok(Answer::Yes)
+}

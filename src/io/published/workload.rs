@@ -1,0 +1,74 @@
+//! Published workloads, checked.
+//!
+//! Input: the name of a shipped workload. Output: a [`WorkloadFile`] whose shapes and rates are possible and whose projections
+//! join populations that it has. Errors: `workload.syntax`, `workload.population`, `workload.rate`, `workload.figure`.
+
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
+use crate::desc::published::workload::WorkloadFile;
+use crate::desc::spanned::parse;
+use crate::io::shipped;
+
+/// The most units of a population.
+const MOST_UNITS: u64 = 1 << 22;
+
+/// Every workload that ships, in the order in which tables show them.
+///
+/// # Errors
+/// As [`workload`].
+pub fn shipped() -> Result<Vec<WorkloadFile>> {
+    shipped::WORKLOADS.iter().map(|file| workload(&file.source())).collect()
+}
+
+/// A workload from its text.
+///
+/// # Errors
+/// A diagnostic where the file is malformed or contradicts itself.
+pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
+    let file: WorkloadFile = parse(source, "workload.syntax")?;
+    let wrong = |code, message: String| Err(Diagnostic::new(code, message).in_file(source.path()));
+    for population in &file.populations {
+        let (name, shape, rate) = population.parts();
+        let units: u64 = shape.iter().map(|&side| u64::from(side)).product();
+        if !matches!(shape.len(), 1 | 3) || !(1..=MOST_UNITS).contains(&units) {
+            return wrong("workload.population", format!("{name}: a shape is one number or three, at most 2^22 units"));
+        }
+        if !(0.0 <= rate.low && rate.low <= rate.value && rate.value <= rate.high && rate.high <= 0.5) {
+            return wrong("workload.rate", format!("{name}: rates are 0 <= low <= value <= high <= 0.5"));
+        }
+    }
+    for projection in &file.projections {
+        for end in projection.ends() {
+            if !file.populations.iter().any(|population| population.parts().0 == end) {
+                return wrong("workload.population", format!("there is no population {end}"));
+            }
+        }
+    }
+    if let Some(figure) = file.figures.iter().find(|figure| !figure.published.value.is_finite()) {
+        let problem = Diagnostic::new("workload.figure", "a figure is a finite number");
+        return Err(problem.at(source, figure.published.span));
+    }
+    let deployment = &file.deployment;
+    if [deployment.copies, deployment.copies_per_chip, deployment.x86_cores_per_chip, file.steps].contains(&0) {
+        return wrong("workload.figure", "copies, x86 cores a chip and steps are at least 1".to_string());
+    }
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::desc::target::Status;
+
+    #[test]
+    fn shipped_workloads_are_well_formed_and_say_what_was_assumed() {
+        let all = shipped().unwrap();
+        let works: std::collections::BTreeSet<&str> =
+            all.iter().filter(|file| file.first_hand).map(|file| file.work.as_str()).collect();
+        assert!(works.len() >= 10, "{works:?}");
+        for file in &all {
+            assert!(!file.figures.is_empty() && !file.source.is_empty(), "{}", file.name);
+            assert!(file.activity == Status::Published || !file.assumed.is_empty(), "{}", file.name);
+            crate::io::target::load_target(&file.target.value).unwrap();
+        }
+    }
+}
