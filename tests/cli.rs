@@ -125,7 +125,7 @@ fn a_spike_response_model_runs_in_real_numbers_and_agrees_or_not() {
     let bytes = std::fs::read(folder.path().join("hidden.u.npy")).unwrap();
     assert!(String::from_utf8_lossy(&bytes[..80]).contains("<f8"));
     let (code, _, stderr) = said(&["run", &model, "--input", scene, "--engine", "fast"]);
-    assert!(code == 0 && stderr.contains("equal decays") && stderr.contains("nsim agree"), "{stderr}");
+    assert!(code == 0 && stderr.contains("equal decays") && stderr.contains("nsim convert"), "{stderr}");
     assert_eq!(said(&["run", &model, "--input", scene, "--engine", "reference", "--prune", "static"]).0, 2);
 
     let agree = object(&["agree", &model, "--input", scene, "--calibration-samples", "8"], 0);

@@ -238,7 +238,7 @@ mod tests {
             assert!(typed(&wrong).is_err(), "{wrong:?}");
         }
         let said = typed(&["--objective", "speed"]).unwrap_err().to_string();
-        assert!(said.contains("cores, energy, latency"), "{said}");
+        assert!(said.contains("cores, energy, energy:chip, latency"), "{said}");
     }
 
     #[test]
