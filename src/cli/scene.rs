@@ -70,10 +70,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let scene = Recorded::parse(&argument)?;
     write::check_all_free(args.output.as_ref().map(|folder| folder.join(MANIFEST)), context.force)?;
     let taken = output::check_files(None, &args.plot, context)?;
-    if args.plot.is_some() {
-        if let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples()) {
-            return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
-        }
+    if args.plot.is_some()
+        && let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples())
+    {
+        return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
     }
     let folder = args.output.as_ref().map(|path| write::Folder::begin(path, MANIFEST, context.force)).transpose()?;
     let make = |sample: u32| {

@@ -37,7 +37,7 @@ pub fn run_metered(
     metered: &Arc<MeterSettings>,
     running: Running<'_>,
 ) -> Result<Run<StepMeter>> {
-    Ok(fast(program, samples, Running { per_step: true, ..running }, || StepMeter::new(metered.clone()))?)
+    fast(program, samples, Running { per_step: true, ..running }, || StepMeter::new(metered.clone()))
 }
 
 /// Timesteps of each sample; `None` when samples differ.

@@ -60,7 +60,7 @@ fn neurons(units: u32, rate: f64, seed: u64) -> Result<PerCompartment<Neuron>, B
         let (dv, vth) = (Decay::new(0)?, ThresholdMantissa::new(THRESHOLD)?);
         Ok(Neuron { dv, vth, bias_mant, bias_exp, ..Neuron::PLAIN })
     };
-    Ok(PerCompartment::Each((0..units).map(neuron).collect::<Result<Vec<_>, BuildError>>()?.into()))
+    Ok(PerCompartment::Each((0..units).map(neuron).collect::<Result<Vec<_>, BuildError>>()?))
 }
 
 /// Weights of 2 and -2, drawn: the least that a format of both signs has.

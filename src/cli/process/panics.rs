@@ -15,7 +15,10 @@ static FIRST: Mutex<Option<String>> = Mutex::new(None);
 /// Those of the work, and [`Error::Fault`].
 pub fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
     std::panic::set_hook(Box::new(|panic| {
-        let message = panic.payload_as_str().unwrap_or("a panic without a message");
+        let payload = panic.payload();
+        let message =
+            payload.downcast_ref::<&str>().copied().or_else(|| payload.downcast_ref::<String>().map(String::as_str));
+        let message = message.unwrap_or("a panic without a message");
         let place = panic.location().map_or(String::new(), |at| format!(" ({}:{})", at.file(), at.line()));
         if let Ok(mut first) = FIRST.lock() {
             first.get_or_insert(format!("{message}{place}"));

@@ -187,7 +187,7 @@ fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
             open |= is_open(projection);
         }
     }
-    if !open || !(fits > 0.0 && fits.is_finite()) {
+    if !(open && fits > 0.0 && fits.is_finite()) {
         return None;
     }
     let sum = greatest_sum(graph, node).max(f64::MIN_POSITIVE);

@@ -579,7 +579,7 @@ mod tests {
         );
         let q = quantised(&text).unwrap();
         let mut scaled = [[0; 2]; 2];
-        for projection in q.projections().iter() {
+        for projection in q.projections() {
             for source in 0..2 {
                 let at =
                     |target: u32, weight| scaled[target as usize][source as usize] += projection.format.scaled(weight);

@@ -3,7 +3,7 @@
 //! Input: the bytes of a file, or a tree. Output: a [`Group`] with all groups and data sets below it, or the bytes of a
 //! file. Numbers keep the bytes of their own type, in little-endian order.
 //!
-//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded ([`Budget`]), links to other
+//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded (`Budget`), links to other
 //! files are not followed, and what the crate refuses becomes a diagnostic. Attributes are read for NIR's data files only.
 //! Compound types, references and numbers of unusual layouts become [`Item::Other`].
 
