@@ -33,7 +33,7 @@ fn graph(populations: &str, projections: &str) -> Graph {
 /// Real thresholds, a convolution, a recurrent projection with a heavy tail, biases, decays of their own.
 fn real() -> Graph {
     let row = |t: u32| {
-        let weight = |s: u32| if (s + t) % 7 == 0 { -6.5 } else { 0.05 + 0.01 * f64::from(s) };
+        let weight = |s: u32| if (s + t).is_multiple_of(7) { -6.5 } else { 0.05 + 0.01 * f64::from(s) };
         format!("[{}]", (0..18).map(|s| weight(s).to_string()).collect::<Vec<_>>().join(", "))
     };
     let rows = (0..18).map(row).collect::<Vec<_>>().join(", ");
