@@ -21,7 +21,6 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::names::named_variants;
 use crate::base::rng;
-use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::graph::{PerCompartment, Shape};
 use crate::ir::quantised::{
     Connectivity, Inconsistent, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units,
@@ -129,18 +128,7 @@ pub(super) struct Builder {
 
 impl Builder {
     pub(super) fn new(name: &str) -> Self {
-        let parts = Parts {
-            name: name.to_string(),
-            timestep_ms: 1.0,
-            populations: Default::default(),
-            projections: Default::default(),
-            output: PopulationId(0),
-            classes: Vec::new(),
-            semantics: Semantics::Hardware,
-            threshold: ThresholdTest::Strict,
-            reset: None,
-            notes: Vec::new(),
-        };
+        let parts = Parts::empty(name);
         Builder { parts, channels: 0, compartments: 0 }
     }
 

@@ -6,7 +6,6 @@ use crate::base::diagnostic::SourceText;
 use crate::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
-use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::resource::{Limits, Packing, PerResource, Resource};
 use crate::desc::target::{Chip, Target, TargetFile};
 use crate::ir::graph::{PerCompartment, Shape, Window};
@@ -81,18 +80,7 @@ pub struct Builder {
 impl Builder {
     /// Nothing yet.
     pub fn new() -> Self {
-        let parts = Parts {
-            name: "test".to_string(),
-            timestep_ms: 1.0,
-            populations: Default::default(),
-            projections: Default::default(),
-            output: PopulationId(0),
-            classes: Vec::new(),
-            semantics: Semantics::Hardware,
-            threshold: ThresholdTest::Strict,
-            reset: None,
-            notes: Vec::new(),
-        };
+        let parts = Parts::empty("test");
         Builder { parts, channels: 0, compartments: 0 }
     }
 

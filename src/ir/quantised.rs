@@ -377,6 +377,25 @@ pub struct Parts {
     pub notes: Vec<Note>,
 }
 
+impl Parts {
+    /// A network of this name without populations, in the chip's semantics, with timesteps of 1 ms.
+    #[must_use]
+    pub fn empty(name: &str) -> Self {
+        Parts {
+            name: name.to_string(),
+            timestep_ms: 1.0,
+            populations: Default::default(),
+            projections: Default::default(),
+            output: PopulationId(0),
+            classes: Vec::new(),
+            semantics: Semantics::Hardware,
+            threshold: ThresholdTest::Strict,
+            reset: None,
+            notes: Vec::new(),
+        }
+    }
+}
+
 /// The network in integers.
 #[derive(Debug, Clone)]
 pub struct Quantised {

@@ -15,7 +15,7 @@ use nsim::base::fixed::{
 };
 use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::compile::{Options, compile};
-use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::desc::network::Semantics;
 use nsim::desc::resource::Resource;
 use nsim::golden::Golden;
 use nsim::io::spikes::read_source;
@@ -147,18 +147,7 @@ pub struct Net {
 impl Net {
     /// An empty network with the semantics of the chip.
     pub fn new() -> Net {
-        let parts = Parts {
-            name: "by hand".to_string(),
-            timestep_ms: 1.0,
-            populations: Vec::new().into(),
-            projections: Vec::new().into(),
-            output: PopulationId(0),
-            classes: Vec::new(),
-            semantics: Semantics::Hardware,
-            threshold: ThresholdTest::Strict,
-            reset: None,
-            notes: Vec::new(),
-        };
+        let parts = Parts::empty("by hand");
         Net { parts, channels: 0, compartments: 0 }
     }
 

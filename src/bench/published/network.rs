@@ -11,7 +11,6 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::bench::networks::BuildError;
-use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::published::workload::{FiringRate, WorkloadFile, WorkloadPopulation, WorkloadProjection};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::quantised::{Connectivity, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units};
@@ -89,18 +88,7 @@ fn local(sources: u32, targets: u32, fan_out: u32, reach: u32, seed: u64) -> Con
 /// # Errors
 /// [`BuildError`] where the shapes of a convolution do not fit each other.
 pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), BuildError> {
-    let mut parts = Parts {
-        name: file.name.clone(),
-        timestep_ms: 1.0,
-        populations: Default::default(),
-        projections: Default::default(),
-        output: PopulationId(0),
-        classes: Vec::new(),
-        semantics: Semantics::Hardware,
-        threshold: ThresholdTest::Strict,
-        reset: None,
-        notes: Vec::new(),
-    };
+    let mut parts = Parts::empty(&file.name);
     let (mut channels, mut compartments, mut input) = (0u32, 0u32, Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
         let (name, sides, rate) = population.parts();
