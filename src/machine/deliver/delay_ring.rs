@@ -200,16 +200,12 @@ impl<S: Sum> DelayRing<S> {
         let weights = weights[block.weights..block.weights + sources * N].as_chunks::<N>().0;
         let (sums, _) = self.sums[slot][range.target as usize..].as_chunks_mut::<LANES>();
         let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
-        let (mut kept, mut delivered) = (*sums, 0);
-        for spike in spikes {
-            let source = spike.source() - block.first as usize;
-            let Some(weights) = weights.get(source) else { break };
-            add_weights(&mut kept, weights, spike.payload());
-            if let Some(count) = counts.get_mut(source) {
-                *count += 1;
-            }
-            delivered += 1;
-        }
+        let mut kept = *sums;
+        // Two loops, so that neither decides in each turn whether it counts; as many counts as weights need one check.
+        let delivered = match counts.get_mut(..weights.len()) {
+            Some(counts) => add_sources::<true, _, _, N>(&mut kept, weights, counts, spikes, block.first as usize),
+            None => add_sources::<false, _, _, N>(&mut kept, weights, &mut [], spikes, block.first as usize),
+        };
         *sums = kept;
         delivered
     }
@@ -303,6 +299,51 @@ fn add_spikes<S: Accumulate<P::Payload>, P: Spike, const N: usize>(
         }
     }
     *sums = kept;
+}
+
+/// Adds the weights of each source to as many chunks of sums, up to the first spike of a source without weights; returns how
+/// many spikes that were. Two spikes a turn: the loop's own instructions are a third of those of one.
+#[inline(always)]
+fn add_sources<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: usize>(
+    sums: &mut [[S; LANES]; N],
+    weights: &[[[i16; LANES]; N]],
+    counts: &mut [u32],
+    spikes: &[P],
+    first: usize,
+) -> usize {
+    let (pairs, rest) = spikes.as_chunks::<2>();
+    let mut delivered = 0;
+    for [one, other] in pairs {
+        if !add_source::<COUNT, _, _, N>(sums, weights, counts, one, first) {
+            return delivered;
+        }
+        if !add_source::<COUNT, _, _, N>(sums, weights, counts, other, first) {
+            return delivered + 1;
+        }
+        delivered += 2;
+    }
+    for spike in rest {
+        delivered += usize::from(add_source::<COUNT, _, _, N>(sums, weights, counts, spike, first));
+    }
+    delivered
+}
+
+/// Adds the weights of a spike's source, if there are any; returns whether there are. `counts` is as long as `weights`.
+#[inline(always)]
+fn add_source<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: usize>(
+    sums: &mut [[S; LANES]; N],
+    weights: &[[[i16; LANES]; N]],
+    counts: &mut [u32],
+    spike: &P,
+    first: usize,
+) -> bool {
+    let source = spike.source() - first;
+    let Some(weights) = weights.get(source) else { return false };
+    add_weights(sums, weights, spike.payload());
+    if COUNT {
+        counts[source] += 1;
+    }
+    true
 }
 
 /// Adds chunks of weights to as many chunks of sums.
