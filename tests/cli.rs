@@ -196,6 +196,32 @@ fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
 }
 
 #[test]
+fn the_answer_fits_a_screen_and_can_be_put_into_a_paper() {
+    let energy =
+        |more: &[&str]| said(&[&["energy", "--samples", "0..1", "--copies", "1", "--baseline"], more].concat()).1;
+    let text = energy(&[]);
+    assert!(text.lines().count() <= 10 && text.lines().all(|line| line.chars().count() <= 80), "{text}");
+    assert!(energy(&["--full"]).lines().count() > 20);
+    let table = energy(&["--format", "markdown"]);
+    assert!(table.starts_with("| Hardware | Static (mW) |") && table.lines().count() == 5, "{table}");
+    let table = energy(&["--format", "latex"]);
+    assert!(table.contains("\\begin{tabular}{lrrrrrl}") && table.contains("loihi total & "), "{table}");
+    // The chips alone: no x86 power, and a step without the host's turn.
+    let [all, alone] = [vec![], vec!["--host", "none"]].map(|more| {
+        let line = [&["energy", "--samples", "0..1", "--copies", "1", "--baseline"][..], &more[..]].concat();
+        object(&line, 0)
+    });
+    assert_eq!((&all["host"]["x86_cores"], &alone["host"]["x86_cores"]), (&1.into(), &0.into()));
+    assert_eq!(alone["rows"][0]["total_mw"], 0.0);
+    assert!(alone["rows"][2]["latency_us"].as_f64() < all["rows"][2]["latency_us"].as_f64());
+    let share = &all["rows"][2]["share"];
+    let sum: f64 = ["published", "fitted", "assumed"].iter().map(|key| share[key].as_f64().unwrap()).sum();
+    assert!((sum - 1.0).abs() < 1e-9, "{share}");
+    let board = object(&["energy", "--samples", "0..1", "--copies", "1", "--baseline", "--accounting", "board"], 0);
+    assert_eq!((&board["accounting"], &board["preset"]), (&"board".into(), &"loihi1-evidence-board".into()));
+}
+
+#[test]
 fn other_hardware_stands_beside_the_chip_with_its_source() {
     let energy = object(&["energy", "--samples", "0..1", "--copies", "1", "--cpu-watts", "5,20"], 0);
     let rows = energy["rows"].as_array().unwrap();
@@ -210,8 +236,8 @@ fn other_hardware_stands_beside_the_chip_with_its_source() {
         named[3..],
         [
             ("RTX 2080 Ti", "published", "published"),
-            ("CPU, dense f32", "measured", "assumed"),
-            ("CPU, event-driven", "measured", "assumed"),
+            ("CPU, dense f32", "measured", "stated"),
+            ("CPU, event-driven", "measured", "stated"),
         ]
     );
     for row in &rows[4..] {

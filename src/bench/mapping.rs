@@ -179,10 +179,9 @@ fn simulated(
     let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
     let table = CostTable::new(constants).map_err(|e| failed(&e))?;
     let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), case.copies);
-    let (tables, copies) = (vec![table.clone()], case.copies.into());
     let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
-    let (tiles_used, program) = (deployment.tiles_used, &compiled.program);
-    let metered = MeterSettings::new(tables, tiles_used, copies, program, Transport::Analytic, timestep);
+    let timing = deployment.timing(Transport::default());
+    let metered = MeterSettings::new(vec![table.clone()], timing, &compiled.program, timestep);
     let mut meter = StepMeter::new(metered);
     let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });

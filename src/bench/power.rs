@@ -94,6 +94,8 @@ pub enum PowerMeter {
         idle_mw: f64,
         /// Power while computing.
         busy_mw: f64,
+        /// Stated or assumed.
+        source: FigureSource,
         /// Why it is not counted.
         why: String,
     },
@@ -124,38 +126,38 @@ impl PowerMeter {
         };
         match (stated, counted) {
             (Some((idle_mw, busy_mw)), _) => {
-                PowerMeter::Stated { idle_mw, busy_mw, why: "it was stated on the command line".to_string() }
+                let why = "it was stated on the command line".to_string();
+                PowerMeter::Stated { idle_mw, busy_mw, source: FigureSource::Stated, why }
             }
             (None, counted) => counted().unwrap_or_else(|why| {
                 let (idle_mw, busy_mw) = default;
-                PowerMeter::Stated { idle_mw, busy_mw, why }
+                PowerMeter::Stated { idle_mw, busy_mw, source: FigureSource::Assumed, why }
             }),
         }
     }
 
     /// Runs something and says what it drew.
     pub fn during<T>(&self, run: impl FnOnce() -> T) -> (T, Power) {
-        let stated = |idle_mw: f64, busy_mw: f64| Power {
+        let power = |idle_mw: f64, busy_mw: f64, source| Power {
             static_mw: idle_mw,
             dynamic_mw: (busy_mw - idle_mw).max(0.0),
-            source: FigureSource::Assumed,
+            source,
         };
         match self {
-            PowerMeter::Stated { idle_mw, busy_mw, .. } => (run(), stated(*idle_mw, *busy_mw)),
+            PowerMeter::Stated { idle_mw, busy_mw, source, .. } => (run(), power(*idle_mw, *busy_mw, *source)),
             PowerMeter::Counted { rapl, idle_mw } => {
                 let (before, begin) = (rapl.read(), Instant::now());
                 let out = run();
                 let (after, took) = (rapl.read(), begin.elapsed().as_secs_f64().max(1e-9));
-                let power = match (before, after) {
+                let found = match (before, after) {
                     (Ok(before), Ok(after)) => {
                         let busy_mw = rapl.between(&before, &after) as f64 / took / 1e3;
-                        let (static_mw, source) = (*idle_mw, FigureSource::Measured);
-                        Power { static_mw, dynamic_mw: (busy_mw - idle_mw).max(0.0), source }
+                        power(*idle_mw, busy_mw, FigureSource::Measured)
                     }
                     // Counters that were there a moment ago: take what they said last.
-                    _ => stated(*idle_mw, *idle_mw),
+                    _ => power(*idle_mw, *idle_mw, FigureSource::Assumed),
                 };
-                (out, power)
+                (out, found)
             }
         }
     }
@@ -167,8 +169,9 @@ impl PowerMeter {
             PowerMeter::Counted { .. } => {
                 "power from the energy counters of its packages, idle measured first".to_string()
             }
-            PowerMeter::Stated { idle_mw, busy_mw, why } => format!(
-                "power assumed, {} W idle and {} W busy, since {why}; --cpu-watts IDLE,BUSY states another",
+            PowerMeter::Stated { idle_mw, busy_mw, source, why } => format!(
+                "power {}, {} W idle and {} W busy, since {why}; --cpu-watts IDLE,BUSY states another",
+                source.name(),
                 idle_mw / 1e3,
                 busy_mw / 1e3
             ),

@@ -10,6 +10,10 @@ pub enum Format {
     Json,
     /// Rows with a header.
     Csv,
+    /// The same rows as a Markdown table, four digits a figure.
+    Markdown,
+    /// The same as a LaTeX tabular.
+    Latex,
 }
 
 /// What every subcommand knows.

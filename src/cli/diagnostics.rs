@@ -18,7 +18,7 @@ pub fn report(error: &Error, format: Format) -> ExitCode {
             // stdout is the result's place; with JSON the error object is the result.
             let _ = write::stdout(&format!("{:#}\n", object(error)));
         }
-        Format::Text | Format::Csv => say(&text(error, colour())),
+        _ => say(&text(error, colour())),
     }
     ExitCode::from(error.exit_status())
 }
@@ -63,8 +63,8 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
             });
             let _ = write::stdout(&format!("{object:#}\n"));
         }
-        Format::Text | Format::Csv if colour() => say(&error.render().ansi().to_string()),
-        Format::Text | Format::Csv => say(&said),
+        _ if colour() => say(&error.render().ansi().to_string()),
+        _ => say(&said),
     }
     ExitCode::from(2)
 }

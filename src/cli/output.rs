@@ -10,7 +10,7 @@ use crate::cli::context::{Context, Format};
 use crate::drive::samples::Progress;
 use crate::error::Error;
 use crate::io;
-use crate::report::text::replaced;
+use crate::report::text::{self, replaced};
 
 /// Checks the files that a command is to write, before it works: that they may be written, that pictures are named for
 /// what they are, and that stdout carries one thing. Returns whether that is one of the files, and not the result.
@@ -47,14 +47,21 @@ pub fn check_files<'a>(
 /// When stdout cannot be written; a reader that went away is no error.
 pub fn print(
     format: Format,
-    text: impl FnOnce() -> String,
+    plain: impl FnOnce() -> String,
     json: impl FnOnce() -> serde_json::Value,
     csv: impl FnOnce() -> Result<String, csv::Error>,
 ) -> Result<(), Error> {
     let out = match format {
-        Format::Text => text(),
+        Format::Text => plain(),
         Format::Json => format!("{:#}\n", json()),
-        Format::Csv => csv().map_err(|error| Error::Fault(format!("csv: {error}")))?,
+        Format::Csv | Format::Markdown | Format::Latex => {
+            let rows = csv().map_err(|error| Error::Fault(format!("csv: {error}")))?;
+            match format {
+                Format::Markdown => text::markdown(&rows),
+                Format::Latex => text::latex(&rows),
+                _ => rows,
+            }
+        }
     };
     Ok(io::write::stdout(&out)?)
 }

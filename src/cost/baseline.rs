@@ -146,6 +146,7 @@ impl Figures {
             edp_pjs: energy.map(|energy| energy * self.latency_us),
             low: None,
             high: None,
+            share: None,
             source: self.source,
             power_source: self.power_source,
         }

@@ -5,7 +5,7 @@
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::units::{Femtojoules, Nanowatts, Picoseconds};
-use crate::desc::target::{Constant, Constants, Unit, for_each_constant};
+use crate::desc::target::{Constant, Constants, Status, Unit, for_each_constant};
 
 /// The type of a constant in its least unit.
 macro_rules! integer {
@@ -61,6 +61,23 @@ macro_rules! cost_table {
 for_each_constant!(cost_table);
 
 impl CostTable {
+    /// The preset with the constants of one status, all others 0: published, calibrated, assumed. Barrier times stay.
+    ///
+    /// # Errors
+    /// As [`CostTable::new`].
+    pub fn by_status(constants: &Constants) -> Result<[CostTable; 3], Diagnostic> {
+        let only = |status: Status| {
+            let mut kept = constants.clone();
+            for (name, constant) in constants.list() {
+                if let Some(own) = kept.get_mut(name).filter(|_| constant.status != status) {
+                    own.value = 0.0.into();
+                }
+            }
+            CostTable::new(&kept)
+        };
+        Ok([only(Status::Published)?, only(Status::Calibrated)?, only(Status::Assumed)?])
+    }
+
     /// The preset's name.
     #[must_use]
     pub fn name(&self) -> &str {

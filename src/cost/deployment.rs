@@ -2,8 +2,10 @@
 //!
 //! Static power is charged for powered cores, which are more than those in use where power comes in tiles or chips.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
+use crate::cost::host::Host;
+use crate::cost::transport::{Timing, Transport};
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::target::{Chip, PowerUnit};
 use crate::ir::placement::Placement;
@@ -23,8 +25,8 @@ pub struct Deployment {
     pub tiles_used: u64,
     /// Chips with a core in use.
     pub chips_used: u64,
-    /// x86 cores in use.
-    pub x86_cores: u64,
+    /// The x86 cores in use; `None` for the chips alone.
+    pub host: Option<Host>,
 }
 
 impl Deployment {
@@ -39,7 +41,7 @@ impl Deployment {
             cores_powered: powered_cores(placement, chip),
             tiles_used: tiles_used(placement).len() as u64,
             chips_used,
-            x86_cores: chips_used * u64::from(chip.x86_cores_in_use),
+            host: Some(host(placement, chip, copies)),
         }
     }
 
@@ -48,8 +50,33 @@ impl Deployment {
     pub fn from_scenario(name: impl Into<String>, scenario: &ScenarioFile) -> Self {
         let DeployedCores { cores_used, cores_powered, tiles_used, chips_used, x86_cores } = scenario.deployment.value;
         let copies = scenario.copies.value;
-        Deployment { name: name.into(), copies, cores_used, cores_powered, tiles_used, chips_used, x86_cores }
+        let host = Some(Host::even(x86_cores, copies.into()));
+        Deployment { name: name.into(), copies, cores_used, cores_powered, tiles_used, chips_used, host }
     }
+
+    /// What the time of a step depends on here; messages are followed for the first preset alone.
+    #[must_use]
+    pub fn timing(&self, transport: Transport) -> Timing {
+        Timing { transport, tiles_used: self.tiles_used, host: self.host, followed: 1 }
+    }
+
+    /// x86 cores in use; none where the chips are looked at alone.
+    #[must_use]
+    pub fn x86_cores(&self) -> u64 {
+        self.host.map_or(0, |host| host.x86_cores)
+    }
+}
+
+/// The x86 cores of the chips in use. Copies are on a chip in proportion to its cores.
+fn host(placement: &Placement, chip: &Chip, copies: u32) -> Host {
+    let mut cores = BTreeMap::<u32, u64>::new();
+    placement.sites().iter().for_each(|site| *cores.entry(site.chip).or_default() += 1);
+    let most = cores.values().copied().max().unwrap_or(0);
+    let (copies, x86_cores) = (u64::from(copies), u64::from(chip.x86_cores_in_use));
+    let on_one_chip = (most * copies).div_ceil((placement.len() as u64).max(1));
+    // A chip without x86 cores is served from outside, as all others.
+    let copies_in_turn = if x86_cores == 0 { copies } else { on_one_chip.div_ceil(x86_cores) };
+    Host { x86_cores: cores.len() as u64 * x86_cores, copies, copies_in_turn: copies_in_turn.max(1) }
 }
 
 /// The cores that draw static power: all those of each core, tile or chip in use.
@@ -116,8 +143,8 @@ pub(crate) mod tests {
     fn the_paper_s_594_cores_take_5_chips_and_5_x86_cores_when_filled_in_order() {
         let packed = Deployment::from_placement("packed", &sequential(594), &loihi1(), 32);
         let paper = paper();
-        assert_eq!((packed.cores_used, packed.chips_used, packed.x86_cores), (594, 5, 5));
-        assert_eq!((paper.cores_used, paper.chips_used, paper.x86_cores), (594, 5, 5));
+        assert_eq!((packed.cores_used, packed.chips_used, packed.x86_cores()), (594, 5, 5));
+        assert_eq!((paper.cores_used, paper.chips_used, paper.x86_cores()), (594, 5, 5));
         // Filled without gaps they would be 149 tiles; the paper's 624 powered cores are 156.
         assert_eq!((packed.tiles_used, packed.cores_powered), (149, 596));
         assert_eq!(paper.cores_powered, paper.tiles_used * 4);

@@ -43,6 +43,8 @@ pub enum FigureSource {
     Published,
     /// From constants alone.
     Modelled,
+    /// Given by the user.
+    Stated,
     /// Chosen.
     Assumed,
 }
@@ -52,6 +54,7 @@ named_variants!(FigureSource {
     Measured = "measured",
     Published = "published",
     Modelled = "modelled",
+    Stated = "stated",
     Assumed = "assumed",
 });
 
@@ -64,6 +67,17 @@ pub struct Bound {
     pub latency_us: Option<f64>,
     /// Energy of a timestep.
     pub energy_uj: Option<f64>,
+}
+
+/// What share of a row's power comes from constants of each status.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StatusShare {
+    /// Printed by their sources.
+    pub published: f64,
+    /// Fitted to measurements.
+    pub fitted: f64,
+    /// Assumed.
+    pub assumed: f64,
 }
 
 /// A row of the table, for one copy.
@@ -91,6 +105,8 @@ pub struct EnergyRow {
     pub low: Option<Bound>,
     /// The high end.
     pub high: Option<Bound>,
+    /// Of its total power, by the status of the constants.
+    pub share: Option<StatusShare>,
     /// Where it comes from.
     pub source: FigureSource,
     /// Where its power comes from, which may be another place than its time.
@@ -124,6 +140,8 @@ pub struct Case<'a> {
     pub preset: usize,
     /// So many tables behind it, in pairs, are the preset with a group of constants at the low and at the high end.
     pub ends: usize,
+    /// The preset with the constants of one status, all others 0: published, fitted, assumed.
+    pub by_status: Option<&'a [CostTable; 3]>,
     /// Copies whose activity was counted: 1 when one copy stands for all, else the copies of the mapping.
     pub copies_counted: u32,
     /// Where the copies are.
@@ -147,6 +165,7 @@ impl<'a> Case<'a> {
             meter,
             preset: 0,
             ends: 0,
+            by_status: None,
             copies_counted: deployment.copies,
             deployment,
             mode: Mode::Offline,
@@ -217,8 +236,8 @@ impl Case<'_> {
         let time = self.time(&lane.whole);
         let known = time > 0;
         Powers {
-            x86_static: share(self.deployment.x86_cores, table.x86_static_power.milliwatts()),
-            x86_dynamic: share(self.deployment.x86_cores, table.x86_busy_power.milliwatts()),
+            x86_static: share(self.deployment.x86_cores(), table.x86_static_power.milliwatts()),
+            x86_dynamic: share(self.deployment.x86_cores(), table.x86_busy_power.milliwatts()),
             neuron_static: share(self.deployment.cores_powered, table.core_static_power.milliwatts()),
             // 1 fJ in 1 ps is 1 mW.
             neuron_dynamic: known.then(|| self.dynamic_fj(events, self.activity.steps() as f64, table) / time as f64),
@@ -245,6 +264,7 @@ impl Case<'_> {
                 edp_pjs: energy_uj.zip(powers.latency_us).map(|(energy, latency)| energy * latency),
                 low: None,
                 high: None,
+                share: None,
                 source,
                 power_source: source,
             }
@@ -302,7 +322,7 @@ pub fn spent_by_step_uj(case: &Case<'_>) -> Vec<f64> {
 pub fn step_price(table: &CostTable, deployment: &Deployment, copies_counted: u32, mode: Mode) -> StepPrice {
     let share = |cores: u64, each: f64| cores as f64 * each / f64::from(deployment.copies.max(1));
     let x86 =
-        [table.x86_static_power, table.x86_busy_power].map(|power| share(deployment.x86_cores, power.milliwatts()));
+        [table.x86_static_power, table.x86_busy_power].map(|power| share(deployment.x86_cores(), power.milliwatts()));
     StepPrice {
         copies_counted: f64::from(copies_counted.max(1)),
         // Equation (8).
@@ -338,6 +358,16 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
         (row.low, row.high) = (bound(|(low, _)| low), bound(|(_, high)| high));
     }
     let (table, lane) = presets[case.preset];
+    if let Some(tables) = case.by_status {
+        let parts = [0, 1, 2].map(|status| case.rows(case.powers(&tables[status], lane)));
+        for (i, row) in rows.iter_mut().enumerate() {
+            let share = |status: usize| {
+                let total = row.total_mw.filter(|&total| total > 0.0)?;
+                Some(parts[status][i].total_mw? / total)
+            };
+            row.share = (|| Some(StatusShare { published: share(0)?, fitted: share(1)?, assumed: share(2)? }))();
+        }
+    }
     let price = case.price(table);
     let steps = case.activity.steps() as f64;
     let some_steps = case.activity.steps() > 0;
@@ -433,6 +463,7 @@ pub(crate) mod tests {
             meter: &run.1,
             preset: 0,
             ends: 0,
+            by_status: None,
             copies_counted: 1,
             deployment,
             mode: Mode::Offline,
@@ -521,7 +552,7 @@ pub(crate) mod tests {
             cores_powered: 4,
             tiles_used: 1,
             chips_used: 1,
-            x86_cores: 1,
+            host: Some(crate::cost::Host::even(1, 1)),
         };
         let run = run_priced(&[quiet, busy], vec![table("davies2018")], 1, &deployment, 1, Mode::Offline);
         let offline = case(&run, &deployment);

@@ -12,7 +12,11 @@ use crate::base::diagnostic::Result;
 use crate::base::units::Picoseconds;
 use crate::cost::constants::CostTable;
 use crate::desc::published::evidence::{ConstantEvidence, EvidenceFile, Finding};
+use crate::desc::published::workload::Accounting;
 use crate::desc::target::{Constant, Constants, Status, Unit};
+
+/// How a preset of the median of findings is named, behind the name of the evidence.
+const PRESET: &str = "evidence";
 
 /// The group of the barrier's times, which presets give and evidence does not.
 const BARRIER: &str = "barrier";
@@ -78,10 +82,22 @@ pub struct ConstantSets {
 /// A constant of the evidence: its name, its group, what is known of it.
 type KnownConstant<'f> = (&'f str, &'f str, Known);
 
+/// Findings that count: under the accounting that is asked for, where there are any.
+fn counted(entry: &ConstantEvidence, accounting: Option<Accounting>) -> Vec<&Finding> {
+    let of = |finding: &&Finding| accounting.is_none_or(|accounting| finding.accounting == accounting);
+    let some: Vec<&Finding> = entry.findings.iter().filter(of).collect();
+    if some.is_empty() { entry.findings.iter().collect() } else { some }
+}
+
 /// What is known of each constant by all findings but those of a work.
-fn known<'f>(file: &'f EvidenceFile, base: &Constants, without: Option<&str>) -> Vec<KnownConstant<'f>> {
+fn known<'f>(
+    file: &'f EvidenceFile,
+    base: &Constants,
+    without: Option<&str>,
+    accounting: Option<Accounting>,
+) -> Vec<KnownConstant<'f>> {
     let one = |entry: &'f ConstantEvidence| {
-        let used = entry.findings.iter().filter(|finding| without != Some(finding.work.as_str()));
+        let used = counted(entry, accounting).into_iter().filter(|finding| without != Some(finding.work.as_str()));
         let known = Known::from_findings(used, entry.upper_bounds).unwrap_or_else(|| {
             let (value, factor) = (value_in(base, &entry.constant.value), uncertainty(Status::Assumed));
             Known { value, low: value / factor, high: value * factor }
@@ -116,7 +132,7 @@ fn scale_barrier(constants: &mut Constants, factor: f64) {
 /// the preset's own value.
 #[must_use]
 pub fn ends(file: &EvidenceFile, preset: &Constants) -> Vec<Constants> {
-    let known = known(file, preset, None);
+    let known = known(file, preset, None, None);
     let factor = uncertainty(Status::Calibrated);
     let moved = |group: &str, high: bool| {
         let mut constants = preset.clone();
@@ -130,6 +146,37 @@ pub fn ends(file: &EvidenceFile, preset: &Constants) -> Vec<Constants> {
         constants
     };
     groups(&known).into_iter().flat_map(|group| [moved(group, false), moved(group, true)]).collect()
+}
+
+/// What the findings under an accounting come to, as a preset: each constant at their median, or at that of all where none is
+/// under this accounting; what no source speaks of as in the base.
+#[must_use]
+pub fn preset(file: &EvidenceFile, base: &Constants, accounting: Accounting) -> Constants {
+    let mut constants = base.clone();
+    constants.name = match accounting {
+        Accounting::Profiler => format!("{}-{PRESET}", file.name),
+        Accounting::Board => format!("{}-{PRESET}-board", file.name),
+    };
+    constants.notes = format!(
+        "The median of what sources say of each constant (mapping/constants/evidence.ron); barrier times and what no source speaks \
+         of are {}'s.",
+        base.name
+    );
+    constants.residuals.clear();
+    for (name, _, known) in known(file, base, None, Some(accounting)) {
+        if !set(&mut constants, name, known.value) {
+            continue;
+        }
+        let entry = file.constants.iter().find(|entry| entry.constant.value == name);
+        if let (Some(constant), Some(entry)) = (constants.get_mut(name), entry) {
+            let counted = counted(entry, Some(accounting));
+            constant.status = counted.iter().map(|finding| finding.status).max().unwrap_or(Status::Assumed);
+            let works = counted.iter().map(|finding| format!("{} {}", finding.work, finding.value.value));
+            let median = if entry.upper_bounds { "lower median" } else { "median" };
+            constant.source = format!("{median} of {}", works.collect::<Vec<_>>().join(", "));
+        }
+    }
+    constants
 }
 
 /// The interval of a figure from its value and from what it becomes with each group at its ends: groups are independent, so that
@@ -150,7 +197,7 @@ impl ConstantSets {
     /// # Errors
     /// As [`CostTable::new`].
     pub fn new(file: &EvidenceFile, base: &Constants, without: Option<&str>) -> Result<Self> {
-        let known = known(file, base, without);
+        let known = known(file, base, without, None);
         let at = |group: &str, end: fn(&Known) -> f64, barrier: f64| {
             let mut constants = base.clone();
             constants.name.clone_from(&file.name);
@@ -194,7 +241,6 @@ mod tests {
     use super::*;
     use crate::base::units::{Femtojoules, Nanowatts};
     use crate::cost::constants::tests::preset;
-    use crate::desc::published::workload::Accounting;
 
     fn finding(work: &str, value: f64, status: Status) -> Finding {
         let accounting = Accounting::Profiler;
@@ -212,6 +258,19 @@ mod tests {
         assert_eq!(Known::from_findings(&all[..2], false), Some(Known { value: 7.0, low: 3.2, high: 15.0 }));
         assert_eq!(Known::from_findings(&all[..2], true).unwrap().value, 4.0);
         assert_eq!(Known::from_findings(&[], false), None);
+    }
+
+    #[test]
+    fn the_shipped_preset_is_what_the_evidence_comes_to() {
+        let file = crate::io::published::evidence::shipped().unwrap();
+        let made = super::preset(&file, &preset(&file.base.value), Accounting::Profiler);
+        let shipped = preset("loihi1-evidence");
+        let text = |constants| crate::io::target::constants_text(constants, "");
+        assert_eq!(
+            text(&made),
+            text(&shipped),
+            "run: nsim bench published --preset mapping/constants/loihi1-evidence.ron"
+        );
     }
 
     #[test]

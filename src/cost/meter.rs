@@ -15,7 +15,7 @@ use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
 use crate::cost::model::{StepTime, energy_of_counts, sum_of_cores};
 use crate::cost::quantiles::Quantiles;
-use crate::cost::transport::{MessageRoutes, QueueMemory, Transport};
+use crate::cost::transport::{MessageRoutes, QueueMemory, Timing, Transport};
 use crate::ir::activity::StepActivity;
 use crate::ir::program::Program;
 
@@ -105,14 +105,10 @@ pub struct StepMeter {
 pub struct MeterSettings {
     /// Presets, one a lane.
     pub tables: Vec<CostTable>,
-    /// Tiles in the barrier.
-    pub tiles_used: u64,
-    /// Copies in the program, whose outputs are all read.
-    pub copies: u64,
     /// The routes of the program's messages.
     pub routes: Arc<MessageRoutes>,
-    /// The model of the mesh.
-    pub transport: Transport,
+    /// The model of the mesh, tiles and host.
+    pub timing: Timing,
     /// Length of a timestep of the model.
     pub timestep: Picoseconds,
     /// The preset, an index into `tables`, and the price under which the distribution of a step's energy is kept.
@@ -124,16 +120,9 @@ pub struct MeterSettings {
 impl MeterSettings {
     /// Settings for one program, of sums alone.
     #[must_use]
-    pub fn new(
-        tables: Vec<CostTable>,
-        tiles_used: u64,
-        copies: u64,
-        program: &Program,
-        transport: Transport,
-        timestep: Picoseconds,
-    ) -> Self {
+    pub fn new(tables: Vec<CostTable>, timing: Timing, program: &Program, timestep: Picoseconds) -> Self {
         let routes = Arc::new(MessageRoutes::of_program(program));
-        MeterSettings { tables, tiles_used, copies, routes, transport, timestep, distribution: None, by_step: None }
+        MeterSettings { tables, timing, routes, timestep, distribution: None, by_step: None }
     }
 }
 
@@ -161,9 +150,8 @@ impl StepMeter {
 
     /// Adds a timestep that happened so many times in a row; `decided` when its sample was decided before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
-        let MeterSettings { tables, tiles_used, copies, routes, transport, timestep, distribution, by_step } =
-            &*self.settings;
-        let step_times = routes.step_times(step, tables, *transport, *tiles_used, *copies, &mut self.memory);
+        let MeterSettings { tables, timing, routes, timestep, distribution, by_step } = &*self.settings;
+        let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
         let sum = sum_of_cores(step);
         for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
             let energy = energy_of_counts(sum, step.hops, 1, table, 0).total();
@@ -218,7 +206,7 @@ impl StepMeter {
     /// The model of the mesh.
     #[must_use]
     pub fn transport(&self) -> Transport {
-        self.settings.transport
+        self.settings.timing.transport
     }
 
     /// The steps under each preset, in the presets' order.
@@ -253,7 +241,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::cost::constants::tests::table;
     use crate::cost::model::{energy, tests::any_step};
-    use crate::cost::transport::tests::no_routes;
+    use crate::cost::transport::tests::{no_routes, timing};
     use crate::ir::activity::Activity;
 
     /// A meter of steps whose messages are not followed.
@@ -264,10 +252,8 @@ pub(crate) mod tests {
     ) -> StepMeter {
         let metered = MeterSettings {
             tables,
-            tiles_used,
-            copies: 1,
+            timing: Timing { tiles_used, ..timing(Transport::Analytic) },
             routes: Arc::new(no_routes()),
-            transport: Transport::Analytic,
             timestep: Picoseconds(1_000_000_000),
             distribution,
             by_step: Some(0),

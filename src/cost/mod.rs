@@ -4,8 +4,8 @@
 //! and powered. Output: energy in whole femtojoules and time in whole picoseconds, and from them the rows of the report.
 //! Sums are exact, so no order of adding changes them. The equations are numbered in `docs/energy.md`.
 //!
-//! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate; the host, except
-//! the time of injecting and reading out spikes.
+//! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate; of the host all that
+//! is not done for each spike, step or value.
 
 pub mod baseline;
 pub mod calibrate;
@@ -13,6 +13,7 @@ pub mod constants;
 pub mod deployment;
 pub mod estimate;
 pub mod evidence;
+pub mod host;
 pub mod meter;
 pub mod model;
 pub mod quantiles;
@@ -20,5 +21,6 @@ pub mod transport;
 
 pub use constants::CostTable;
 pub use deployment::Deployment;
+pub use host::Host;
 pub use meter::{MeterSettings, StepMeter, StepPrice};
-pub use transport::{MessageRoutes, Transport};
+pub use transport::{MessageRoutes, Timing, Transport};

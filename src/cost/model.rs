@@ -171,7 +171,9 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::cost::constants::tests::{preset, table};
-    use crate::cost::transport::{QueueMemory, Transport, tests::no_routes};
+    use crate::cost::host::Host;
+    use crate::cost::transport::tests::{no_routes, timing};
+    use crate::cost::transport::{QueueMemory, Timing, Transport};
 
     /// The time of a step whose messages are not followed.
     fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
@@ -179,9 +181,7 @@ pub(crate) mod tests {
             .step_times(
                 step,
                 std::slice::from_ref(table),
-                Transport::Analytic,
-                tiles_used,
-                1,
+                Timing { tiles_used, ..timing(Transport::Analytic) },
                 &mut QueueMemory::default(),
             )
             .remove(0)
@@ -242,9 +242,7 @@ pub(crate) mod tests {
             no_routes().step_times(
                 &read,
                 std::slice::from_ref(&table),
-                Transport::Analytic,
-                1,
-                4,
+                Timing { host: Some(Host::even(2, 8)), ..timing(Transport::Analytic) },
                 &mut QueueMemory::default()
             )[0]
             .readout,

@@ -17,6 +17,7 @@ use crate::base::id::{CoreId, Id};
 use crate::base::names::named_variants;
 use crate::base::units::Picoseconds;
 use crate::cost::constants::CostTable;
+use crate::cost::host::Host;
 use crate::cost::model::{StepTime, core_time, route_time, times};
 use crate::ir::activity::StepActivity;
 use crate::ir::placement::Route;
@@ -27,9 +28,9 @@ use crate::ir::program::{CoreImage, Program};
 #[serde(rename_all = "lowercase")]
 pub enum Transport {
     /// The longest route, and the wait at the busiest link.
-    #[default]
     Analytic,
     /// Every message through finite buffers.
+    #[default]
     Queued,
 }
 
@@ -194,22 +195,21 @@ impl MessageRoutes {
         busiest
     }
 
-    /// The times of a step under each preset, (11) or (17), with so many tiles in the barrier and copies whose outputs are
-    /// read. The memory is that of an earlier step, so that a step allocates nothing of the mesh's size.
+    /// The times of a step under each preset, (11) or (17). The memory is that of an earlier step, so that a step allocates
+    /// nothing of the mesh's size.
     #[must_use]
     pub fn step_times(
         &self,
         step: &StepActivity,
         tables: &[CostTable],
-        transport: Transport,
-        tiles_used: u64,
-        copies: u64,
+        timing: Timing,
         memory: &mut QueueMemory,
     ) -> Vec<StepTime> {
+        let Timing { transport, tiles_used, host, followed } = timing;
         let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.links() > 0;
         let busiest = match transport {
-            Transport::Analytic => self.busiest_links(step),
-            Transport::Queued => [0; 2],
+            Transport::Queued if followed >= tables.len() => [0; 2],
+            _ => self.busiest_links(step),
         };
         let analytic = |table: &CostTable| {
             let cores = step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
@@ -219,22 +219,51 @@ impl MessageRoutes {
             let wait = wait(table.link_time, busiest[0]).max(wait(table.link_chip_time, busiest[1]));
             (cores, Picoseconds(way.0.saturating_add(wait)))
         };
-        let time = |table: &CostTable| {
-            let injection = times(&[(table.injection_time, step.spikes_in), (table.injection_step_time, copies)]);
+        let both = |(cores, transport): (Picoseconds, Picoseconds)| cores.0.saturating_add(transport.0);
+        // What following the messages comes to under the first preset, and what (11) does.
+        let mut first: Option<(u64, u64)> = None;
+        let mut time = |(number, table): (usize, &CostTable)| {
+            let injection = host.map_or(Picoseconds(0), |host| host.injection(step.spikes_in, table));
             let (slowest_core, transport) = match transport {
                 Transport::Analytic => analytic(table),
-                Transport::Queued => Queue::new(self, table, memory).run(step, injection),
+                Transport::Queued if number < followed => {
+                    let found = Queue::new(self, table, memory).run(step, injection);
+                    if number == 0 && followed < tables.len() {
+                        first = Some((both(found), both(analytic(table))));
+                    }
+                    found
+                }
+                Transport::Queued => {
+                    let (cores, way) = analytic(table);
+                    let (queued, simple) = first.unwrap_or_default();
+                    let took = both((cores, way)).saturating_add(queued).saturating_sub(simple);
+                    (Picoseconds(cores.0.min(took)), Picoseconds(took.saturating_sub(cores.0)))
+                }
             };
             StepTime {
                 injection,
-                readout: times(&[(table.readout_time, step.spikes_out.saturating_mul(copies))]),
+                readout: host.map_or(Picoseconds(0), |host| host.readout(step.spikes_out, table)),
                 slowest_core,
                 transport,
                 barrier: table.barrier(tiles_used),
             }
         };
-        tables.iter().map(time).collect()
+        tables.iter().enumerate().map(&mut time).collect()
     }
+}
+
+/// What the time of a step depends on beside its counts and constants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Timing {
+    /// The model of the mesh.
+    pub transport: Transport,
+    /// Tiles in the barrier.
+    pub tiles_used: u64,
+    /// What hands spikes over; `None` for the chips alone.
+    pub host: Option<Host>,
+    /// The first so many presets have their messages followed by `queued`. The others, which are ends of intervals, take the time
+    /// by (11) and what following added under the first preset.
+    pub followed: usize,
 }
 
 /// A message that its sender has ready.
@@ -287,8 +316,8 @@ impl<'w> Queue<'w> {
 
     /// What each sender sends, in order, and how long it is busy after its last message.
     ///
-    /// The k-th of n input spikes enters the mesh when k / n of the injection have passed, while others are injected; cores
-    /// begin when all are.
+    /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with n spikes at the chip with most,
+    /// while others are injected; cores begin when all are.
     fn senders(&self, step: &StepActivity, injection: u64) -> Vec<(Vec<Ready>, u64)> {
         let (routes, table) = (self.routes, self.table);
         let handling = |message: &Message| {
@@ -301,13 +330,25 @@ impl<'w> Queue<'w> {
         };
         let ready = |after: u64, message: &Message| Ready { after, to: message.core.0, handling: handling(message) };
         let mut senders: Vec<(Vec<Ready>, u64)> = vec![Default::default(); routes.tiles.len()];
-        let spikes = step.channels.len() as u128;
-        for (number, channel) in (1..).zip(&step.channels) {
-            let now = (u128::from(injection) * number / spikes) as u64;
-            for message in routes.inputs.get(channel.index()) {
+        // Chips are served side by side: a spike is the next of the port that its first message enters by.
+        let port = |list: &[Message]| list.first().map_or(0, |message| routes.port(message.core) - routes.cores);
+        let mut spikes = vec![0u128; routes.tiles.len() - routes.cores + 1];
+        for channel in &step.channels {
+            spikes[port(routes.inputs.get(channel.index()))] += 1;
+        }
+        let most = spikes.iter().copied().max().unwrap_or(0).max(1);
+        spikes.fill(0);
+        for channel in &step.channels {
+            let list = routes.inputs.get(channel.index());
+            let number = &mut spikes[port(list)];
+            *number += 1;
+            let now = (u128::from(injection) * *number / most) as u64;
+            for message in list {
                 // Between messages a port keeps the time that has passed.
                 let (messages, passed) = &mut senders[routes.port(message.core)];
-                messages.push(ready(now - std::mem::replace(passed, now), message));
+                // A copy's spike for another chip may come behind that chip's own.
+                let until = now.max(*passed);
+                messages.push(ready(until - std::mem::replace(passed, until), message));
             }
         }
         senders[routes.cores..].iter_mut().for_each(|(_, passed)| *passed = 0);
@@ -464,6 +505,11 @@ pub(crate) mod tests {
     use crate::cost::constants::tests::{preset, table};
     use crate::ir::activity::CoreCounts;
 
+    /// A barrier of one tile and one copy.
+    pub(crate) fn timing(transport: Transport) -> Timing {
+        Timing { transport, tiles_used: 1, host: Some(Host::even(1, 1)), followed: usize::MAX }
+    }
+
     /// The routes of a program of two cores without messages.
     pub(crate) fn no_routes() -> MessageRoutes {
         routes(&[(0, 0), (0, 0)], &[], &[])
@@ -594,7 +640,7 @@ pub(crate) mod tests {
         step.messages_from_inputs = 12;
         step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 12);
         let memory = &mut QueueMemory::default();
-        let time = routes.step_times(&step, &[slow], Transport::Analytic, 1, 1, memory);
+        let time = routes.step_times(&step, &[slow], timing(Transport::Analytic), memory);
         assert_eq!(time[0].transport, Picoseconds(4_100 + 11 * 1_000_000));
     }
 

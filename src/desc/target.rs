@@ -11,8 +11,8 @@ use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::base::names::named_variants;
 
-/// How far a constant can be trusted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+/// How far a constant can be trusted, the most trusted first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
     /// Printed by its source.
@@ -586,7 +586,7 @@ mod tests {
             }
             assert_eq!(
                 target.constants().iter().map(|c| c.name.as_str()).collect::<Vec<_>>(),
-                ["vtsnn-calibrated", "sanafe-calibrated", "davies2018"]
+                ["loihi1-evidence", "vtsnn-calibrated", "sanafe-calibrated", "davies2018"]
             );
             for constants in target.constants() {
                 assert!(constants.list().iter().all(|(_, constant)| !constant.source.is_empty()));

@@ -66,11 +66,11 @@ pub struct Priced {
 pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> Result<Priced> {
     let copies = compiled.options.copies;
     let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
-    let (tables, tiles_used) = (vec![CostTable::new(&target.constants()[0])?], deployment.tiles_used);
+    let tables = vec![CostTable::new(&target.constants()[0])?];
     let timestep_ms = compiled.one.parts().timestep_ms;
     let price = step_price(&tables[0], &deployment, copies, Mode::Offline);
     let (program, timestep) = (&compiled.program, Picoseconds::from_milliseconds(timestep_ms));
-    let metered = MeterSettings::new(tables, tiles_used, copies.into(), program, Transport::Analytic, timestep);
+    let metered = MeterSettings::new(tables, deployment.timing(Transport::default()), program, timestep);
     let metered = Arc::new(MeterSettings { distribution: Some((0, price)), ..metered });
     // Copies share no input channels: each sees the whole sample.
     let copies = Copies { copies, channels: compiled.one.channels() };

@@ -57,7 +57,8 @@ pub const TARGETS: &[Shipped] =
 /// Shipped chips.
 pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "tiny");
 /// Shipped presets of constants.
-pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "sanafe-calibrated", "vtsnn-calibrated");
+pub const CONSTANTS: &[Shipped] =
+    shipped!("mapping/constants": "davies2018", "loihi1-evidence", "sanafe-calibrated", "vtsnn-calibrated");
 /// Shipped tables of measurements.
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 /// The evidence for constants.

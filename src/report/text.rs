@@ -55,6 +55,74 @@ pub(super) fn markdown_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, colu
     out
 }
 
+/// The records of CSV whose cells are numbers with at most four digits; the first is the header.
+fn records(csv: &str) -> Vec<Vec<String>> {
+    let short = |cell: &str| match cell.parse::<f64>() {
+        Ok(x) if x.is_finite() && cell.len() > 5 => format!("{}", four_digits(x)),
+        _ => cell.to_string(),
+    };
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(csv.as_bytes());
+    reader.records().flatten().map(|record| record.iter().map(short).collect()).collect()
+}
+
+/// A number with four significant digits.
+fn four_digits(x: f64) -> f64 {
+    format!("{x:.3e}").parse().unwrap_or(x)
+}
+
+/// CSV as a Markdown table.
+#[must_use]
+pub fn markdown(csv: &str) -> String {
+    let line = |cells: &[String]| {
+        let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|").replace('\n', " ")).collect();
+        format!("| {} |\n", cells.join(" | "))
+    };
+    let records = records(csv);
+    let mut out = String::new();
+    for (number, record) in records.iter().enumerate() {
+        out += &line(record);
+        if number == 0 {
+            out += &line(&vec!["---".to_string(); record.len()]);
+        }
+    }
+    out
+}
+
+/// CSV as a LaTeX tabular with the rules of the package booktabs.
+#[must_use]
+pub fn latex(csv: &str) -> String {
+    let escaped = |cell: &String| {
+        let mut out = String::new();
+        for c in cell.chars() {
+            match c {
+                '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', c]),
+                '\\' => out += "\\textbackslash{}",
+                '~' => out += "\\textasciitilde{}",
+                '^' => out += "\\textasciicircum{}",
+                '\n' => out.push(' '),
+                _ => out.push(c),
+            }
+        }
+        out
+    };
+    let records = records(csv);
+    let Some(header) = records.first() else { return String::new() };
+    // Columns of numbers to the right.
+    let is_number = |column: usize| {
+        let mut cells = records[1..].iter().filter_map(|record| record.get(column)).filter(|cell| !cell.is_empty());
+        cells.all(|cell| cell.parse::<f64>().is_ok())
+    };
+    let columns: String = (0..header.len()).map(|column| if is_number(column) { 'r' } else { 'l' }).collect();
+    let mut out = format!("% needs \\usepackage{{booktabs}}\n\\begin{{tabular}}{{{columns}}}\n\\toprule\n");
+    for (number, record) in records.iter().enumerate() {
+        out += &format!("{} \\\\\n", record.iter().map(escaped).collect::<Vec<_>>().join(" & "));
+        if number == 0 {
+            out += "\\midrule\n";
+        }
+    }
+    out + "\\bottomrule\n\\end{tabular}\n"
+}
+
 /// A cell of a value that may be missing.
 pub(super) fn or_empty(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
@@ -109,6 +177,15 @@ pub fn replaced(document: &str, name: &str, section: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn csv_becomes_a_table_for_papers() {
+        let csv = "name,power_mw\na|b & c,1.23456\n\"100 %\",2\n";
+        assert_eq!(markdown(csv), "| name | power_mw |\n| --- | --- |\n| a\\|b & c | 1.235 |\n| 100 % | 2 |\n");
+        let latex = latex(csv);
+        assert!(latex.contains("\\begin{tabular}{lr}") && latex.contains("name & power\\_mw \\\\"), "{latex}");
+        assert!(latex.contains("a|b \\& c & 1.235 \\\\") && latex.contains("100 \\% & 2"), "{latex}");
+    }
 
     #[test]
     fn a_paragraph_keeps_its_words_and_its_width() {

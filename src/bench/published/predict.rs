@@ -12,7 +12,7 @@ use crate::compile::{CompileError, Options, Strategy, compile};
 use crate::cost::evidence::{ConstantSet, ConstantSets, interval};
 use crate::cost::model::{StepTime, step_energy};
 use crate::cost::transport::QueueMemory;
-use crate::cost::{MessageRoutes, Transport};
+use crate::cost::{Host, MessageRoutes, Timing, Transport};
 use crate::desc::published::workload::{PublishedFigure, Quantity, WorkloadFile};
 use crate::desc::resource::Resource;
 use crate::desc::target::{Status, Target};
@@ -82,6 +82,8 @@ fn simulate(
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
     machine.begin(WARM_UP + COUNTED);
     let mut queue = QueueMemory::default();
+    let host = Some(Host::even(1, 1));
+    let timing = Timing { transport: Transport::Analytic, tiles_used: tiles, host, followed: 1 };
     let mut means = vec![Means::default(); sets.len()];
     for step in 0..WARM_UP + COUNTED {
         machine.step(sample.at(step));
@@ -89,7 +91,7 @@ fn simulate(
             continue;
         }
         let activity = machine.last_step();
-        let times = routes.step_times(activity, &tables, Transport::Analytic, tiles, 1, &mut queue);
+        let times = routes.step_times(activity, &tables, timing, &mut queue);
         for ((means, table), StepTime { injection, readout, slowest_core, transport, barrier }) in
             means.iter_mut().zip(&tables).zip(times)
         {

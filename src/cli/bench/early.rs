@@ -76,7 +76,7 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
     }
     let table = CostTable::new(&workload.target.constants()[0])?;
     let deployment = Deployment::from_placement("packed", &workload.compiled.placement, workload.target.chip(), copies);
-    let metered = workload.metered(vec![table], &deployment, Transport::Analytic);
+    let metered = workload.metered(vec![table], &deployment, Transport::default());
     let run = workload.simulate(MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
         return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));

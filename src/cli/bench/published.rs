@@ -6,6 +6,8 @@ use crate::bench::published::predict::PredictError;
 use crate::bench::published::rows;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cost::evidence::preset;
+use crate::desc::published::workload::Accounting;
 use crate::error::Error;
 use crate::io;
 use crate::io::published::{evidence, workload};
@@ -16,6 +18,7 @@ EXAMPLES:
   nsim bench published                            every published figure, predicted with and without its own work
   nsim bench published --only vt-snn              of one work
   nsim bench published --svg published.svg        published against predicted, with intervals
+  nsim bench published --preset constants.ron     the median of the evidence, to be edited and used
   nsim bench published --format csv > rows.csv    a row a figure";
 
 /// Energies, powers and times that others measured on the chip, beside what nsim predicts for their workloads: once by all that
@@ -29,6 +32,9 @@ pub struct PublishedArgs {
     /// Write a chart of published against predicted figures
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
+    /// Write the preset that all evidence comes to: the median of the findings of each constant
+    #[arg(long, value_name = "FILE.ron")]
+    preset: Option<PathBuf>,
 }
 
 impl From<PredictError> for Error {
@@ -45,9 +51,16 @@ impl From<PredictError> for Error {
 /// # Errors
 /// [`Error`] when no workload has the name, or the chart cannot be written.
 pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
-    io::write::check_all_free(&args.svg, context.force)?;
+    io::write::check_all_free(args.svg.iter().chain(&args.preset), context.force)?;
     let evidence = evidence::shipped()?;
     let base = io::target::load_constants(&evidence.base.value)?;
+    if let Some(path) = &args.preset {
+        let text = io::target::constants_text(
+            &preset(&evidence, &base, Accounting::Profiler),
+            "Written by: nsim bench published --preset FILE",
+        );
+        io::write::text(path, context.force, &text)?;
+    }
     let workloads = workload::shipped()?;
     // Intervals follow from how far other works were missed: all are predicted whatever is shown.
     let mut rows = output::with_progress(context, workloads.len(), "workloads", |done| {

@@ -4,23 +4,26 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::options::{DeploymentArg, Watts};
+use super::options::{DeploymentArg, HostArg, Watts};
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::{Switch, one_of};
 use crate::cost::Transport;
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::Convention;
+use crate::desc::published::workload::Accounting;
 use crate::drive::decision::Rule;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim energy                                     the default model with the copies of its scenario, packed
+  nsim energy --full                              with parts, intervals, sources and notes
   nsim energy --deployment paper --mode realtime  with the published numbers of cores, held to 1 ms steps
   nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
   nsim energy --early-exit certain                what ending decided samples would save
   nsim energy --constants davies2018 --baseline   the other preset, and no baseline
-  nsim energy --transport queued                  every message through finite buffers
+  nsim energy --transport analytic                no queues: the longest route and the busiest link
+  nsim energy --host none                         the chips alone, without what hands spikes over
   nsim energy --svg energy.svg                    a chart of where the energy goes
   nsim energy --copies 1 --export-sanafe DIR      the same program for SANA-FE
   nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
@@ -45,6 +48,9 @@ pub struct EnergyArgs {
     /// saved mapping or a scenario
     #[arg(long, value_name = "packed|paper|FILE", default_value = "packed")]
     pub deployment: DeploymentArg,
+    /// What hands spikes over and takes them back: the x86 core of each chip in use, or nothing, for the chips alone
+    #[arg(long, default_value = "board", value_parser = one_of(&HostArg::ALL, HostArg::name))]
+    pub host: HostArg,
     /// As fast as possible, or held to the model's timestep
     #[arg(long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
     pub mode: Mode,
@@ -71,15 +77,22 @@ pub struct EnergyArgs {
     /// Preset of constants: of those that the target names (its first when left out), or a file
     #[arg(long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
-    /// How long messages take: the longest way and the busiest link, or every message through finite buffers
-    #[arg(long, default_value = "analytic", value_parser = one_of(&Transport::ALL, Transport::name))]
+    /// Which measurements the evidence for constants counts, where it has both: what NxSDK's profiler attributes, or what a
+    /// board's rails draw above idle
+    #[arg(long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
+    pub accounting: Accounting,
+    /// How long messages take: every message through finite buffers, or the longest route and the busiest link
+    #[arg(long, default_value = Transport::default().name(), value_parser = one_of(&Transport::ALL, Transport::name))]
     pub transport: Transport,
-    /// Fit the constants that a table of measurements names to it, instead of a report; -o takes the preset
-    #[arg(long, value_name = "TABLE")]
-    pub calibrate: Option<String>,
+    /// Fit the constants that tables of measurements name to all of their cells, instead of a report; -o takes the preset
+    #[arg(long, value_name = "TABLE", num_args = 1..)]
+    pub calibrate: Vec<String>,
     /// The file that --calibrate writes
     #[arg(short, long, value_name = "FILE", requires = "calibrate")]
     pub output: Option<PathBuf>,
+    /// Print the whole report, not its headline: parts, intervals, comparisons, sources, notes
+    #[arg(long)]
+    pub full: bool,
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
     #[arg(long, default_value = "on")]
     pub skip: Switch,

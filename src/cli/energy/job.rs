@@ -1,9 +1,10 @@
 //! From a finished run to its report.
 
 use crate::cost::Deployment;
-use crate::cost::estimate::{Case, Convention, EnergyRow, estimate, spent};
+use crate::cost::estimate::{Case, EnergyRow, estimate, spent};
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::ScenarioFile;
+use crate::desc::published::workload::Accounting;
 use crate::desc::target::Target;
 use crate::drive::Outcome;
 use crate::drive::decision::Rule;
@@ -33,6 +34,8 @@ pub struct EnergyJob<'a> {
     pub other: Option<&'a Deployment>,
     /// The published job behind the deployment, when it is one's.
     pub scenario: Option<&'a ScenarioFile>,
+    /// Which measurements the constants count.
+    pub accounting: Accounting,
     /// What ending samples when they are decided would save.
     pub early_exit: Option<Saved>,
 }
@@ -65,20 +68,16 @@ pub(super) fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) ->
     }
 }
 
-/// The same run under other numbers of cores; the barrier's time stays that of this deployment.
+/// Static power of a copy under other numbers of cores. Time is not compared: another host would hand spikes over.
 fn packing(job: &EnergyJob<'_>, other: &Deployment) -> Option<Packing> {
-    let physical = |deployment| {
-        let rows = estimate(&Case { deployment, convention: Convention::Physical, ..job.case }).rows;
-        let total = rows.into_iter().find(|row| row.unit == "total")?;
-        Some([total.static_mw?, total.total_mw?, total.energy_uj?])
+    let static_mw = |deployment| {
+        let rows = estimate(&Case { deployment, ..job.case }).rows;
+        rows.into_iter().find(|row| row.unit == "total")?.static_mw
     };
-    let (this, that) = (physical(job.case.deployment)?, physical(other)?);
     Some(Packing {
         compared_with: other.name.clone(),
         cores_powered: [job.case.deployment.cores_powered, other.cores_powered],
-        static_mw: [this[0], that[0]],
-        total_mw: [this[1], that[1]],
-        energy_uj: [this[2], that[2]],
+        static_mw: [static_mw(job.case.deployment)?, static_mw(other)?],
     })
 }
 
@@ -127,6 +126,7 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
         samples: job.samples,
         timesteps: job.case.activity.steps(),
         estimate,
+        accounting: job.accounting,
         transport: job.case.meter.transport(),
         comparison,
         baselines,

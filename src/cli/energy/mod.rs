@@ -13,7 +13,7 @@ use std::path::PathBuf;
 
 use self::args::EnergyArgs;
 use self::job::{EnergyJob, per_decision, saved};
-use self::options::{DeploymentArg, DeploymentSource, baselines, tables, with_preset};
+use self::options::{DeploymentArg, DeploymentSource, HostArg, baselines, tables, with_preset};
 use self::other_hardware::OneCopy;
 use self::workload::Workload;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
@@ -21,7 +21,7 @@ use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cost::estimate::{Case, step_price};
-use crate::cost::{Deployment, MeterSettings};
+use crate::cost::{CostTable, Deployment, MeterSettings};
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::error::Error;
 use crate::io;
@@ -34,8 +34,8 @@ use crate::report::sanafe::Export;
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
-    if let Some(table) = &args.calibrate {
-        return calibrate::run(args, table, context);
+    if !args.calibrate.is_empty() {
+        return calibrate::run(args, context);
     }
     let asked = baselines(args.baseline.as_deref())?;
     let taken = output::check_files(None, &args.svg, context)?;
@@ -59,11 +59,12 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let copies = job.copies();
     let workload = Workload::new(&job, copies, &args.input)?;
     let (compiled, target) = (workload.compiled, workload.target);
-    let (target, preset) = with_preset(target.clone(), args.constants.as_deref())?;
+    let (target, preset) = with_preset(target.clone(), args.constants.as_deref(), deployed, args.accounting)?;
     let (target, tables) = tables(target, preset.as_deref())?;
     let placement = &compiled.placement;
     let model = &compiled.one.parts().name;
     let deployment = source.deployment(model, copies, placement, &target)?;
+    let deployment = Deployment { host: deployment.host.filter(|_| args.host == HostArg::Board), ..deployment };
     let other = match (&args.deployment, &shipped) {
         (DeploymentArg::Packed, Some(job)) if job.copies.value == copies => {
             Some(Deployment::from_scenario("paper", job))
@@ -103,7 +104,9 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
     }
     let ends = run.meter.tables().len() - 1;
-    let case = Case { ends, mode, convention, steps_per_sample, ..case };
+    let by_status = CostTable::by_status(&target.constants()[0])?;
+    let by_status = Some(&by_status);
+    let case = Case { ends, by_status, mode, convention, steps_per_sample, ..case };
     let decision = per_decision(rule, &case, &run.outcomes);
     let mut energy = job::report(&EnergyJob {
         model,
@@ -116,6 +119,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         per_decision: Some(&decision),
         other: other.as_ref(),
         scenario: deployed,
+        accounting: args.accounting,
         early_exit: args.early_exit.map(|rule| saved(rule, &case, &run.outcomes)),
     });
     energy.notes.extend(others.notes);
@@ -133,7 +137,9 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         batch.commit()?;
     }
     if !taken {
-        output::print(context.format, || energy.text(), || energy.json(), || energy.csv())?;
+        let csv = || if context.format == Format::Csv { energy.csv() } else { energy.paper_csv() };
+        let text = || if args.full { energy.text() } else { energy.headline() };
+        output::print(context.format, text, || energy.json(), csv)?;
     }
     if context.format != Format::Text {
         energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
@@ -158,6 +164,7 @@ mod tests {
     use crate::cost::estimate::tests::{MS, run};
     use crate::desc::published::baseline::Mode;
     use crate::desc::published::scenario::Convention;
+    use crate::desc::published::workload::Accounting;
     use crate::desc::spanned::parse;
     use crate::desc::target::Target;
     use crate::desc::target::{Chip, Constants, TargetFile};
@@ -223,7 +230,7 @@ mod tests {
     }
 
     fn with_report<T>(deployment: &Deployment, mode: Mode, convention: Convention, f: impl Fn(EnergyReport) -> T) -> T {
-        let (target, tables) = tables(nahuku(), None).unwrap();
+        let (target, tables) = tables(nahuku(), Some("vtsnn-calibrated")).unwrap();
         let ends = tables.len() - 1;
         let (activity, meter) = run(&steps(), tables, deployment.tiles_used);
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
@@ -246,6 +253,7 @@ mod tests {
             per_decision: None,
             other: None,
             scenario: None,
+            accounting: Accounting::Profiler,
             early_exit: None,
         }))
     }
@@ -286,9 +294,9 @@ mod tests {
         let target = nahuku();
         let placement = sequential(&target, 32);
         let packed = deployed("vtsnn-slip", &DeploymentArg::Packed, 32, &placement, &target).unwrap();
-        assert_eq!((packed.cores_used, packed.cores_powered, packed.tiles_used, packed.x86_cores), (32, 32, 8, 1));
+        assert_eq!((packed.cores_used, packed.cores_powered, packed.tiles_used, packed.x86_cores()), (32, 32, 8, 1));
         let paper = deployed("vtsnn-slip", &DeploymentArg::Paper, 32, &placement, &target).unwrap();
-        assert_eq!((paper.cores_used, paper.cores_powered, paper.x86_cores), (594, 624, 5));
+        assert_eq!((paper.cores_used, paper.cores_powered, paper.x86_cores()), (594, 624, 5));
         let error = deployed("vtsnn-slip", &DeploymentArg::Paper, 8, &placement, &target).unwrap_err();
         assert_eq!(error.exit_status(), 2);
         let static_mw = |deployment: &Deployment| {
@@ -314,7 +322,7 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         let file = DeploymentArg::File(path);
         let own = deployed("own", &file, 2, &placement, &target).unwrap();
-        assert_eq!((own.copies, own.cores_used, own.cores_powered, own.x86_cores), (2, 7, 9, 3));
+        assert_eq!((own.copies, own.cores_used, own.cores_powered, own.x86_cores()), (2, 7, 9, 3));
         assert_eq!(deployed("own", &file, 3, &placement, &target).unwrap_err().exit_status(), 2);
         assert_eq!(deployed("other", &file, 2, &placement, &target).unwrap_err().exit_status(), 2);
     }

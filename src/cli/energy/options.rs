@@ -3,12 +3,14 @@
 use std::path::PathBuf;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::base::names::named_variants;
 use crate::compile::mapping_file;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::cost::evidence;
 use crate::cost::{CostTable, Deployment};
 use crate::desc::mapping::MappingFile;
 use crate::desc::published::scenario::ScenarioFile;
+use crate::desc::published::workload::Accounting;
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::target::Target;
 use crate::error::{Error, Result};
@@ -25,6 +27,17 @@ pub enum DeploymentArg {
     /// Those of a saved mapping or of a scenario.
     File(PathBuf),
 }
+
+/// `--host`
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HostArg {
+    /// An x86 core on each chip in use, as on the boards.
+    Board,
+    /// None: the chips alone.
+    None,
+}
+
+named_variants!(HostArg { Board = "board", None = "none" });
 
 impl From<&str> for DeploymentArg {
     fn from(text: &str) -> Self {
@@ -56,11 +69,35 @@ pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, Vec<CostT
     Ok((target.with_preset(chosen), tables))
 }
 
-/// The target with the preset that is asked for, which may be a file; returns the preset's name.
+/// The target with the preset that is asked for, which may be a file, or with that of the published job whose deployment it is;
+/// returns the preset's name.
 ///
 /// # Errors
-/// [`Error::Input`] when the file cannot be used.
-pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Option<String>)> {
+/// [`Error::Input`] when the file cannot be used, [`Error::Usage`] for the board's accounting of another preset than the evidence's.
+pub fn with_preset(
+    target: Target,
+    asked: Option<&str>,
+    scenario: Option<&ScenarioFile>,
+    accounting: Accounting,
+) -> Result<(Target, Option<String>)> {
+    let of_job = scenario.and_then(|scenario| scenario.constants.as_ref()).filter(|_| asked.is_none());
+    if let Some(name) = of_job {
+        let preset = io::target::load_constants(&name.value)?;
+        return Ok((target.with_preset(preset), Some(name.value.clone())));
+    }
+    if accounting == Accounting::Board {
+        let evidence = io::published::evidence::shipped()?;
+        let base = io::target::load_constants(&evidence.base.value)?;
+        let default = target.constants().first().map(|preset| preset.name.clone());
+        if asked.map(str::to_string).or(default) != Some(evidence::preset(&evidence, &base, Accounting::Profiler).name)
+        {
+            let advice = "--accounting board chooses among the findings of the evidence: leave out --constants, or name that preset";
+            return Err(Error::Usage(advice.to_string()));
+        }
+        let preset = evidence::preset(&evidence, &base, accounting);
+        let name = preset.name.clone();
+        return Ok((target.with_preset(preset), Some(name)));
+    }
     match asked {
         Some(path) if io::shipped::is_path(path) => {
             let preset = io::target::load_constants(path)?;

@@ -24,6 +24,14 @@ const IDLE: Duration = Duration::from_millis(300);
 /// Timesteps of a repeat, about: more would only take longer.
 const TIMESTEPS: u64 = 1_500;
 
+/// Above this share of the processors in use a measurement says that the machine was busy.
+const BUSY_SHARE: f64 = 0.5;
+
+/// How many processors were in use over the last minute, where Linux says so.
+fn load() -> Option<f64> {
+    std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
+}
+
 /// The workload of one copy.
 #[derive(Debug, Clone, Copy)]
 pub struct OneCopy<'a> {
@@ -108,6 +116,8 @@ fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: 
 }
 
 fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>, found: &mut Rows) {
+    let load_before = load();
+    let available = std::thread::available_parallelism().map_or(1, usize::from);
     let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), ASSUMED_MW, IDLE);
     let samples = cpu::enough(one.samples, TIMESTEPS);
     let here = Environment::here();
@@ -132,6 +142,11 @@ fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<
             add("CPU, event-driven", false, meter.during(|| cpu::event_driven(program, samples, BUDGET)));
         }
         None => found.notes.push("no row for CPU, event-driven: one copy alone could not be mapped".to_string()),
+    }
+    if let Some(load) = load_before.filter(|load| *load > BUSY_SHARE * available as f64) {
+        found.notes.push(format!(
+            "this machine was busy ({load} of {available} processors before the measurement): its own rows may be slow"
+        ));
     }
     if here.profile == "debug" {
         found.notes.push("nsim was built without optimisation: its rows of the processor are slow".to_string());

@@ -83,10 +83,8 @@ impl<'j> Workload<'j> {
     pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
         MeterSettings {
             tables,
-            tiles_used: deployment.tiles_used,
-            copies: self.copies.into(),
+            timing: deployment.timing(transport),
             routes: self.routes.clone(),
-            transport,
             timestep: Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms),
             distribution: None,
             by_step: None,

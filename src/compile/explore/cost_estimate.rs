@@ -70,9 +70,11 @@ pub fn score_of(
     let table = CostTable::new(target.constants().first().ok_or_else(none)?)?;
     let deployment = Deployment::from_placement("packed", placement, target.chip(), copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
-    let injection = table.injection_time.microseconds() * activity.spikes_in as f64;
-    let turns = Picoseconds(table.injection_step_time.0.saturating_mul(copies.into()));
-    let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used), turns];
+    // Spikes of as many steps as rates count, and one turn a step.
+    let turn = table.injection_step_time;
+    let injection = deployment.host.map_or(turn, |host| host.injection(activity.spikes_in, &table)).microseconds()
+        - turn.microseconds();
+    let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used), turn];
     let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
     // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
     let wait = (traffic.max_link_load * table.link_time.microseconds())
@@ -87,7 +89,7 @@ pub fn score_of(
     Ok(Score {
         cores: deployment.cores_used,
         cores_powered: deployment.cores_powered,
-        energy_uj: chip_energy_uj + x86_mw * deployment.x86_cores as f64 * step_us * 1e-3,
+        energy_uj: chip_energy_uj + x86_mw * deployment.x86_cores() as f64 * step_us * 1e-3,
         chip_energy_uj,
         step_us,
         static_mw,

@@ -48,6 +48,9 @@ pub struct ScenarioFile {
     pub copies: Spanned<u32>,
     /// Numbers of cores.
     pub deployment: Spanned<DeployedCores>,
+    /// The preset of constants that holds for the job.
+    #[serde(default)]
+    pub constants: Option<Spanned<String>>,
     /// What energy means in the measured tables.
     pub convention: Convention,
     /// Shipped tables of measurements of this job.

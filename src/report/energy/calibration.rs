@@ -24,8 +24,8 @@ pub struct Fitted<'a> {
 /// Everything that the report says.
 #[derive(Debug)]
 pub struct CalibrationReport<'a> {
-    /// The table.
-    pub table: &'a MeasurementsFile,
+    /// The tables.
+    pub tables: &'a [MeasurementsFile],
     /// The preset that gave everything else.
     pub start: &'a str,
     /// The preset that came out.
@@ -52,6 +52,13 @@ impl CalibrationReport<'_> {
         })
     }
 
+    /// Something of each table, each once.
+    fn each(&self, part: fn(&MeasurementsFile) -> &String) -> String {
+        let mut parts: Vec<&str> = self.tables.iter().map(|table| part(table).as_str()).collect();
+        parts.dedup();
+        parts.join(", ")
+    }
+
     /// The largest deviation in percent.
     fn worst(&self) -> f64 {
         self.residuals.iter().map(|residual| residual.percent.abs()).fold(0.0, f64::max)
@@ -62,9 +69,9 @@ impl CalibrationReport<'_> {
     pub fn json(&self) -> Value {
         json!({
             "schema": "nsim.calibration/1",
-            "table": self.table.name,
-            "model": self.table.model,
-            "target": self.table.target,
+            "table": self.each(|table| &table.name),
+            "model": self.each(|table| &table.model),
+            "target": self.each(|table| &table.target),
             "fits": true,
             "start": self.start,
             "preset": self.preset,
@@ -92,8 +99,11 @@ impl CalibrationReport<'_> {
     /// The report for people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut out = format!("{} on {}, {}\n", self.table.name, self.table.target, self.table.mode.name());
-        out += &wrapped(&self.table.source);
+        let mut out = String::new();
+        for table in self.tables {
+            let _ = writeln!(out, "{} on {}, {}", table.name, table.target, table.mode.name());
+            out += &wrapped(&table.source);
+        }
         out += &wrapped(&format!("Activity: {}.", self.activity));
         out.push('\n');
         if !self.fitted.is_empty() {

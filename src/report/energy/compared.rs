@@ -7,7 +7,7 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use super::format::{plain, short};
-use crate::cost::estimate::EnergyRow;
+use crate::cost::estimate::{EnergyRow, FigureSource};
 use crate::report::text::wrapped;
 
 /// Other hardware over the simulated chip: above 1, the chip needs less.
@@ -49,7 +49,7 @@ pub struct PerDecision {
     pub early: f64,
 }
 
-/// The same run with other numbers of cores.
+/// Other numbers of cores for the same copies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Packing {
     /// The deployment that it is compared with.
@@ -58,10 +58,6 @@ pub struct Packing {
     pub cores_powered: [u64; 2],
     /// Static power of one copy, x86 and neuron cores together.
     pub static_mw: [f64; 2],
-    /// Total power of one copy.
-    pub total_mw: [f64; 2],
-    /// Physical energy of a timestep of one copy.
-    pub energy_uj: [f64; 2],
 }
 
 /// Power times time of a row in uJ.
@@ -69,11 +65,15 @@ pub(super) fn energy(row: &EnergyRow) -> Option<f64> {
     Some(row.total_mw? * row.latency_us? / 1e3)
 }
 
-/// The ratios of other rows to the chip's total.
+/// The ratios of other rows to the chip's total; none to a row whose power is assumed.
 #[must_use]
 pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
     let of = |other: &EnergyRow| {
         let over = |this: Option<f64>, that: Option<f64>| Some(that? / this.filter(|this| *this > 0.0)?);
+        // A ratio to an assumption would be one.
+        if other.power_source == FigureSource::Assumed {
+            return None;
+        }
         let latency_us = over(chip.latency_us, other.latency_us)?;
         let energy_uj = over(energy(chip), energy(other))?;
         Some(Ratio {
@@ -148,19 +148,14 @@ impl Comparison {
             out.push('\n');
         }
         if let Some(packing) = &self.packing {
-            let Packing { compared_with, cores_powered, static_mw, total_mw, energy_uj } = packing;
+            let Packing { compared_with, cores_powered, static_mw } = packing;
             out += &wrapped(&format!(
-                "Deployment {} powers {} neuron cores, {compared_with} {}: static power {} mW a copy against {}, total {} mW \
-                 against {}, energy of a timestep {} uJ against {} (physical, latency and activity of this run).",
+                "Deployment {} powers {} neuron cores, {compared_with} {}: static power {} mW a copy against {}.",
                 deployment,
                 cores_powered[0],
                 cores_powered[1],
                 short(static_mw[0]),
                 short(static_mw[1]),
-                short(total_mw[0]),
-                short(total_mw[1]),
-                short(energy_uj[0]),
-                short(energy_uj[1]),
             ));
             out.push('\n');
         }
@@ -171,7 +166,7 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cost::estimate::{Convention, FigureSource};
+    use crate::cost::estimate::Convention;
 
     fn row(hardware: &str, total_mw: f64, latency_us: f64) -> EnergyRow {
         EnergyRow {
@@ -186,6 +181,7 @@ mod tests {
             edp_pjs: Some(1.0),
             low: None,
             high: None,
+            share: None,
             source: FigureSource::Published,
             power_source: FigureSource::Published,
         }

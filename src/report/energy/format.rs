@@ -26,6 +26,16 @@ pub(super) fn fixed(units: i128, digits: usize) -> String {
     format!("{sign}{}.{:0digits$}", units.abs() / scale, units.abs() % scale)
 }
 
+/// A figure with two significant digits.
+pub(super) fn two_digits(x: f64) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return format!("{x}");
+    }
+    let rounded: f64 = format!("{x:.1e}").parse().unwrap_or(x);
+    let decimals = (1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    format!("{rounded:.decimals$}")
+}
+
 /// A figure with at least five significant digits and no more than six decimals, without trailing zeros.
 pub(super) fn short(x: f64) -> String {
     if x == 0.0 || !x.is_finite() {

@@ -9,11 +9,12 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{fixed, plain, short, unknown};
+use super::format::{fixed, plain, short, two_digits, unknown};
 use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Convention, EnergyRow, Estimate};
 use crate::desc::published::baseline::Mode;
+use crate::desc::published::workload::Accounting;
 use crate::desc::target::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
 use crate::report::text::{Column, count, csv_of, or_empty, wrapped};
@@ -108,6 +109,8 @@ pub struct EnergyReport {
     pub estimate: Estimate,
     /// Rows of other hardware, with their sources.
     pub baselines: Vec<(EnergyRow, String)>,
+    /// Which measurements the constants count.
+    pub accounting: Accounting,
     /// The model of the mesh.
     pub transport: Transport,
     /// Beside other hardware and other numbers of cores.
@@ -158,12 +161,14 @@ impl EnergyReport {
             "cores_used": self.deployment.cores_used,
             "tiles_used": self.deployment.tiles_used,
             "chips_used": self.deployment.chips_used,
-            "x86_cores": self.deployment.x86_cores,
+            "x86_cores": self.deployment.x86_cores(),
+            "host": self.host_json(),
             "breakdown_pj_per_timestep": breakdown,
             "per_timestep_uj": self.estimate.per_timestep_uj,
             "per_timestep_dynamic_uj": self.estimate.per_timestep_dynamic_uj,
             "time_us_per_timestep": times,
             "transport": self.transport,
+            "accounting": self.accounting.name(),
             "ratios": self.comparison.ratios,
             "per_sample": self.comparison.per_sample,
             "per_decision": self.comparison.per_decision,
@@ -201,11 +206,113 @@ impl EnergyReport {
         csv_of(self.rows(), &columns)
     }
 
-    /// The report for people.
+    fn host_json(&self) -> Value {
+        let x86_cores = self.deployment.x86_cores();
+        json!({ "x86_cores": x86_cores, "chips_injecting": x86_cores.min(self.deployment.chips_used) })
+    }
+
+    /// The answer in at most ten lines of eighty columns, figures with the two digits that constants deserve.
+    #[must_use]
+    pub fn headline(&self) -> String {
+        let Deployment { name, copies, cores_used, cores_powered, chips_used, .. } = &self.deployment;
+        let cut = |line: String| match line.char_indices().nth(79) {
+            Some((end, _)) => format!("{}~\n", &line[..end]),
+            None => format!("{line}\n"),
+        };
+        let of = if *copies == 1 { "1 copy".to_string() } else { format!("one of {copies} copies") };
+        let mut out = cut(format!("{} on {}: {of}, {name}, {}", self.model, self.target, self.mode.name()));
+        out += &cut(format!(
+            "{} ({cores_powered} powered), {}, {}; {} of {}",
+            count(*cores_used, "core"),
+            count(*chips_used, "chip"),
+            count(self.deployment.x86_cores(), "x86 core"),
+            count(self.samples, "sample"),
+            self.input.join(", ")
+        ));
+        let convention = self.convention();
+        let energy_header = if convention == "physical" { "Energy (uJ)" } else { "Energy (uJ, published)" };
+        let mut table = plain(&["A timestep on", "Power (mW)", "Time (us)", energy_header, "Source"]);
+        let two = |x: Option<f64>| x.map_or_else(unknown, two_digits);
+        let total = self.estimate.rows.iter().find(|row| row.unit == "total");
+        if let Some(row) = total {
+            let figures = [row.total_mw, row.latency_us, row.energy_uj].map(two);
+            let [power, time, energy] = figures;
+            table.add_row(["loihi".to_string(), power, time, energy, row.source.name().to_string()]);
+            if let (Some(low), Some(high)) = (row.low, row.high) {
+                let range = |low: Option<f64>, high: Option<f64>| match (low, high) {
+                    (Some(low), Some(high)) => format!("{}..{}", two_digits(low), two_digits(high)),
+                    _ => unknown(),
+                };
+                table.add_row([
+                    "  90 % interval".to_string(),
+                    range(low.total_mw, high.total_mw),
+                    range(low.latency_us, high.latency_us),
+                    range(low.energy_uj, high.energy_uj),
+                    String::new(),
+                ]);
+            }
+        }
+        // What does not fit into ten lines is in the full report.
+        let room = if self.early_exit.is_some() { 2 } else { 3 };
+        for (row, _) in self.baselines.iter().take(room) {
+            let figures = [row.total_mw, row.latency_us, row.energy_uj].map(two);
+            let [power, time, energy] = figures;
+            table.add_row([row.hardware.clone(), power, time, energy, self.source_of(row)]);
+        }
+        let _ = writeln!(out, "{}", table.trim_fmt());
+        let part = |unit: &str| self.estimate.rows.iter().find(|row| row.unit == unit)?.energy_uj;
+        if let (Some(x86), Some(all)) = (part("x86"), part("total"))
+            && all > 0.0
+        {
+            let shares = total.and_then(|row| row.share).map_or(String::new(), |share| {
+                let [published, fitted, assumed] =
+                    [share.published, share.fitted, share.assumed].map(|share| (100.0 * share).round());
+                format!("; {published} % from published, {fitted} % fitted, {assumed} % assumed constants")
+            });
+            out += &cut(format!("x86 cores take {:.0} %{shares}", 100.0 * x86 / all));
+        }
+        if let Some(saved) = self.early_exit {
+            let share =
+                saved.energy_saved_share.map_or(String::new(), |share| format!(", {:.0} % of energy", 100.0 * share));
+            out += &cut(format!(
+                "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}",
+                saved.rule, saved.decided, self.samples, saved.steps_saved, self.timesteps
+            ));
+        }
+        let notes = if self.notes.is_empty() { String::new() } else { count(self.notes.len() as u64, "note") + ", " };
+        out += &cut(format!("constants {}; {notes}parts, intervals and sources: --full", self.preset));
+        out
+    }
+
+    /// Where a row's figures are from, in a word or two.
+    fn source_of(&self, row: &EnergyRow) -> String {
+        match row.power_source == row.source {
+            true => row.source.name().to_string(),
+            false => format!("{}, {} W", row.source.name(), row.power_source.name()),
+        }
+    }
+
+    /// The main table as comma-separated values, for a table in a paper.
+    ///
+    /// # Errors
+    /// As [`EnergyReport::csv`].
+    pub fn paper_csv(&self) -> Result<String, csv::Error> {
+        let columns: [Column<EnergyRow>; 7] = [
+            ("Hardware", |row| format!("{} {}", row.hardware, row.unit)),
+            ("Static (mW)", |row| or_empty(row.static_mw)),
+            ("Dynamic (mW)", |row| or_empty(row.dynamic_mw)),
+            ("Total (mW)", |row| or_empty(row.total_mw)),
+            ("Latency (us)", |row| or_empty(row.latency_us)),
+            ("Energy (uJ)", |row| or_empty(row.energy_uj)),
+            ("Source", |row| row.source.name().to_string()),
+        ];
+        csv_of(self.rows(), &columns)
+    }
+
+    /// The whole report for people.
     #[must_use]
     pub fn text(&self) -> String {
-        let Deployment { name, copies, cores_used, cores_powered, tiles_used, chips_used, x86_cores } =
-            &self.deployment;
+        let Deployment { name, copies, cores_used, cores_powered, tiles_used, chips_used, host: _ } = &self.deployment;
         let convention = self.convention();
         let mut out = format!(
             "{} on {}: one of {copies} copies, deployment {name}, {}, constants {}, transport {}\n",
@@ -219,7 +326,7 @@ impl EnergyReport {
             out,
             "{} used, {cores_powered} powered, {}, {} on {}; {}, {}",
             count(*cores_used, "neuron core"),
-            count(*x86_cores, "x86 core"),
+            count(self.deployment.x86_cores(), "x86 core"),
             count(*tiles_used, "tile"),
             count(*chips_used, "chip"),
             count(self.samples, "sample"),
@@ -314,10 +421,7 @@ impl EnergyReport {
         for (row, _) in &self.baselines {
             let mut cells = vec![row.hardware.clone(), row.unit.to_string()];
             cells.extend(columns.iter().map(|(figure, ..)| figure(row).map_or_else(unknown, short)));
-            cells.push(match row.power_source == row.source {
-                true => row.source.name().to_string(),
-                false => format!("{}, {} W", row.source.name(), row.power_source.name()),
-            });
+            cells.push(self.source_of(row));
             rows.push(cells);
         }
         rows

@@ -1,0 +1,120 @@
+//! What more copies and more traffic do to time and energy: no more than what the chips' hosts hand over, and never less.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Net, neuron};
+use nsim::base::id::ChannelId;
+use nsim::compile::{Options, compile};
+use nsim::cost::CostTable;
+use nsim::cost::host::Host;
+use nsim::cost::model::StepTime;
+use nsim::cost::transport::QueueMemory;
+use nsim::cost::{Deployment, MessageRoutes, Transport};
+use nsim::desc::resource::Resource;
+use nsim::desc::target::Target;
+use nsim::drive::priced::run_priced;
+use nsim::io::target::load_target;
+use nsim::ir::graph::Shape;
+use nsim::ir::quantised::Quantised;
+use nsim::ir::spikes::{Engine, Sample};
+use nsim::machine::{Image, Machine, Settings};
+
+const CHANNELS: u32 = 16;
+const STEPS: u32 = 12;
+
+/// Sixteen channels to eight compartments, some of which spike.
+fn network() -> Quantised {
+    let mut net = Net::new();
+    let input = net.input(Shape::Line(CHANNELS));
+    let hidden = net.loihi(Shape::Line(8), &[neuron(1024, 512, 40, 1); 8], 0);
+    let weights: Vec<i64> = (0..8 * i64::from(CHANNELS)).map(|k| 10 + k % 5 * 20).collect();
+    net.dense(input, hidden, 0, &weights);
+    net.build()
+}
+
+/// A board whose cores hold one copy each.
+fn board() -> Target {
+    let target = load_target("pohoiki-springs").unwrap();
+    let limits = target.limits().clone().with(Resource::Compartments, 8);
+    target.with_limits(limits)
+}
+
+/// Every step `spikes` channels.
+fn sample(spikes: u32) -> Sample {
+    let events: Vec<(u32, ChannelId)> =
+        (0..STEPS).flat_map(|step| (0..spikes).map(move |k| (step, ChannelId((k + step) % CHANNELS)))).collect();
+    Sample::new(STEPS, &events, None).unwrap()
+}
+
+/// The time of each step with so many copies on a board, and where they are.
+fn times(target: &Target, copies: u32, spikes: u32, transport: Transport) -> (Vec<StepTime>, Deployment, CostTable) {
+    let compiled = compile(network(), target, &Options { copies, ..Options::default() }).unwrap();
+    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
+    let table = CostTable::new(&target.constants()[0]).unwrap();
+    let routes = MessageRoutes::of_program(&compiled.program);
+    let image = Image::new(&compiled.program, 1).unwrap();
+    let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
+    let shown = sample(spikes).copies(copies, CHANNELS);
+    let mut memory = QueueMemory::default();
+    machine.begin(STEPS);
+    let of_step = |step| {
+        machine.step(shown.at(step));
+        routes
+            .step_times(machine.last_step(), std::slice::from_ref(&table), deployment.timing(transport), &mut memory)
+            .remove(0)
+    };
+    let steps = (0..STEPS).map(of_step).collect();
+    (steps, deployment, table)
+}
+
+#[test]
+fn copies_change_a_step_by_what_their_chips_inject_and_no_more() {
+    let (target, spikes) = (board(), 5);
+    let (alone, _, table) = times(&target, 1, spikes, Transport::Analytic);
+    for copies in [32u32, 1_024] {
+        let (many, deployment, _) = times(&target, copies, spikes, Transport::Analytic);
+        // A copy takes a core: 1,024 of them fill 8 chips.
+        assert_eq!(deployment.chips_used, u64::from(copies).div_ceil(128));
+        let host = deployment.host.unwrap();
+        assert_eq!((host.x86_cores, host.copies_in_turn), (deployment.chips_used, u64::from(copies.min(128))));
+        for (one, all) in alone.iter().zip(&many) {
+            assert_eq!(all.injection, host.injection(u64::from(spikes * copies), &table));
+            assert_eq!(all.slowest_core, one.slowest_core);
+            assert_eq!(all.barrier, table.barrier(deployment.tiles_used));
+            // Inputs of one chip cross its mesh together: at most one link time each.
+            let messages = u64::from(spikes * copies.min(128));
+            let most = one.transport.0 + messages * table.link_time.0 + 16 * table.hop_ns_time.0;
+            assert!((one.transport.0..=most).contains(&all.transport.0), "{copies}: {one:?} {all:?}");
+        }
+    }
+    // As many chips as copies hand over as fast as one: nothing else is in the way.
+    assert_eq!(Host::even(1_024, 1_024).copies_in_turn, 1);
+}
+
+#[test]
+fn more_copies_or_more_traffic_never_cost_less() {
+    let target = board();
+    let priced = |copies: u32, spikes: u32| {
+        let compiled = compile(network(), &target, &Options { copies, ..Options::default() }).unwrap();
+        let found = run_priced(&compiled, &target, &[sample(spikes)]).unwrap();
+        let total = found.estimate.rows.into_iter().find(|row| row.unit == "total").unwrap();
+        (total.latency_us.unwrap(), total.energy_uj.unwrap() * f64::from(copies))
+    };
+    let mut last = (0.0, 0.0);
+    for copies in [1, 2, 7, 32, 128, 129, 256] {
+        let now = priced(copies, 5);
+        assert!(now.0 >= last.0 && now.1 > last.1, "{copies} copies: {now:?} after {last:?}");
+        last = now;
+    }
+    for copies in [1, 32] {
+        let mut last = (0.0, 0.0);
+        for spikes in 0..=CHANNELS {
+            let now = priced(copies, spikes);
+            assert!(now.0 >= last.0 && now.1 >= last.1, "{spikes} spikes: {now:?} after {last:?}");
+            last = now;
+        }
+    }
+}
