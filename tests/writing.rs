@@ -1,59 +1,126 @@
-//! Faults of the disk, injected into every command that writes: its files are absent, old or complete, and never of two
-//! generations side by side; the next command completes them and leaves nothing behind.
+//! Faults of the disk, injected into every command that writes or reads files: what it writes is absent, old or complete, and
+//! never of two generations side by side; what it prints is right, or its status says that it failed.
 //!
-//! A command runs once for the old files and once for the new ones; then with a fault in its N-th operation on the file
-//! system, for N from 1 until none is left: an input-output error, a full disk, half a write before a full disk, a kill.
-//! `NSIM_FAULTS=all` takes every operation; without it some are left out to save time.
+//! A command runs without a fault once for the old files and once for the new ones, and names its operations on the file
+//! system. Then it runs with a fault in each of them, in an empty folder and on the old files, and once more without. Some
+//! operations are left out to save time; `NSIM_FAULTS=all` takes every one.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
+#![cfg(unix)]
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use rayon::prelude::*;
 
-/// A command that writes: its arguments with OLD and NEW for what differs between generations, and what stands there.
+/// A command: its arguments with GEN for what differs between generations.
 struct Case {
     arguments: &'static str,
     generations: [&'static str; 2],
-    /// Operations that are left out between two that fail, unless all are wanted.
-    stride: u64,
+    /// Whether it takes a second or more, so that only every hundredth operation fails.
+    slow: bool,
 }
 
-const fn case(arguments: &'static str, old: &'static str, new: &'static str, stride: u64) -> Case {
-    Case { arguments, generations: [old, new], stride }
+const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> Case {
+    Case { arguments, generations: [old, new], slow: false }
 }
 
-const CASES: [Case; 12] = [
-    case("map GEN.ron -o m.ron", "a", "b", 1),
-    case("map GEN.ron --svg m.svg", "a", "b", 2),
-    case("map GEN.ron -o m.ron --svg m.svg --pareto p.svg", "a", "b", 3),
-    case("export GEN.ron -o m.nir", "a", "b", 1),
-    case("import GEN.nir -o m.ron", "w", "x", 1),
-    case("scene slip --samples 3 --seed GEN -o s", "1", "2", 3),
-    case("scene slip --samples 1 --seed GEN --plot s.svg", "1", "2", 2),
-    case("run GEN.ron --input scene:noise?samples=1&steps=9 --probe o.spikes --probe o.v -o p", "a", "b", 1),
-    case("train t.ron --set seed=GEN --log l.csv -o m.ron", "1", "2", 2),
-    case("train t.ron --set seed=1 --checkpoint GEN.st -o m.ron", "1", "2", 3),
-    case("energy GEN.ron --input scene:noise?samples=1&steps=9 --svg e.svg", "a", "b", 2),
-    case("agree GEN.ron --input scene:noise?samples=1&steps=9 --svg g.svg", "a", "b", 2),
+/// Commands that write. Inputs lie in `i`.
+const WRITING: [Case; 34] = [
+    case("map i/GEN.ron -o m.ron", "a", "b"),
+    case("map i/GEN.ron --svg m.svg", "a", "b"),
+    case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
+    case("map i/GEN.ron -o deep/er/m.ron --svg m.svg --pareto p.svg", "a", "b"),
+    case("map i/GEN.ron -o -", "a", "b"),
+    case("map i/GEN.ron --svg -", "a", "b"),
+    case("export i/GEN.ron -o m.nir", "a", "b"),
+    case("export i/GEN.ron -o m.nir --format csv", "w", "x"),
+    case("import i/GEN.nir -o m.ron --format json", "w", "x"),
+    case("import i/GEN.nir -o m.ron --dt 1", "a", "b"),
+    case("scene slip --samples 3 --seed GEN -o s", "1", "2"),
+    case("scene slip --samples 2 --seed GEN -o s --plot s.svg --format json", "1", "2"),
+    case("scene container --samples 1 --seed GEN --plot s.svg", "1", "2"),
+    case("run i/GEN.ron --input scene:noise?samples=1&steps=9 --probe o.spikes --probe o.v -o p", "a", "b"),
+    case("run i/GEN.ron --input i/e.csv --probe o.u --probe-format csv -o p --format json", "a", "b"),
+    case("run i/GEN.ron --input i/e.npy --probe o.v --probe o.u --probe-format nir -o p", "a", "b"),
+    case("train i/t.ron --set seed=GEN --log l.csv -o m.ron", "1", "2"),
+    case("train i/t.ron --set seed=1 --checkpoint GEN.st -o m.ron --format json", "1", "2"),
+    case("train i/t.ron --seed GEN --log - -o m.ron", "1", "2"),
+    case("train i/t.ron --study runs --seeds GEN", "1..3", "2..4"),
+    case("train i/t.ron --study runs --seeds 1..2 --folds 2 --set weight_decay=GEN", "0", "0.01"),
+    case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --svg e.svg", "a", "b"),
+    case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --export-sanafe s", "a", "b"),
+    case("energy --calibrate i/GEN-table.ron --input scene:noise?samples=1&steps=9 -o c.ron", "a", "b"),
+    case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --svg g.svg", "a", "b"),
+    case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --update page.md --force", "a", "b"),
+    case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 -o m.ron", "r", "q"),
+    case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 --update page.md --force --format json", "r", "q"),
+    case("bench early i/GEN.ron --input i/labels.ron -o early", "a", "b"),
+    case("bench early --study i/runs --input i/d -o GEN", "one", "two"),
+    case("bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --svg p.svg", "a", "b"),
+    case(
+        "bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --update page.md --force",
+        "a",
+        "b",
+    ),
+    case("run i/GEN.ron --mapping i/GEN-map.ron --input i/labels.ron --probe o.spikes -o p --format json", "a", "b"),
+    Case { arguments: "bench published --svg GEN.svg", generations: ["one", "two"], slow: true },
 ];
 
-const KINDS: [&str; 4] = ["kill", "eio", "enospc", "short"];
+/// Commands that only read.
+const READING: [&str; 16] = [
+    "inspect i/w.nir",
+    "inspect i/a.ron --format json",
+    "inspect i/many.safetensors",
+    "run i/a.ron --input i/e.npy --format json",
+    "run i/a.ron --input i/e.csv --format json",
+    "run i/a.ron --input i/labels.ron --format json",
+    "run i/v.ron --input i/d --format json",
+    "run i/v.ron --input i/events.bs2?size=6,2&polarity=merge --format json",
+    "run i/v.ron --input i/events.aedat4?size=6,2&polarity=merge&steps=9 --format json",
+    "run i/w.nir --input i/d --format json",
+    "map i/a.ron --target i/target.ron",
+    "import i/set-fc1.npy --neuron i/neuron.yaml --format json",
+    "import i/checkpoint.pt --neuron i/neuron.yaml --format json",
+    "import i/every-layer.net --format json",
+    "energy i/a.ron --baseline rtx-2080-ti --input i/e.npy --constants i/constants.ron --format json",
+    "agree i/a.ron --against i/b.ron --input i/e.npy --format json",
+];
+
+/// Kinds of faults and the classes of operations that they befall.
+const KINDS: [(&str, &[&str]); 15] = [
+    ("kill", &["Write", "Make", "Change"]),
+    ("power", &["Write", "Make", "Change"]),
+    ("torn", &["Write"]),
+    ("eio", &["Write", "Make", "Change"]),
+    ("broken", &["Write", "Make", "Change"]),
+    ("enospc", &["Write", "Make", "Change"]),
+    ("full", &["Write", "Make"]),
+    ("short", &["Write"]),
+    ("partial", &["Write"]),
+    ("interrupted", &["Write"]),
+    ("read-eio", &["Read", "Look"]),
+    ("read-broken", &["Read", "Look"]),
+    ("read-partial", &["Read"]),
+    ("read-interrupted", &["Read"]),
+    ("read-end", &["Read"]),
+];
 
 type Files = BTreeMap<String, Vec<u8>>;
 
+/// What a folder holds besides its inputs.
 fn files(folder: &Path) -> Files {
     let mut found = Files::new();
     let mut folders = vec![folder.to_path_buf()];
     while let Some(next) = folders.pop() {
         for entry in std::fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
+            let entry = entry.unwrap();
+            let path = entry.path();
+            if entry.file_type().unwrap().is_dir() {
                 folders.push(path);
-            } else {
+            } else if entry.file_type().unwrap().is_file() {
                 let name = path.strip_prefix(folder).unwrap().display().to_string();
                 found.insert(name, std::fs::read(path).unwrap());
             }
@@ -62,59 +129,131 @@ fn files(folder: &Path) -> Files {
     found
 }
 
-fn prepare(folder: &Path) {
+/// A folder in memory where there is one: it holds more files in a second than a disk.
+fn folder() -> tempfile::TempDir {
+    let memory = Path::new("/dev/shm");
+    let mut builder = tempfile::Builder::new();
+    builder.prefix("nsim-writing-");
+    if memory.is_dir() { builder.tempdir_in(memory).or_else(|_| builder.tempdir()) } else { builder.tempdir() }.unwrap()
+}
+
+fn npy(shape: &str, bytes: &[u8]) -> Vec<u8> {
+    let header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}\n");
+    let mut npy = b"\x93NUMPY\x01\x00".to_vec();
+    npy.extend((header.len() as u16).to_le_bytes());
+    npy.extend(header.bytes());
+    npy.extend(bytes);
+    npy
+}
+
+fn prepare(i: &Path) {
+    let put = |name: &str, content: &[u8]| std::fs::write(i.join(name), content).unwrap();
+    let network = |inputs: usize, neurons: &str, weights: &str| {
+        format!(
+            "Network(name: \"x\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [{inputs}]), {neurons}], \
+             projections: [Dense(from: [\"in\"], to: \"o\", weights: {weights})], output: \"o\")"
+        )
+    };
+    let loihi = |units: usize| format!("Loihi(name: \"o\", shape: [{units}], du: 1024, dv: 1024, vth_mant: 8)");
+    let srm = "Srm(name: \"o\", shape: [2], tau_sr_ms: 5, tau_ref_ms: 1, scale_ref: 2, theta: 1)";
     for (name, weight) in [("a", 20), ("b", 26)] {
-        let model = format!(
-            "Network(name: \"x\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), \
-             Loihi(name: \"o\", shape: [2], du: 1024, dv: 1024, vth_mant: 8)], \
-             projections: [Dense(from: [\"in\"], to: \"o\", weights: [[{weight}, 2, 2, 2], [2, 2, {weight}, 2]])], output: \"o\")"
-        );
-        std::fs::write(folder.join(format!("{name}.ron")), model).unwrap();
+        let weights = format!("[[{weight}, 2, 2, 2], [2, 2, {weight}, 2]]");
+        put(&format!("{name}.ron"), network(4, &loihi(2), &weights).as_bytes());
+    }
+    for (name, weight) in [("r", 0.75), ("q", 0.5)] {
+        let weights = format!("[[{weight}, 0.25, 0.5, 0.5], [0.25, 0.5, {weight}, 0.125]]");
+        put(&format!("{name}.ron"), network(4, srm, &weights).as_bytes());
     }
     // Larger ones, whose arrays lie beside the model that they are imported to.
     for (name, weight) in [("w", 20), ("x", 26)] {
         let rows = vec![format!("[{}]", vec![weight.to_string(); 12].join(", ")); 3].join(", ");
-        let model = format!(
-            "Network(name: \"x\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [12]), \
-             Loihi(name: \"o\", shape: [3], du: 1024, dv: 1024, vth_mant: 8)], \
-             projections: [Dense(from: [\"in\"], to: \"o\", weights: [{rows}])], output: \"o\")"
-        );
-        std::fs::write(folder.join(format!("{name}.ron")), model).unwrap();
-        assert_eq!(run(folder, &format!("export {name}.ron -o {name}.nir"), None).0, Some(0));
+        put(&format!("{name}.ron"), network(12, &loihi(3), &format!("[{rows}]")).as_bytes());
     }
+    put("v.ron", network(12, &loihi(3), "Npy(\"v.npy\")").as_bytes());
+    put("v.npy", &npy("(3, 12)", &[20; 36]));
     let training = r#"Training(name: "s", timestep_ms: 1.0, inputs: [(name: "in", shape: [12])],
         layers: [(name: "out", from: ["in"], size: 3)],
         neuron: Srm(tau_sr_ms: Same(5.0), tau_ref_ms: 1.0, scale_ref: 2.0, theta: 1.0),
         loss: SpikeCount(right: 12, wrong: 2), optimiser: Adam(rate: 0.03), batch: 4, epochs: 2, seed: 3,
-        train: ["d"])"#;
-    std::fs::write(folder.join("t.ron"), training).unwrap();
-    std::fs::create_dir(folder.join("d")).unwrap();
-    for sample in 0..3 {
-        let header = "{'descr': '|u1', 'fortran_order': False, 'shape': (12, 5), }\n";
-        let mut npy = b"\x93NUMPY\x01\x00".to_vec();
-        npy.extend((header.len() as u16).to_le_bytes());
-        npy.extend(header.bytes());
-        npy.extend((0..60).map(|at| u8::from((at + sample) % 3 == 0)));
-        std::fs::write(folder.join(format!("d/sample_{sample}_label_{sample}.npy")), npy).unwrap();
+        train: ["i/d"])"#;
+    put("t.ron", training.as_bytes());
+    std::fs::create_dir(i.join("d")).unwrap();
+    for sample in 0..4u8 {
+        let spikes: Vec<u8> = (0..60).map(|at| u8::from((at + sample) % 3 == 0)).collect();
+        put(&format!("d/sample_{sample}_label_{}.npy", sample % 2), &npy("(12, 5)", &spikes));
+    }
+    put("e.npy", &npy("(4, 9)", &(0..36).map(|at| u8::from(at % 3 == 0)).collect::<Vec<u8>>()));
+    put("e.csv", b"# steps: 9\n0,0\n1,1\n2,2\n3,3\n5,0\n7,2\n");
+    put(
+        "labels.ron",
+        br#"DataSet(name: "l", populations: {"in": "in"}, samples: [
+            (files: {"in": "e.npy"}, label: Some(0)), (files: {"in": "e.npy"}, label: Some(1))])"#,
+    );
+    for name in ["a", "b"] {
+        let table = format!(
+            "Measurements(name: \"t\", source: \"made up\", notes: \"\", model: \"i/{name}.ron\", target: \"nahuku-32\", copies: 1, \
+             deployment: \"packed\", mode: realtime, steps_per_sample: 9, start: \"vtsnn-calibrated\", cells: [(unit: \
+             \"total\", figure: \"total_mw\", printed: \"32.3\")])"
+        );
+        put(&format!("{name}-table.ron"), table.as_bytes());
+    }
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for (name, source) in [
+        ("checkpoint.pt", "tests/fuzz/corpus/checkpoint/zip"),
+        ("every-layer.net", "tests/fuzz/corpus/hdf5/netx_every_layer"),
+        ("neuron.yaml", "tests/fuzz/corpus/yaml/srm"),
+        ("many.safetensors", "models/container-tactile.safetensors"),
+        ("target.ron", "mapping/targets/tiny.ron"),
+        ("constants.ron", "mapping/constants/davies2018.ron"),
+    ] {
+        put(name, &std::fs::read(root.join(source)).unwrap());
+    }
+    put("set-fc1.npy", &npy("(3, 12)", &[1; 36]));
+    put("set-fc2.npy", &npy("(2, 3)", &[1; 6]));
+    // x, y, and 24 bits of polarity and microseconds.
+    put("events.bs2", &(0..40u8).flat_map(|at| [at % 6, at % 2, 0, at, 0]).collect::<Vec<u8>>());
+    // The corpus has a byte before each file, which says how it is read.
+    put("events.aedat4", &std::fs::read(root.join("tests/fuzz/corpus/events/aedat4_zstd")).unwrap()[1..]);
+    let page = |mark: &str| format!("# A page\n<!-- {mark} x -->\nold\n<!-- end {mark} x -->\nmore\n");
+    put("page.md", ["agree", "convert", "pareto"].map(page).concat().as_bytes());
+    let here = i.parent().unwrap();
+    for line in [
+        "export i/w.ron -o i/w.nir",
+        "export i/x.ron -o i/x.nir",
+        "export i/a.ron -o i/a.nir",
+        "export i/b.ron -o i/b.nir",
+        "map i/a.ron -o i/a-map.ron",
+        "map i/b.ron -o i/b-map.ron",
+        "train i/t.ron --study i/runs --seeds 1..2 --folds 2",
+    ] {
+        let ran = run(here, line, None);
+        assert_eq!(ran.status, Some(0), "{line}: {}", ran.said);
     }
 }
 
-/// Runs a command: its status and whether a fault was injected.
-fn run(folder: &Path, arguments: &str, fault: Option<&str>) -> (Option<i32>, bool) {
+/// How a command ended.
+struct Ran {
+    status: Option<i32>,
+    printed: Vec<u8>,
+    said: String,
+}
+
+fn run(folder: &Path, line: &str, fault: Option<&str>) -> Ran {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    command.args(arguments.split(' ')).args(["--force", "--threads", "1"]).current_dir(folder).stdin(Stdio::null());
+    command.args(line.split(' ')).args(["--threads", "1"]).current_dir(folder).stdin(Stdio::null());
     if let Some(fault) = fault {
         command.env("NSIM_FAULT", fault);
     }
     let output = command.output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!said.contains("fault of nsim"), "{arguments} {fault:?}: {said}");
-    (output.status.code(), said.contains("injected:"))
+    assert!(!said.contains("fault of nsim"), "{line} {fault:?}: {said}");
+    Ran { status: output.status.code(), printed: output.stdout, said }
 }
 
-/// Copies what a folder holds.
-fn place(content: &Files) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
+/// A folder that holds these files, and the inputs.
+fn place(content: &Files, inputs: &Path) -> tempfile::TempDir {
+    let folder = folder();
+    std::os::unix::fs::symlink(inputs, folder.path().join("i")).unwrap();
     for (name, bytes) in content {
         let path = folder.path().join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -123,67 +262,225 @@ fn place(content: &Files) -> tempfile::TempDir {
     folder
 }
 
-/// What is there after a fault is old or new, and not both.
-fn check(what: &str, there: &Files, old: &Files, new: &Files) {
-    let (mut olds, mut news) = (Vec::new(), Vec::new());
-    for (name, bytes) in there.iter().filter(|(name, _)| !name.contains(".nsim-")) {
-        let (is_old, is_new) = (old.get(name) == Some(bytes), new.get(name) == Some(bytes));
-        assert!(is_old || is_new, "{what}: {name} is neither old nor new");
-        if is_old != is_new {
-            if is_old { &mut olds } else { &mut news }.push(name);
+/// A command on what is there before it, without a fault.
+struct Expected {
+    line: String,
+    before: Files,
+    after: Files,
+    printed: Vec<u8>,
+    status: i32,
+    /// How many operations of each class there are.
+    operations: BTreeMap<String, u64>,
+    stride: u64,
+}
+
+impl Expected {
+    fn new(line: String, before: Files, inputs: &Path, stride: u64) -> Expected {
+        let again = || {
+            let folder = place(&before, inputs);
+            let ran = run(folder.path(), &line, Some("list:1"));
+            assert!(matches!(ran.status, Some(0 | 1)), "{line}: {:?}: {}", ran.status, ran.said);
+            (ran, files(folder.path()))
+        };
+        let (one, after) = again();
+        let mut operations = BTreeMap::new();
+        for class in one.said.lines().filter_map(|line| line.strip_prefix("operation: ")) {
+            *operations.entry(class.to_string()).or_insert(0) += 1;
+        }
+        Expected { status: one.status.unwrap(), printed: one.printed, line, before, after, operations, stride }
+    }
+
+    /// The same file, or a whole one with other figures.
+    fn is_new(&self, name: &str, bytes: &[u8]) -> bool {
+        let Some(new) = self.after.get(name) else { return false };
+        let alike = |one: &[u8], other: &[u8]| {
+            let (first, last) = (24.min(one.len()), one.len().saturating_sub(6));
+            other.starts_with(&one[..first]) && other.ends_with(&one[last..]) && other.len() * 4 > one.len() * 3
+        };
+        // Measured times differ from run to run.
+        let times = name.starts_with("runs/") && name.ends_with(".json") || self.line.starts_with("bench pareto");
+        new == bytes || times && alike(new, bytes)
+    }
+
+    /// Whether this was printed, but for lines with measured times.
+    fn is_printed(&self, printed: &[u8]) -> bool {
+        let times = ["wall_s", "us_per_timestep", "us a timestep", "ms: ", "\"seconds\"", " s,"];
+        let steady = |printed: &[u8]| {
+            let text = String::from_utf8_lossy(printed).into_owned();
+            let lines =
+                text.lines().filter(|line| !line.ends_with(" s") && !times.iter().any(|time| line.contains(time)));
+            lines.map(str::to_string).collect::<Vec<_>>()
+        };
+        // Each line of these has some.
+        let all =
+            self.line.starts_with("bench pareto") || self.line.starts_with("train") && self.line.contains("--study");
+        all || steady(printed) == steady(&self.printed)
+    }
+
+    fn is_complete(&self, there: &Files) -> bool {
+        there.keys().eq(self.after.keys()) && there.iter().all(|(name, bytes)| self.is_new(name, bytes))
+    }
+
+    /// What is there after a fault is old or new, and not both where files belong together.
+    fn check(&self, what: &str, there: &Files) {
+        let (mut olds, mut news) = (Vec::new(), Vec::new());
+        for (name, bytes) in there.iter().filter(|(name, _)| !name.contains(".nsim-")) {
+            let (is_old, is_new) = (self.before.get(name) == Some(bytes), self.is_new(name, bytes));
+            assert!(is_old || is_new, "{what}: {name} is neither old nor new");
+            if is_old != is_new {
+                if is_old { &mut olds } else { &mut news }.push(name.as_str());
+            }
+        }
+        // A folder of recordings may hold both while it says that it is unfinished; pictures, histories, documents and
+        // checkpoints are files on their own, as are the runs of a study.
+        let unfinished = there.contains_key("s/.nsim-unfinished") && !there.contains_key("s/dataset.ron");
+        let apart = |name: &&str| {
+            [".svg", ".csv", ".st", ".md"].iter().any(|end| name.ends_with(end)) || name.starts_with("runs/")
+        };
+        if !self.line.contains("bench early") {
+            olds.retain(|name| !apart(name));
+            news.retain(|name| !apart(name));
+        }
+        assert!(olds.is_empty() || news.is_empty() || unfinished, "{what}: {olds:?} are old, {news:?} new");
+        for run in there.keys().filter(|name| name.starts_with("runs/") && name.ends_with(".json")) {
+            for other in ["ron", "safetensors"].map(|end| run.replace("json", end)) {
+                assert!(there.contains_key(&other), "{what}: {run} stands there without {other}");
+            }
         }
     }
-    // A folder of recordings may hold both while it says that it is unfinished; pictures beside a mapping are apart.
-    let unfinished = there.keys().any(|name| name.contains(".nsim-unfinished")) && !there.contains_key("s/dataset.ron");
-    let apart = |name: &&String| name.ends_with(".svg") || name.ends_with(".csv") || name.ends_with(".st");
-    olds.retain(|name| !apart(name));
-    news.retain(|name| !apart(name));
-    assert!(olds.is_empty() || news.is_empty() || unfinished, "{what}: {olds:?} are old, {news:?} new");
+
+    /// The numbers of the operations that fail, for a kind.
+    fn numbers(&self, kind: usize) -> Vec<u64> {
+        let count = KINDS[kind].1.iter().filter_map(|class| self.operations.get(*class)).sum::<u64>();
+        let offset = (self.line.len() + kind) as u64;
+        (1..=count).filter(|number| (number + offset).is_multiple_of(self.stride)).collect()
+    }
+
+    /// Injects a fault and judges what becomes of it.
+    fn inject(&self, kind: &str, number: u64, inputs: &Path) {
+        let folder = place(&self.before, inputs);
+        let fault = format!("{kind}:{number}");
+        let what = format!("{} with {fault}", self.line);
+        let ran = run(folder.path(), &self.line, Some(&fault));
+        assert!(ran.said.contains("injected:"), "{what}: nothing was injected");
+        let good = Some(self.status);
+        let there = files(folder.path());
+        match kind {
+            "kill" | "power" | "torn" => assert_eq!(ran.status, Some(137), "{what}"),
+            // These are no errors.
+            "partial" | "interrupted" | "read-partial" | "read-interrupted" => {
+                assert_eq!(ran.status, good, "{what}: {}", ran.said);
+            }
+            _ => assert!(ran.status == good || matches!(ran.status, Some(2 | 3)), "{what}: {:?}", ran.status),
+        }
+        self.check(&what, &there);
+        if ran.status == good {
+            assert!(self.is_complete(&there), "{what} says that it is done and leaves {:?}", there.keys());
+            let printed = || String::from_utf8_lossy(&ran.printed).into_owned();
+            assert!(self.is_printed(&ran.printed), "{what} prints something else: {}", printed());
+            return;
+        }
+        if matches!(ran.status, Some(2 | 3)) {
+            let left = there.keys().find(|name| name.ends_with(".tmp"));
+            assert!(left.is_none() || kind == "broken", "{what} leaves {left:?}");
+            // What it could not replace is still there; a disk that is broken for good cannot be helped.
+            let lost = self.before.keys().find(|name| !there.contains_key(*name));
+            let unfinished = there.contains_key("s/.nsim-unfinished");
+            assert!(lost.is_none() || unfinished || kind == "broken", "{what} loses {lost:?}");
+        }
+        if there != self.before {
+            // The same command again completes it and tidies up.
+            let again = run(folder.path(), &format!("{} --force", self.line.replace(" --force", "")), None);
+            assert_eq!(again.status, good, "{what}, then again: {}", again.said);
+            let there = files(folder.path());
+            assert!(self.is_complete(&there), "{what}, then again: {:?}", there.keys());
+        }
+    }
 }
 
 #[test]
-fn every_command_writes_all_or_nothing() {
+fn every_command_writes_all_or_nothing_and_says_what_it_could_not_read() {
     let all = std::env::var("NSIM_FAULTS").is_ok_and(|value| value == "all");
-    let inputs = tempfile::tempdir().unwrap();
-    prepare(inputs.path());
-    let inputs = files(inputs.path());
-    let faults: u64 = CASES
-        .par_iter()
-        .flat_map(|case| KINDS.par_iter().map(move |kind| (case, kind)))
-        .map(|(case, kind)| {
-            let [old_arguments, new_arguments] = case.generations.map(|name| case.arguments.replace("GEN", name));
-            let folder = place(&inputs);
-            assert_eq!(run(folder.path(), &old_arguments, None).0, Some(0), "{old_arguments}");
-            let old = files(folder.path());
-            let fresh = place(&old);
-            assert_eq!(run(fresh.path(), &new_arguments, None).0, Some(0), "{new_arguments}");
-            let new = files(fresh.path());
-            let mut faults = 0;
-            for number in (1..).step_by(if all { 1 } else { case.stride as usize }) {
-                let folder = place(&old);
-                let fault = format!("{kind}:{number}");
-                let what = format!("{new_arguments} with {fault}");
-                let (status, injected) = run(folder.path(), &new_arguments, Some(&fault));
-                if !injected {
-                    assert_eq!(status, Some(0), "{what}");
-                    break;
-                }
-                faults += 1;
-                let expected: &[i32] = if *kind == "kill" { &[137] } else { &[0, 3] };
-                assert!(status.is_some_and(|status| expected.contains(&status)), "{what}: {status:?}");
-                let there = files(folder.path());
-                check(&what, &there, &old, &new);
-                if status == Some(3) {
-                    let left = there.keys().find(|name| name.ends_with(".tmp"));
-                    assert!(left.is_none(), "{what} leaves {left:?}");
-                }
-                // The same command again completes it and tidies up.
-                assert_eq!(run(folder.path(), &new_arguments, None).0, Some(0), "{what}, then again");
-                assert!(files(folder.path()) == new, "{what}, then again: {:?}", files(folder.path()).keys());
-            }
-            faults
+    let stride = |slow: bool| match (all, slow) {
+        (true, false) => 1,
+        (true, true) => 3,
+        (false, false) => 7,
+        (false, true) => u64::MAX,
+    };
+    let shared = folder();
+    let inputs = shared.path().join("i");
+    std::fs::create_dir(&inputs).unwrap();
+    prepare(&inputs);
+    let page = Files::from([("page.md".to_string(), std::fs::read(inputs.join("page.md")).unwrap())]);
+    let nothing = |line: &str| if line.contains("page.md") { page.clone() } else { Files::new() };
+    let writing = WRITING.par_iter().filter(|case| all || !case.slow).flat_map_iter(|case| {
+        let [old, new] = case.generations.map(|name| case.arguments.replace("GEN", name));
+        let folder = place(&nothing(&old), &inputs);
+        let ran = run(folder.path(), &old, None);
+        assert!(matches!(ran.status, Some(0 | 1)), "{old}: {}", ran.said);
+        let forced = format!("{} --force", new.replace(" --force", ""));
+        let stride = stride(case.slow);
+        let fresh = Expected::new(new.clone(), nothing(&new), &inputs, stride);
+        let replaced = (!case.slow).then(|| Expected::new(forced, files(folder.path()), &inputs, stride));
+        [Some(fresh), replaced].into_iter().flatten()
+    });
+    let reading =
+        READING.par_iter().map(|line| Expected::new((*line).to_string(), Files::new(), &inputs, stride(false)));
+    let expected: Vec<Expected> = writing.chain(reading).collect();
+    let faults: Vec<(&Expected, usize, u64)> = expected
+        .iter()
+        .flat_map(|one| {
+            (0..KINDS.len()).flat_map(move |kind| one.numbers(kind).into_iter().map(move |n| (one, kind, n)))
         })
-        .sum();
-    println!("{faults} faults injected");
-    assert!(faults > 100, "only {faults} faults");
+        .collect();
+    let judged = |&(one, kind, number): &(&Expected, usize, u64)| {
+        let injected = std::panic::catch_unwind(|| one.inject(KINDS[kind].0, number, &inputs));
+        injected.err().map(|wrong| wrong.downcast_ref::<String>().cloned().unwrap_or_default())
+    };
+    let wrong: Vec<String> = faults.par_iter().filter_map(judged).collect();
+    let count = |index: usize| faults.iter().filter(|(_, kind, _)| *kind == index).count();
+    let counts: Vec<String> = (0..KINDS.len()).map(|kind| format!("{} {}", KINDS[kind].0, count(kind))).collect();
+    println!("{} faults in {} commands: {}", faults.len(), expected.len(), counts.join(", "));
+    assert!(wrong.is_empty(), "{} faults do harm:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(faults.len() > if all { 5000 } else { 500 }, "only {} faults", faults.len());
+}
+
+/// Every option that takes a file or a folder is one that is read, or stands in a command above.
+#[test]
+fn every_option_that_writes_is_tried() {
+    const READ: [&str; 8] =
+        ["--mapping", "--calibrate", "--image", "--neuron", "--constants", "--deployment", "--against", "--input"];
+    let commands =
+        ["map", "run", "energy", "agree", "convert", "scene", "train", "import", "export", "inspect", "stress"];
+    let benches = ["step", "map", "early", "pareto", "published"].map(|name| format!("bench {name}"));
+    for command in commands.map(str::to_string).iter().chain(&benches) {
+        let help = run(Path::new("."), &format!("{command} --help"), None).printed;
+        for line in String::from_utf8(help).unwrap().lines().map(str::trim_start).filter(|line| line.starts_with('-')) {
+            let takes_file = ["FILE", "DIR", ".ron>", ".svg>", ".md>", ".csv>", ".nir>", "<OUTPUT>"];
+            if !takes_file.iter().any(|name| line.contains(name)) {
+                continue;
+            }
+            let options: Vec<&str> = line.split([' ', ',']).filter(|word| word.starts_with('-')).collect();
+            let tried = |case: &Case| {
+                let words: Vec<&str> = case.arguments.split(' ').collect();
+                case.arguments.starts_with(command.as_str()) && options.iter().any(|option| words.contains(option))
+            };
+            let is_read = options.iter().any(|option| READ.contains(option));
+            assert!(is_read || WRITING.iter().any(tried), "{command} {options:?} is not tried");
+        }
+    }
+}
+
+/// A path for what is read only when something fails.
+#[test]
+fn inputs_are_not_written() {
+    let shared = folder();
+    let inputs: PathBuf = shared.path().join("i");
+    std::fs::create_dir(&inputs).unwrap();
+    prepare(&inputs);
+    let before = files(&inputs);
+    for line in READING {
+        run(shared.path(), line, None);
+    }
+    assert!(files(&inputs) == before);
 }

@@ -105,9 +105,8 @@ pub struct StudyModel {
 /// `study.run` when the folder cannot be read or holds anything else in its `.json` files.
 pub fn study_models(folder: &Path) -> Result<Vec<StudyModel>, Diagnostic> {
     let unreadable = |path: &Path, why: String| Diagnostic::new("study.run", why).in_file(path);
-    let entries = std::fs::read_dir(folder).map_err(|error| unreadable(folder, error.to_string()))?;
     let mut models = Vec::new();
-    for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+    for path in io::disk::list(folder).map_err(|error| unreadable(folder, error.to_string()))? {
         if path.extension().is_none_or(|extension| extension != "json") {
             continue;
         }

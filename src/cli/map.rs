@@ -144,16 +144,6 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         }
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
-    // A file that goes to stdout goes there alone.
-    if !taken || mapped.is_err() {
-        let text = || report::text(question, outcome) + &report::pareto_text(&candidates);
-        let json = || {
-            let mut object = report::json(question, outcome);
-            object["pareto"] = report::pareto_json(&candidates);
-            object
-        };
-        output::print(context.format, text, json, || Ok(report::csv(outcome)))?;
-    }
     if let Ok(mapped) = &mapped {
         if let Some(output) = &args.output {
             io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
@@ -164,6 +154,16 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         if let Some(path) = &args.pareto {
             io::write::text(path, context.force, &report::pareto_svg(model, &candidates))?;
         }
+    }
+    // A file that goes to stdout goes there alone.
+    if !taken || mapped.is_err() {
+        let text = || report::text(question, outcome) + &report::pareto_text(&candidates);
+        let json = || {
+            let mut object = report::json(question, outcome);
+            object["pareto"] = report::pareto_json(&candidates);
+            object
+        };
+        output::print(context.format, text, json, || Ok(report::csv(outcome)))?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
 }

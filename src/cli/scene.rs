@@ -13,6 +13,7 @@ use crate::desc::dataset::{DataSet, SampleEntry};
 use crate::desc::spanned::Spanned;
 use crate::desc::stimulus::SceneArg;
 use crate::error::Error;
+use crate::io::spikes::MANIFEST;
 use crate::io::{mapping, npy, spikes, write};
 use crate::report::charts::raster::{Panel, Raster};
 use crate::report::scene::{ClassSummary, SceneReport};
@@ -51,8 +52,6 @@ pub struct Args {
     pub plot_sample: Option<u32>,
 }
 
-/// The manifest's name.
-const MANIFEST: &str = "dataset.ron";
 /// Folds of the manifest's cross-validation, as the paper has them.
 const FOLDS: usize = 5;
 

@@ -1,6 +1,8 @@
 //! `nsim train`: trains a network, or studies how well one trains over seeds, folds and settings.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use serde_json::Value;
@@ -10,6 +12,7 @@ use crate::base::folds::stratified_folds;
 use crate::cli::args::values::SampleRange;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::process::signals;
 use crate::compile;
 use crate::desc::training::TrainingFile;
 use crate::drive::inputs;
@@ -67,7 +70,7 @@ pub struct Args {
     /// Write loss and accuracy of each epoch here, as CSV
     #[arg(long, value_name = "FILE.csv")]
     log: Option<PathBuf>,
-    /// Save the state here every tenth epoch, and resume from it if the file exists
+    /// Save the state here every tenth epoch and on Ctrl-C, and resume from it if the file exists
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Train every combination of --seeds, --folds and --set, save each result in this folder, and resume an interrupted
@@ -174,6 +177,19 @@ fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data> {
     Ok(Data { train, test })
 }
 
+/// Keeps the last finished epoch of a training that a signal ends.
+fn keep(finished: &Mutex<Option<TrainingState>>, path: &Path, print: &str, epochs: u32) -> Option<String> {
+    let state = finished.lock().ok()?.take()?;
+    Some(match checkpoint::save(path, &state, print) {
+        Ok(()) => format!(
+            "{} of {epochs} epochs are kept in {}, and the same command goes on from there",
+            state.epoch,
+            path.display()
+        ),
+        Err(error) => format!("epoch {} could not be kept: {error}", state.epoch),
+    })
+}
+
 /// Trains to the end, from the checkpoint when there is one.
 fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<TrainingState> {
     let of = kept.map(|path| (path, checkpoint::fingerprint(plan, examples)));
@@ -181,8 +197,18 @@ fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Contex
     let mut state = state.unwrap_or_else(|| plan.start());
     let bar = output::progress(context, u64::from(plan.epochs), "epochs");
     let mut failed = Ok(());
+    let finished = Arc::new(Mutex::new(None));
+    let _ending = of.as_ref().map(|(path, print)| {
+        let (finished, path, print, epochs) = (Arc::clone(&finished), path.to_path_buf(), print.clone(), plan.epochs);
+        signals::at_end(move || keep(&finished, &path, &print, epochs))
+    });
     plan.run(&mut state, examples, |state| {
         bar.set_position(u64::from(state.epoch));
+        if of.is_some()
+            && let Ok(mut finished) = finished.lock()
+        {
+            *finished = Some(state.clone());
+        }
         if let Some((path, print)) = &of
             && (state.epoch.is_multiple_of(10) || state.epoch == plan.epochs)
         {
@@ -321,10 +347,17 @@ fn combinations<'a>(fields: &[(&'a str, &'a str)]) -> Vec<Vec<(&'a str, &'a str)
     all
 }
 
-/// A run of a study from its file, when it is there and of the same training.
-fn kept(path: &Path, print: &str) -> Option<StudyRun> {
-    let value: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-    (value["fingerprint"] == print).then(|| serde_json::from_value(value).ok()).flatten()
+/// The most bytes of a run of a study.
+const MOST_RUN: u64 = 1 << 26;
+
+/// A run of a study from its file, when it is there, whole and of the same training.
+fn kept(path: &Path, print: &str) -> Result<Option<StudyRun>> {
+    let bytes = match io::text::read_bytes(path, MOST_RUN) {
+        Err(absent) if absent.code == "io.missing" => return Ok(None),
+        read => read?,
+    };
+    let value = serde_json::from_slice(&bytes).ok().filter(|value: &Value| value["fingerprint"] == print);
+    Ok(value.and_then(|value| serde_json::from_value(value).ok()))
 }
 
 fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Path, context: Context) -> Result<Answer> {
@@ -334,6 +367,14 @@ fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Pat
     }
     let mut runs = Vec::new();
     let mut read: Option<Data> = None;
+    let done = Arc::new(AtomicUsize::new(0));
+    let _ending = {
+        let (done, folder) = (Arc::clone(&done), folder.display().to_string());
+        signals::at_end(move || {
+            let done = done.load(Ordering::SeqCst);
+            (done > 0).then(|| format!("{done} runs are kept in {folder}, and the same command goes on from there"))
+        })
+    };
     for (number, setting) in combinations(fields).iter().enumerate() {
         let source = with_fields(source, setting)?;
         let Job { file, mut plan } = job(&source, args)?;
@@ -350,7 +391,7 @@ fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Pat
             for (part, fold) in parts.into_iter().enumerate() {
                 let kind = if fold.is_some() { format!("fold{part}") } else { "test".to_string() };
                 let path = folder.join(format!("{}-{}-{seed}-{kind}.json", file.name, &print[..12]));
-                let run = match kept(&path, &print) {
+                let run = match kept(&path, &print)? {
                     Some(run) => run,
                     None => {
                         let begin = Instant::now();
@@ -384,6 +425,7 @@ fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Pat
                 };
                 tracing::info!("{name} seed {seed} {kind}: {:.4}", run.accuracy);
                 runs.push(StudyRun { number, ..run });
+                done.store(runs.len(), Ordering::SeqCst);
             }
         }
     }

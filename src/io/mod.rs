@@ -5,6 +5,7 @@
 //! before anything is allocated for it. Whether a network or a stimulus makes sense is for later stages to say.
 
 mod budget;
+pub mod disk;
 mod element;
 pub mod foreign;
 pub mod fuzz_entry;

@@ -3,10 +3,11 @@
 //! Input: a path, `-` for stdin. Output: the content, or a diagnostic that says what stands at the path instead: no
 //! file, a folder, a Git-LFS pointer, a binary file.
 
-use std::fs::{File, Metadata};
+use std::fs::Metadata;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
+use super::disk::{self, Input};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 
 /// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while it is read, since each
@@ -28,7 +29,8 @@ pub fn is_standard_stream(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
+/// What to say of a file that cannot be read.
+pub(super) fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
     let diagnostic = match error.kind() {
         ErrorKind::NotFound => {
             let mut missing = Diagnostic::new("io.missing", "there is no such file");
@@ -53,15 +55,14 @@ fn is_descriptor(path: &Path) -> bool {
 ///
 /// # Errors
 /// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
-pub(super) fn open(path: &Path) -> Result<(File, Metadata)> {
-    let found = std::fs::metadata(path).map_err(|error| unreadable(path, &error))?;
+pub(super) fn open(path: &Path) -> Result<(Input, Metadata)> {
+    let found = disk::metadata(path).map_err(|error| unreadable(path, &error))?;
     if !found.is_file() && !found.is_dir() && !is_descriptor(path) {
         return Err(Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file")
             .help("give - to read stdin, or a regular file")
             .in_file(path));
     }
-    let file = File::open(path).map_err(|error| unreadable(path, &error))?;
-    let metadata = file.metadata().map_err(|error| unreadable(path, &error))?;
+    let (file, metadata) = Input::open(path).map_err(|error| unreadable(path, &error))?;
     if metadata.is_dir() {
         return Err(unreadable(path, &ErrorKind::IsADirectory.into()));
     }
@@ -97,6 +98,7 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
         if metadata.len() > limit {
             return Err(too_large(metadata.len().to_string()));
         }
+        bytes.reserve_exact(usize::try_from(metadata.len()).unwrap_or(0) + 1);
         file.take(limit + 1).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
     }
     if bytes.len() as u64 > limit {

@@ -162,15 +162,15 @@ pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()>
 /// # Errors
 /// `train.checkpoint` for a file that is no checkpoint, or one of another training; `io.*`.
 pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<TrainingState>> {
-    if !path.exists() {
-        return Ok(None);
-    }
     let wrong = |why: &str| {
         Diagnostic::new("train.checkpoint", why.to_string())
             .help("remove the file to begin anew, or name another with --checkpoint")
             .in_file(path)
     };
-    let bytes = read_bytes(path, MOST_ARRAY)?;
+    let bytes = match read_bytes(path, MOST_ARRAY) {
+        Err(absent) if absent.code == "io.missing" => return Ok(None),
+        read => read?,
+    };
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|_| wrong("this is no checkpoint"))?;
     let facts = header.metadata().as_ref().and_then(|facts| serde_json::from_str::<Value>(facts.get(FACTS)?).ok());
     let fact = |key: &str| facts.as_ref().map_or(Value::Null, |facts| facts[key].clone());

@@ -18,12 +18,13 @@ use nsim::base::rng;
 use rayon::prelude::*;
 
 /// Cases of the normal tests.
-const CASES: u64 = 4_000;
+const CASES: u64 = 10_000;
 /// What one may take; machines that run tests beside other work are slow.
 const LONGEST: Duration = Duration::from_secs(20);
-/// Memory that one may take: so much, and so many times its input.
+/// Memory that one may take: so much, so many times its input, and so many bytes a weight that its model draws from a seed.
 const MOST_KIB: u64 = 256 << 10;
 const MOST_TIMES: u64 = 32;
+const MOST_DRAWN: u64 = 48;
 
 struct Draw {
     case: u64,
@@ -76,7 +77,8 @@ impl Draw {
     }
 }
 
-fn model(draw: &mut Draw) -> String {
+/// A model; its last layers are of spike response neurons when it is to be converted.
+fn model(draw: &mut Draw, real: bool) -> String {
     let mut text = String::from("Network(name: \"f\", timestep_ms: ");
     let _ = write!(
         text,
@@ -90,7 +92,7 @@ fn model(draw: &mut Draw) -> String {
             0 => format!("{}, {}, {}", draw.number(), draw.number(), draw.number()),
             _ => draw.number().to_string(),
         };
-        let kind = match draw.below(4) {
+        let kind = match if real { 0 } else { draw.below(4) } {
             0 => format!("tau_sr_ms: {}, tau_ref_ms: 1.0, scale_ref: 2.0, theta: {}", draw.number(), draw.number()),
             1 => format!("tau_u_ms: {}, tau_v_ms: {}, vth: {}", draw.number(), draw.number(), draw.number()),
             _ => format!("du: {}, dv: {}, vth_mant: {}", draw.number(), draw.number(), draw.number()),
@@ -140,6 +142,59 @@ fn model(draw: &mut Draw) -> String {
     }
     let _ = write!(text, "], output: \"p{}\")", draw.below(count));
     text
+}
+
+/// A training file of a small network.
+fn training(draw: &mut Draw) -> String {
+    let times = |draw: &mut Draw| match draw.below(2) {
+        0 => format!("Same({})", draw.number()),
+        _ => format!("Spread({}, {}, {})", draw.number(), draw.number(), draw.number()),
+    };
+    let neuron = match draw.below(2) {
+        0 => format!(
+            "Srm(tau_sr_ms: {}, tau_ref_ms: 1.0, scale_ref: {}, theta: {})",
+            times(draw),
+            draw.number(),
+            draw.number()
+        ),
+        _ => format!(
+            "Loihi(tau_u_ms: {}, tau_v_ms: {}, weight_scale: {}, theta: {})",
+            times(draw),
+            times(draw),
+            draw.number(),
+            draw.number()
+        ),
+    };
+    let loss = match draw.below(3) {
+        0 => format!("CrossEntropy(scale: {})", draw.number()),
+        1 => format!("NumSpikes(right: {}, wrong: {})", draw.number(), draw.number()),
+        _ => format!("SpikeCount(right: {}, wrong: {})", draw.number(), draw.number()),
+    };
+    let optimiser = draw.one(&["Adam", "RmsProp", "Sgd"]);
+    format!(
+        "Training(name: \"t\", timestep_ms: 1.0, inputs: [(name: \"in\", shape: [{}])], layers: [(name: \"hid\", from: \
+         [\"in\"], size: {}), (name: \"out\", from: [\"hid\"], size: {})], neuron: {neuron}, loss: {loss}, optimiser: \
+         {optimiser}(rate: {}), batch: {}, epochs: {}, seed: {}, train: [\"{}\"])",
+        draw.number(),
+        draw.number(),
+        draw.number(),
+        draw.number(),
+        draw.number(),
+        draw.one(&["0", "1", "2", "3"]),
+        draw.number(),
+        draw.one(&["scene:noise?samples=2&steps=9", "self.ron", "d", "absent"]),
+    )
+}
+
+/// A target, with a chip of its own or a shipped one.
+fn target(draw: &mut Draw) -> String {
+    format!(
+        "Target(name: \"t\", chip: \"{}\", chips_x: {}, chips_y: {}, constants: [\"{}\"])",
+        draw.one(&["loihi1", "tiny", "input.ron", "none"]),
+        draw.number(),
+        draw.number(),
+        draw.one(&["davies2018", "vtsnn-calibrated", "input.ron", "none"]),
+    )
 }
 
 /// Changes bytes, digits or pieces.
@@ -225,11 +280,14 @@ fn extension(draw: &mut Draw, path: &Path) -> String {
 /// Files in a folder, and the arguments that use them.
 fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     let draw = &mut Draw { case: number, at: 0 };
-    let mut text = model(draw).into_bytes();
-    if draw.chance(20) {
-        mutate(draw, &mut text);
+    let command = draw.below(18);
+    for (name, text) in [("m.ron", model(draw, command == 14)), ("t.ron", training(draw)), ("g.ron", target(draw))] {
+        let mut text = text.into_bytes();
+        if draw.chance(20) {
+            mutate(draw, &mut text);
+        }
+        std::fs::write(folder.join(name), text).unwrap();
     }
-    std::fs::write(folder.join("m.ron"), text).unwrap();
     let seed = &seeds[draw.below(seeds.len())];
     let mut bytes = std::fs::read(seed).unwrap();
     mutate(draw, &mut bytes);
@@ -264,17 +322,62 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     let named = ["m.ron", "slip-tactile", "self.ron", input.as_str(), "absent"];
     let model = if draw.chance(60) { named[draw.below(2)] } else { named[draw.below(5)] }.to_string();
     let words = |line: &str| line.split(' ').map(str::to_string).collect::<Vec<_>>();
-    let mut arguments = match draw.below(12) {
+    let out = ["-o out.ron", "--svg out.svg", "--pareto out.svg", "-q"];
+    let mut arguments = match command {
         0 | 1 => [words("inspect"), vec![input]].concat(),
         2 => [words("import"), vec![input], words("-o out.ron")].concat(),
-        3 => [words("map"), vec![model], words("--time-budget 0")].concat(),
-        4 => [words("map slip-tactile --time-budget 0 --target"), vec![input]].concat(),
+        3 => [words("map"), vec![model], words("--time-budget 0"), words(draw.one(&out))].concat(),
+        4 => {
+            let target = if draw.chance(50) { "g.ron".to_string() } else { input };
+            [words("map slip-tactile --time-budget 0 --target"), vec![target]].concat()
+        }
         5 => [words("run slip-tactile --samples 0..1 --mapping"), vec![input]].concat(),
         6 | 7 => [words("run"), vec![model], words("--input"), vec![source]].concat(),
         8 => [words("export"), vec![model], words("-o out.nir")].concat(),
         9 => [words("run"), vec![model], words("--engine golden --input"), vec![source]].concat(),
         10 => [words("energy"), vec![model], words("--samples 0..1 --input"), vec![source]].concat(),
-        _ => [words("agree"), vec![model], words("--attribution off --steps 20 --input"), vec![source]].concat(),
+        11 => [words("agree"), vec![model], words("--attribution off --steps 20 --input"), vec![source]].concat(),
+        12 => {
+            // What shipped trainings train on takes minutes.
+            let (config, few) = if draw.chance(80) { ("t.ron".to_string(), draw.chance(50)) } else { (input, true) };
+            let options =
+                ["-o out.ron", "--log l.csv", "--checkpoint input.ron", "--folds 2", "--study runs --seeds 0..1"];
+            let train = if few { vec!["--train".to_string(), source] } else { Vec::new() };
+            let test = if few { words("--test scene:noise?samples=1&steps=9") } else { Vec::new() };
+            [words("train"), vec![config], train, test, words(draw.one(&options)), words("--epochs 2")].concat()
+        }
+        13 => {
+            let scene = format!(
+                "{}?{}={}&samples=1",
+                draw.one(&["slip", "container", "noise", "x"]),
+                draw.one(&["steps", "grip_n", "pixel_noise_hz", "seed", "rate_hz", "touch_noise_hz"]),
+                draw.number()
+            );
+            [words("scene"), vec![scene], words(draw.one(&["-o s", "--plot p.svg", "-q"]))].concat()
+        }
+        14 => {
+            [words("convert"), vec![model], words("-o out.ron --calibration-samples 1 --input"), vec![source]].concat()
+        }
+        15 => {
+            let option = draw.one(&["--calibrate", "--constants", "--deployment", "--baseline", "--mapping"]);
+            [words("energy slip-tactile --samples 0..1"), vec![option.to_string(), input]].concat()
+        }
+        16 => {
+            let options = ["--neuron", "--image", "--dt", "--first-step", "--reset-interval", "--input-shape"];
+            let value = match draw.below(3) {
+                0 => "input.ron".to_string(),
+                1 => "1,2,2".to_string(),
+                _ => draw.number().to_string(),
+            };
+            [words("import"), vec![input, draw.one(&options).to_string(), value]].concat()
+        }
+        _ => {
+            let probes = ["p0.v", "p0.spikes", "in.spikes", "p0.u", "p1.v", "x"];
+            let formats = ["npy", "csv", "nir"];
+            let (probe, format) = (draw.one(&probes).to_string(), draw.one(&formats).to_string());
+            let probed = vec!["--probe".to_string(), probe, "--probe-format".to_string(), format];
+            [words("run m.ron -o p --input"), vec![source], probed].concat()
+        }
     };
     if draw.chance(15) {
         let option = draw.one(&[
@@ -300,6 +403,32 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     arguments
 }
 
+/// How many weights the models of a folder draw from seeds: what they cost follows from shapes, not from the file's size.
+fn drawn(folder: &Path) -> u64 {
+    use nsim::desc::network::{ProjectionDesc, Source};
+    let weights = |name: &str| {
+        let network = nsim::io::model::load_model(&folder.join(name).display().to_string()).ok()?;
+        let file = network.file();
+        let units = |name: &str| -> Option<u64> {
+            let found = file.populations.iter().find(|population| population.value.name().as_str() == name)?;
+            found.value.shape().iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
+        };
+        let projection = |projection: &ProjectionDesc| {
+            let synapse = projection.synapse();
+            let sources = synapse.from.iter().filter_map(|name| units(name)).sum::<u64>();
+            match projection {
+                ProjectionDesc::Dense(dense) if matches!(dense.weights.source, Source::Uniform { .. }) => {
+                    sources.checked_mul(units(synapse.to)?)
+                }
+                ProjectionDesc::Random(random) => sources.checked_mul(random.fan_out.value),
+                _ => None,
+            }
+        };
+        Some(file.projections.iter().filter_map(|one| projection(&one.value)).fold(0, u64::saturating_add))
+    };
+    ["m.ron", "input.ron"].iter().filter_map(|name| weights(name)).sum()
+}
+
 /// Runs a case; what is wrong with how it ends, if anything.
 fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &AtomicU64) -> Option<String> {
     let folder = tempfile::Builder::new().prefix("nsim-fuzz-").tempdir().unwrap();
@@ -317,7 +446,8 @@ fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &Atom
         .stderr(log("stderr"))
         .spawn()
         .unwrap();
-    let most = MOST_KIB + MOST_TIMES * input / 1024;
+    let mut most = MOST_KIB + MOST_TIMES * input / 1024;
+    let mut is_drawn = false;
     let mut peak = 0;
     let status = loop {
         if let Some(status) = child.try_wait().unwrap() {
@@ -326,6 +456,9 @@ fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &Atom
         let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         peak = line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0).max(peak);
+        if peak > most && !std::mem::replace(&mut is_drawn, true) {
+            most = most.saturating_add((MOST_DRAWN * drawn(folder.path()).min(1 << 40)) / 1024);
+        }
         if begin.elapsed() > LONGEST || peak > most {
             let _ = child.kill();
             let _ = child.wait();
@@ -333,7 +466,9 @@ fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &Atom
         }
         std::thread::sleep(Duration::from_millis(2));
     };
-    peak_kib.fetch_max(peak, Ordering::Relaxed);
+    if !is_drawn {
+        peak_kib.fetch_max(peak, Ordering::Relaxed);
+    }
     slowest_ms.fetch_max(begin.elapsed().as_millis() as u64, Ordering::Relaxed);
     let err = std::fs::read_to_string(folder.path().join("stderr")).unwrap_or_default();
     let wrong = match status {

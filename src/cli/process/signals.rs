@@ -3,8 +3,8 @@
 //! SIGXFSZ (a file beyond its limit) only interrupts the write, which fails with an error of its own. SIGABRT, which follows
 //! exhausted memory and an exhausted stack, ends with status 4 after the message of Rust's runtime.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
 use serde_json::json;
 use signal_hook::consts::{SIGABRT, SIGINT, SIGTERM, SIGXFSZ};
@@ -14,6 +14,32 @@ use signal_hook::iterator::Signals;
 use crate::cli::context::Format;
 use crate::cli::diagnostics;
 use crate::io::write;
+
+/// What is left to do for a command that a signal ends: it keeps what is finished and says what.
+type Last = Box<dyn FnOnce() -> Option<String> + Send>;
+
+static LAST: Mutex<Option<Last>> = Mutex::new(None);
+
+/// Work whose last act is due while this is alive.
+#[derive(Debug)]
+pub struct Ending(());
+
+/// What a signal does before it ends the process, until the value is dropped.
+#[must_use]
+pub fn at_end(last: impl FnOnce() -> Option<String> + Send + 'static) -> Ending {
+    if let Ok(mut place) = LAST.lock() {
+        *place = Some(Box::new(last));
+    }
+    Ending(())
+}
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        if let Ok(mut place) = LAST.lock() {
+            *place = None;
+        }
+    }
+}
 
 /// Listens from now on. Where the system does not let it, signals do what they do by default.
 pub fn listen(format: Format) {
@@ -27,7 +53,7 @@ pub fn listen(format: Format) {
         let _ = flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&ending));
     }
     let handle = signals.handle();
-    let thread = std::thread::Builder::new().name("signals".into()).stack_size(256 << 10).spawn(move || {
+    let thread = std::thread::Builder::new().name("signals".into()).stack_size(2 << 20).spawn(move || {
         if let Some(signal) = signals.forever().next() {
             let later = std::thread::Builder::new().stack_size(64 << 10).spawn(move || {
                 std::thread::sleep(std::time::Duration::from_millis(300));
@@ -48,10 +74,16 @@ pub fn listen(format: Format) {
 
 fn end(signal: i32, format: Format) {
     let name = if signal == SIGINT { "SIGINT" } else { "SIGTERM" };
+    // The work goes on meanwhile; it may end before the process is ended.
+    let last = LAST.lock().ok().and_then(|mut last| last.take());
+    let kept = last.and_then(|last| last());
     let unfinished: Vec<String> = write::abandon().iter().map(|folder| folder.display().to_string()).collect();
     let mut message = format!("ended by {name}; every file is as it was, complete, or absent");
     if !unfinished.is_empty() {
         message += &format!("; {} is unfinished and the same command completes it", unfinished.join(", "));
+    }
+    if let Some(kept) = kept {
+        message += &format!("; {kept}");
     }
     if format == Format::Json && !write::has_printed() {
         let object = json!({

@@ -14,8 +14,8 @@ use super::encode;
 use super::imported::{Imported, Options, population_name};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
-use crate::io::text::{decode, read_bytes};
-use crate::io::{foreign::torch, npy};
+use crate::io::text::{decode, read_bytes, unreadable};
+use crate::io::{disk, foreign::torch, npy};
 
 /// The most bytes of a YAML file.
 pub const MOST_YAML: u64 = 1 << 20;
@@ -229,7 +229,8 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
     let mut matrices = Vec::new();
     for part in *set {
         let path = file(part);
-        if !path.exists() && part.starts_with("fc") && *part != "fc1" {
+        let may_be_absent = part.starts_with("fc") && *part != "fc1";
+        if may_be_absent && !disk::exists(&path).map_err(|error| unreadable(&path, &error))? {
             break;
         }
         let tensor = npy::read(&path)?;

@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::detect::SpikeFormat;
 use crate::base::diagnostic::{Diagnostic, Result};
-use crate::io::write;
+use crate::io::{disk, write};
+
+/// The manifest of a folder of recordings.
+pub const MANIFEST: &str = "dataset.ron";
 
 /// Sample and label of `sample_<i>_label_<c>.npy`, or of a recording of events that is named so.
 fn sample_name(name: &str) -> Option<(u64, u32)> {
@@ -34,7 +37,11 @@ fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
 pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     let unreadable =
         |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
-    if [Some(folder), folder.parent()].into_iter().flatten().any(write::is_unfinished) {
+    let mut unfinished = false;
+    for one in [Some(folder), folder.parent()].into_iter().flatten() {
+        unfinished |= write::is_unfinished(one, MANIFEST).map_err(unreadable)?;
+    }
+    if unfinished {
         return Err(Diagnostic::new(
             "input.unfinished",
             "its recordings are not complete: the command that wrote them was ended",
@@ -44,18 +51,17 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     }
     let mut found = BTreeMap::new();
     let mut others = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
-        let entry = entry.map_err(unreadable)?;
-        let name = entry.file_name().to_string_lossy().into_owned();
+    for path in disk::list(folder).map_err(unreadable)? {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         match sample_name(&name) {
             Some((index, label)) => {
-                if found.insert(index, (Some(label), entry.path())).is_some() {
+                if found.insert(index, (Some(label), path)).is_some() {
                     return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
                         .help("each sample has one file, sample_<i>_label_<c>.npy")
                         .in_file(folder));
                 }
             }
-            None => others.push((name, entry.path())),
+            None => others.push((name, path)),
         }
     }
     if found.is_empty() {
@@ -71,8 +77,8 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
                 .in_file(folder);
         let inner: Vec<&str> =
             others.iter().filter(|(_, path)| path.is_dir()).map(|(name, _)| name.as_str()).take(8).collect();
-        missing.help = if others.iter().any(|(name, _)| name == "dataset.ron") {
-            Some(format!("it holds a manifest: give {}", folder.join("dataset.ron").display()))
+        missing.help = if others.iter().any(|(name, _)| name == MANIFEST) {
+            Some(format!("it holds a manifest: give {}", folder.join(MANIFEST).display()))
         } else if inner.is_empty() {
             Some(format!("it holds {} other files", others.len()))
         } else {

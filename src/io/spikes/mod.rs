@@ -16,7 +16,7 @@ pub mod recordings;
 pub mod source;
 
 pub use self::detect::{EventFormat, SpikeFormat};
-pub use self::folder::list_folder;
+pub use self::folder::{MANIFEST, list_folder};
 pub use self::manifest::{Manifest, read_manifest};
 pub use self::options::{EventOptions, Origin, Polarity};
 pub use self::population::{Expected, PopulationSpikes};

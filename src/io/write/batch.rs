@@ -7,9 +7,9 @@ use std::collections::BTreeSet;
 use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use super::disk;
 use super::temporary::Temporary;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::disk;
 use crate::io::text::is_standard_stream;
 
 fn exists(path: &Path) -> Diagnostic {
@@ -25,12 +25,12 @@ pub(super) fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
 /// Checks that a file may be written there, before a long run that would otherwise fail at its end.
 ///
 /// # Errors
-/// `write.exists`, `write.folder`; `write.not-regular` for a device, a pipe, a socket or a link to nothing.
+/// `write.exists`, `write.folder`, `write.failed`; `write.not-regular` for a device, a pipe, a socket or a link to nothing.
 pub fn check_free(path: &Path, force: bool) -> Result<()> {
     if is_standard_stream(path) {
         return Ok(());
     }
-    let Ok(named) = path.symlink_metadata() else { return Ok(()) };
+    let Some(named) = disk::named(path).map_err(|error| failed(path, &error))? else { return Ok(()) };
     let kind = path.metadata().map(|metadata| metadata.file_type());
     match kind {
         Ok(kind) if kind.is_dir() => {
@@ -111,7 +111,7 @@ impl Batch {
         let mut aside: Vec<(PathBuf, Temporary)> = Vec::new();
         let mut named = 0;
         let done = paths.iter().rev().try_for_each(|path| {
-            if path.symlink_metadata().is_err() {
+            if disk::named(path).map_err(|error| failed(path, &error))?.is_none() {
                 return Ok(());
             }
             if !force {

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use super::batch::{Batch, check_free, failed};
-use super::disk;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::disk;
 
 /// The file that marks a folder as unfinished.
 const MARKER: &str = ".nsim-unfinished";
@@ -37,10 +37,13 @@ pub struct Folder {
     touched: Mutex<BTreeSet<PathBuf>>,
 }
 
-/// Whether a writer of this folder was killed, or is at work.
-#[must_use]
-pub fn is_unfinished(folder: &Path) -> bool {
-    folder.join(MARKER).exists()
+/// Whether a writer of this folder was killed, or is at work. While the manifest is there nothing else is touched: a marker
+/// beside it was made just before, or is about to be removed.
+///
+/// # Errors
+/// When that cannot be told.
+pub fn is_unfinished(folder: &Path, manifest: &str) -> std::io::Result<bool> {
+    Ok(disk::exists(&folder.join(MARKER))? && !disk::exists(&folder.join(manifest))?)
 }
 
 impl Folder {
@@ -50,18 +53,27 @@ impl Folder {
     /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`; `write.busy` when another process writes there.
     pub fn begin(path: &Path, manifest: &str, force: bool) -> Result<Folder> {
         let fail = |error: std::io::Error| failed(path, &error);
-        let manifest = path.join(manifest);
+        let (name, manifest) = (manifest, path.join(manifest));
         check_free(&manifest, force)?;
         disk::make_folder(path).map_err(fail)?;
         let marker = path.join(MARKER);
-        let interrupted = marker.exists();
-        let file = File::options().create(true).truncate(false).write(true).open(&marker).map_err(fail)?;
+        let interrupted = is_unfinished(path, name).map_err(fail)?;
+        let had_manifest = disk::named(&manifest).map_err(fail)?.is_some();
+        let file = disk::open_or_make(&marker).map_err(fail)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
             return Err(Diagnostic::new("write.busy", "another nsim is writing to this folder").in_file(path));
         }
-        disk::sync_folder(path).map_err(fail)?;
-        if manifest.symlink_metadata().is_ok() {
-            disk::remove(&manifest).and_then(|()| disk::sync_folder(path)).map_err(fail)?;
+        let begun = disk::sync_folder(path).and_then(|()| match had_manifest {
+            true => disk::remove(&manifest).and_then(|()| disk::sync_folder(path)),
+            false => Ok(()),
+        });
+        if let Err(error) = begun {
+            // Nothing has been written yet: the folder is what it was, unless its manifest is gone.
+            let is_as_it_was = !had_manifest || disk::named(&manifest).is_ok_and(|found| found.is_some());
+            if !interrupted && is_as_it_was {
+                let _ = disk::remove(&marker);
+            }
+            return Err(fail(error));
         }
         let replace = force || interrupted;
         if let Ok(mut writing) = WRITING.lock() {

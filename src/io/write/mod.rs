@@ -7,7 +7,6 @@
 //! points to is replaced.
 
 mod batch;
-mod disk;
 mod folder;
 mod temporary;
 
@@ -18,6 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use self::batch::failed;
 pub use self::batch::{Batch, check_all_free, check_free};
 pub use self::folder::{Folder, is_unfinished};
+use super::disk;
 use super::text::is_standard_stream;
 use crate::base::diagnostic::Result;
 
@@ -36,7 +36,7 @@ pub fn has_printed() -> bool {
 /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
 pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     if is_standard_stream(path) {
-        let mut out = BufWriter::new(std::io::stdout().lock());
+        let mut out = BufWriter::new(disk::Stdout(std::io::stdout().lock()));
         PRINTING.store(true, Ordering::SeqCst);
         let done = fill(&mut out).and_then(|()| out.flush()).or_else(ignore_closed_pipe);
         return done.map_err(|error| failed(Path::new("<stdout>"), &error));

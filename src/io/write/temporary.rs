@@ -12,7 +12,7 @@ use std::sync::Mutex;
 
 use tempfile::TempPath;
 
-use super::disk;
+use crate::io::disk;
 
 const PREFIX: &str = ".nsim-";
 const SUFFIX: &str = ".tmp";
@@ -125,16 +125,15 @@ fn clean(folder: &Path) {
     if !CLEANED.lock().is_ok_and(|mut cleaned| cleaned.insert(folder.to_path_buf())) {
         return;
     }
-    let Ok(entries) = std::fs::read_dir(folder) else { return };
-    for entry in entries.flatten() {
-        let name = entry.file_name();
-        let is_ours = name.to_str().is_some_and(|name| name.starts_with(PREFIX) && name.ends_with(SUFFIX));
-        if is_ours
-            && entry.file_type().is_ok_and(|kind| kind.is_file())
-            && let Ok(file) = File::open(entry.path())
+    // What cannot be listed or looked at stays for another command.
+    for path in disk::list(folder).unwrap_or_default() {
+        let name = path.file_name().and_then(std::ffi::OsStr::to_str);
+        if name.is_some_and(|name| name.starts_with(PREFIX) && name.ends_with(SUFFIX))
+            && disk::named(&path).is_ok_and(|found| found.is_some_and(|found| found.is_file()))
+            && let Ok(file) = File::open(&path)
             && file.try_lock().is_ok()
         {
-            let _ = disk::remove(&entry.path());
+            let _ = disk::remove(&path);
         }
     }
 }

@@ -1,6 +1,5 @@
 //! From a file of events to a sink, or to the spikes of one sample.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
@@ -8,6 +7,7 @@ use super::bins::{Bins, Window};
 use super::event::{Counts, Sink, unreadable};
 use super::{address, aedat, evt, tact};
 use crate::base::diagnostic::Result;
+use crate::io::disk::Input;
 use crate::io::spikes::detect::EventFormat;
 use crate::io::spikes::options::{EventOptions, Origin};
 use crate::io::spikes::population::{Expected, PopulationSpikes};
@@ -37,7 +37,7 @@ pub fn decode_file(path: &Path, format: EventFormat, sink: &mut dyn Sink) -> Res
 }
 
 /// Opens a recording, with the same errors as any other file.
-fn open(path: &Path) -> Result<BufReader<File>> {
+fn open(path: &Path) -> Result<BufReader<Input>> {
     let mut input = BufReader::with_capacity(1 << 16, text::open(path)?.0);
     text::refuse_pointer(path, input.fill_buf().map_err(|error| unreadable(&error).in_file(path))?)?;
     Ok(input)
