@@ -27,13 +27,16 @@ impl Host {
         Host { x86_cores, copies, copies_in_turn: copies.div_ceil(x86_cores.max(1)) }
     }
 
-    /// Time of handing over the input spikes of all copies in a step: the turn of the embedded process, and one spike after the
-    /// other of the x86 core with most copies.
+    /// Time of handing over the input spikes of all copies in a step, at the x86 core with most copies: the turn of each copy's
+    /// embedded process, and one spike after the other.
     #[must_use]
     pub fn injection(self, spikes_in: u64, table: &CostTable) -> Picoseconds {
         let share = u128::from(spikes_in) * u128::from(self.copies_in_turn);
         let spikes = share.div_ceil(u128::from(self.copies.max(1)));
-        times(&[(table.injection_step_time, 1), (table.injection_time, u64::try_from(spikes).unwrap_or(u64::MAX))])
+        times(&[
+            (table.injection_step_time, self.copies_in_turn),
+            (table.injection_time, u64::try_from(spikes).unwrap_or(u64::MAX)),
+        ])
     }
 
     /// Time of reading out the output spikes of a step, so many of each copy.
@@ -58,14 +61,14 @@ mod tests {
 
     #[test]
     fn copies_of_a_chip_take_turns_and_chips_work_side_by_side() {
-        // 20 spikes a copy: 10 ns each, and the turn.
+        // 20 spikes a copy, 10 ns each, and its turn.
         let time = |x86_cores, copies| Host::even(x86_cores, copies).injection(20 * copies, &table());
         assert_eq!(time(1, 1), Picoseconds(1_200_000));
         assert_eq!(time(32, 32), time(1, 1));
         assert_eq!(time(1_024, 1_024), time(1, 1));
-        assert_eq!(time(1, 32), Picoseconds(1_000_000 + 32 * 200_000));
+        assert_eq!(time(1, 32), Picoseconds(32 * 1_200_000));
         // 7 of 32 copies are on the fullest of 5 chips.
-        assert_eq!(time(5, 32), Picoseconds(1_000_000 + 7 * 200_000));
+        assert_eq!(time(5, 32), Picoseconds(7 * 1_200_000));
         assert_eq!(Host::even(5, 32).readout(2, &table()), Picoseconds(2 * 7 * 3_000));
         // A chip without x86 cores is served from outside, one copy after the other.
         assert_eq!(time(0, 3), time(1, 3));

@@ -100,7 +100,7 @@ fn simulate(
             means.spiking_us +=
                 [slowest_core, transport, barrier].iter().map(|time| time.microseconds()).sum::<f64>() * share;
             // The embedded process has a term of its own.
-            let turn = table.injection_step_time.microseconds();
+            let turn = host.map_or(0.0, |host| host.injection(0, table).microseconds());
             means.injection_us += (injection.microseconds() - turn + readout.microseconds()) * share;
         }
     }
@@ -116,7 +116,7 @@ fn figure(file: &WorkloadFile, asked: &PublishedFigure, means: &Means, set: &Con
     let in_turn = f64::from(deployment.copies_per_chip) / f64::from(deployment.x86_cores_per_chip);
     let transfer_us =
         set.value_transfer_time.microseconds() * f64::from(file.host.values_per_inference) / f64::from(file.steps);
-    let process_us = if file.host.embedded_process { table.injection_step_time.microseconds() } else { 0.0 };
+    let process_us = if file.host.embedded_process { in_turn * table.injection_step_time.microseconds() } else { 0.0 };
     let free_us = means.spiking_us + in_turn * means.injection_us + transfer_us + process_us;
     let step_us = file.paced_us.unwrap_or(free_us);
     let x86_mw = table.x86_busy_power.milliwatts() * deployment.x86_cores as f64;

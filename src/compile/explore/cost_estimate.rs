@@ -70,8 +70,8 @@ pub fn score_of(
     let table = CostTable::new(target.constants().first().ok_or_else(none)?)?;
     let deployment = Deployment::from_placement("packed", placement, target.chip(), copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
-    // Spikes of as many steps as rates count, and one turn a step.
-    let turn = table.injection_step_time;
+    // Turns are of one step, spikes of as many as rates count.
+    let turn = deployment.host.map_or(Picoseconds(0), |host| host.injection(0, &table));
     let injection = deployment.host.map_or(turn, |host| host.injection(activity.spikes_in, &table)).microseconds()
         - turn.microseconds();
     let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used), turn];
