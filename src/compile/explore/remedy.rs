@@ -14,8 +14,9 @@
 
 use crate::base::fixed::WeightBits;
 use crate::compile::frontend::prune::{Plan, prune};
-use crate::compile::{Compiled, Objective, Options, compile};
+use crate::compile::{DEFAULT_RATE, Form, Front, Objective, Options};
 use crate::desc::target::Target;
+use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::{Connectivity, Parts, Quantised};
 
 /// Synapses above which trying changes would take too long.
@@ -43,51 +44,61 @@ pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[T
         return Vec::new();
     }
     let quick = Options { effort_s: 0, objective: Objective::Cores, place: false, ..*options };
-    let fits = |network: &Quantised, target: &Target, copies: u32| -> Option<Compiled> {
-        compile(network.clone(), target, &Options { copies, ..quick }).ok()
+    let rates = Rates::assumed(DEFAULT_RATE);
+    // What has cores fits: routes and tables follow from them.
+    let fits = |network: &Quantised, target: &Target, copies: u32| -> Option<Fitting> {
+        let front = Front::from(network.clone());
+        let made = front.partition(target, &Options { copies, ..quick }, &rates, Form::Written).ok()?;
+        Some(Fitting { cores: made.partition.cores() as u32, copies })
     };
     let mut found = Vec::new();
-    let mut keep = |kind, change: String, compiled: &Compiled| {
-        let (cores, copies) = (compiled.partition.cores() as u32, compiled.options.copies);
+    let mut keep = |kind, change: String, Fitting { cores, copies }: Fitting| {
         found.push(Remedy { kind, change, cores, copies });
     };
     if let Ok(pruned) = prune(one, &Plan::fixed())
-        && let Some(compiled) = fits(&pruned, target, options.copies)
+        && let Some(fitting) = fits(&pruned, target, options.copies)
     {
-        keep("prune", "leave out what can change no output: --prune static".to_string(), &compiled);
+        keep("prune", "leave out what can change no output: --prune static".to_string(), fitting);
     }
     if options.copies > 1
-        && let Some(compiled) = most_copies(options.copies, |copies| fits(one, target, copies))
+        && let Some(fitting) = most_copies(options.copies, |copies| fits(one, target, copies))
     {
-        let most = compiled.options.copies;
-        keep("copies", format!("map {most} of the {} copies: --copies {most}", options.copies), &compiled);
+        let most = fitting.copies;
+        keep("copies", format!("map {most} of the {} copies: --copies {most}", options.copies), fitting);
     }
     for bits in BITS {
-        let Some(compiled) = coarser(one, bits).and_then(|coarser| fits(&coarser, target, options.copies)) else {
+        let Some(fitting) = coarser(one, bits).and_then(|coarser| fits(&coarser, target, options.copies)) else {
             continue;
         };
         let change =
             format!("store weights in {bits} bits (weight_bits: {bits}); check the accuracy, weights get coarser");
-        keep("weight_bits", change, &compiled);
+        keep("weight_bits", change, fitting);
         break;
     }
     for board in boards {
-        if let Some(compiled) = fits(one, board, options.copies) {
-            keep("target", format!("use a larger board: --target {}", board.name()), &compiled);
+        if let Some(fitting) = fits(one, board, options.copies) {
+            keep("target", format!("use a larger board: --target {}", board.name()), fitting);
             break;
         }
     }
     found
 }
 
-/// The mapping of the most copies that fit, by bisection.
-fn most_copies(wanted: u32, fits: impl Fn(u32) -> Option<Compiled>) -> Option<Compiled> {
+/// Copies that fit, and the cores that they take.
+#[derive(Debug, Clone, Copy)]
+struct Fitting {
+    cores: u32,
+    copies: u32,
+}
+
+/// The most copies that fit, by bisection.
+fn most_copies(wanted: u32, fits: impl Fn(u32) -> Option<Fitting>) -> Option<Fitting> {
     let mut best = fits(1)?;
     let (mut low, mut high) = (1, wanted);
     while high - low > 1 {
         let middle = low + (high - low) / 2;
         match fits(middle) {
-            Some(compiled) => (low, best) = (middle, compiled),
+            Some(fitting) => (low, best) = (middle, fitting),
             None => high = middle,
         }
     }
@@ -132,8 +143,8 @@ pub fn coarser(one: &Quantised, bits: i64) -> Option<Quantised> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compile::CompileError;
     use crate::compile::testing::{Builder, limits, slip, target};
+    use crate::compile::{CompileError, compile};
     use crate::desc::resource::{Limits, Resource};
 
     fn tried(

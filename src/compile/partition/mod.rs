@@ -16,6 +16,7 @@
 
 pub mod box_fan_out;
 pub mod boxes;
+pub mod copies;
 pub mod hyper;
 pub mod lattice;
 pub mod levels;
@@ -29,6 +30,7 @@ use crate::base::rng;
 use crate::compile::error::{CompileError, Result};
 use crate::compile::form::Form;
 use crate::compile::options::{Options, Strategy};
+use crate::compile::partition::copies::Pattern;
 use crate::compile::partition::hyper::{Groups, Hypergraph, State};
 use crate::compile::partition::levels::Levels;
 use crate::compile::partition::members::{Members, row_of_chips};
@@ -37,12 +39,12 @@ use crate::compile::partition::refine::Effort;
 use crate::compile::reason::Reason;
 use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::exact::{usage, usage_with_fan_out};
-use crate::compile::resources::fan_out::{cores_of, messages, network_fan_out, slots_of_core};
+use crate::compile::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::compile::resources::incremental::Filling;
 use crate::desc::resource::{Capacity, Limits, Resource};
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
-use crate::ir::partition::{Partition, PartitionError, seats};
+use crate::ir::partition::{CoreUsage, Partition, PartitionError, seats};
 use crate::ir::quantised::{Connectivity, Quantised};
 
 /// How a partition is looked for.
@@ -113,26 +115,60 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, form: Form, 
 /// # Errors
 /// [`CompileError`].
 pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Search<'_>) -> Result<Partition> {
-    let limits = target.limits();
     let copies = (all.compartments() / one.compartments().max(1)).max(1);
     let filler = Filler::new(one, target);
-    let Found { mut members, mut fan_out } = searched(&filler, search, Chips::Row)?;
+    let found = searched(&filler, search, Chips::Row)?;
     if copies > 1 {
-        if !sends_little_enough(all, &repeated(&members, one, copies), target) {
-            members = searched(&filler, search, Chips::Apart)?.members;
-        }
-        (members, fan_out) = (repeated(&members, one, copies), None);
-        if members.len() as u64 > least_cores(one, copies, limits)
-            && let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
-            && together.members.len() < members.len()
-        {
-            Found { members, fan_out } = together;
+        return partition_copies(&filler, found.members, (all, copies), target, search);
+    }
+    if found.members.len() as u64 > u64::from(target.cores()) {
+        return Err(Reason::of_cores(target, copies, found.members.len() as u64).into());
+    }
+    counted(all, found, target).map_err(CompileError::fault)
+}
+
+/// Cores for copies of a network, one of which takes these.
+fn partition_copies(
+    filler: &Filler<'_>,
+    members: Members,
+    (all, copies): (&Quantised, u32),
+    target: &Target,
+    search: Search<'_>,
+) -> Result<Partition> {
+    let (one, limits) = (filler.network, target.limits());
+    let counted_once = |pattern: &Pattern| {
+        pattern.usage(target).ok_or_else(|| CompileError::fault("a group of copies has no seat for each compartment"))
+    };
+    let fits = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().all(|used| used.excesses(limits).next().is_none());
+    let on_board = |cores: usize| match cores as u64 > u64::from(target.cores()) {
+        true => Err(CompileError::from(Reason::of_cores(target, copies, cores as u64))),
+        false => Ok(()),
+    };
+    let mut pattern = Pattern::repeated(one, members, copies);
+    let mut usage = counted_once(&pattern)?;
+    if !fits(&usage) {
+        pattern = Pattern::repeated(one, searched(filler, search, Chips::Apart)?.members, copies);
+        usage = counted_once(&pattern)?;
+    }
+    if pattern.cores() as u64 > least_cores(one, copies, limits) {
+        let filled = [true, false].map(|keep_whole| Pattern::filled(one, copies, target, keep_whole));
+        let fewer = filled.into_iter().flatten().min_by_key(|filled| filled.cores);
+        if let Some(fewer) = fewer.filter(|fewer| fewer.cores < pattern.cores()) {
+            let counted_fewer =
+                fewer.pattern.map(|fewer| counted_once(&fewer).map(|used| (fewer, used))).transpose()?;
+            if let Some(found) = counted_fewer.filter(|(_, used)| fits(used)) {
+                (pattern, usage) = found;
+            } else if let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
+                && together.members.len() < pattern.cores()
+            {
+                // Output axons decide, which depend on the chips of all copies, or cores do not repeat copy by copy.
+                on_board(together.members.len())?;
+                return counted(all, together, target).map_err(CompileError::fault);
+            }
         }
     }
-    if members.len() as u64 > u64::from(target.cores()) {
-        return Err(Reason::of_cores(target, copies, members.len() as u64).into());
-    }
-    counted(all, Found { members, fan_out }, target).map_err(CompileError::fault)
+    on_board(pattern.cores())?;
+    Partition::new(all.compartments(), pattern.members(), usage, limits).map_err(CompileError::fault)
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
@@ -304,7 +340,7 @@ fn tiled(filler: &Filler<'_>, spatial: &IdVec<PopulationId, bool>, chips: Chips)
         }
         let rest = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
         let order: Vec<Segment> = segments.iter().cloned().chain(rest).collect();
-        let Ok(members) = filler.once(&order) else { break };
+        let Ok(members) = filler.once(&order, true) else { break };
         let fan_out = filler.fan_out(&members, chips);
         let mut again = false;
         for held in &members {
@@ -411,21 +447,4 @@ pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
     let (copies, compartments) = (u64::from(copies), u64::from(one.compartments()));
     let by_compartments = (compartments * copies).div_ceil(u64::from(limits[Resource::Compartments]));
     by_compartments.max((active * copies).div_ceil(u64::from(limits[Resource::AxonsIn])))
-}
-
-/// One copy's cores for all copies.
-fn repeated(members: &Members, one: &Quantised, copies: u32) -> Members {
-    let of_copy = |k: u32| {
-        let first = k * one.compartments();
-        members.iter().map(move |held| held.iter().map(|id| CompartmentId(first + id.0)).collect())
-    };
-    (0..copies).flat_map(of_copy).collect()
-}
-
-/// Whether every core's output axons fit when cores are placed chip by chip.
-fn sends_little_enough(network: &Quantised, members: &Members, target: &Target) -> bool {
-    let limits = target.limits();
-    let core_of = cores_of(network.compartments(), members);
-    let fan_out = network_fan_out(network, &core_of, &row_of_chips(members.len(), target), limits);
-    members.iter().all(|held| slots_of_core(held, &fan_out) <= u64::from(limits[Resource::AxonsOut]))
 }

@@ -192,12 +192,12 @@ impl<'a> Filler<'a> {
         }
     }
 
-    /// Fills once, whatever the fan-out; segments are kept whole.
+    /// Fills once, whatever the fan-out.
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].
-    pub fn once(&self, order: &[Segment]) -> Result<Members, CompileError> {
-        self.fill(order, &vec![0; self.network.compartments() as usize], true)
+    pub fn once(&self, order: &[Segment], keep_whole: bool) -> Result<Members, CompileError> {
+        self.fill(order, &vec![0; self.network.compartments() as usize], keep_whole)
     }
 
     /// The fan-out of these members on such chips.
