@@ -12,6 +12,7 @@ pub mod published;
 pub mod resource;
 pub mod spanned;
 pub mod stimulus;
+pub mod synapses;
 pub mod target;
 pub mod tensor;
 pub mod training;

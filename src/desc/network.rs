@@ -14,19 +14,11 @@ use serde::{Deserialize, Deserializer};
 use super::lists::{Triple, blank, numbers, triples};
 use super::neurons::NeuronKind;
 use super::spanned::{Shape, Spanned, list_at, parse_at, parse_blanked, raw, refuse, shape_of};
+use super::synapses::SynapseArrays;
+pub use super::tensor::ArrayRef;
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::base::fixed::SignMode;
-
-/// A reference to an array outside the model file, relative to it.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub enum ArrayRef {
-    /// A NumPy file.
-    Npy(String),
-    /// A tensor of a safetensors file: file, key.
-    Safetensors(String, String),
-}
 
 /// Where an array of weights or parameters comes from.
 #[derive(Debug, Clone)]
@@ -362,8 +354,10 @@ projection_desc!(
     /// Listed synapses.
     SparseDesc, "Sparse" {
         /// (source, target, weight) each.
-        #[serde(deserialize_with = "synapses")]
+        #[serde(default, deserialize_with = "synapses")]
         pub synapses: Vec<Spanned<(u64, u64, f64)>>,
+        /// The same as arrays in files, in place of `synapses`.
+        pub arrays: Option<Spanned<SynapseArrays>>,
     }
 );
 projection_desc!(
@@ -629,6 +623,11 @@ pub fn array_refs(file: &NetworkFile) -> Vec<(&ArrayRef, Span)> {
             && let Source::File(reference) = &weights.source
         {
             refs.push((reference, weights.span));
+        }
+        if let ProjectionDesc::Sparse(sparse) = &projection.value
+            && let Some(arrays) = &sparse.arrays
+        {
+            refs.extend(arrays.references().map(|reference| (&reference.value, reference.span)));
         }
     }
     refs

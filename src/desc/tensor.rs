@@ -1,5 +1,17 @@
 //! An array of numbers as a file holds it: shape, and integers or reals in C order.
 
+use serde::Deserialize;
+
+/// A reference to an array outside the model file, relative to it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum ArrayRef {
+    /// A NumPy file.
+    Npy(String),
+    /// A tensor of a safetensors file: file, key.
+    Safetensors(String, String),
+}
+
 /// Numbers of one kind.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Numbers {

@@ -197,6 +197,80 @@ Network(
         assert_eq!((error.code, error.position().unwrap().line), ("npy.format", 8));
     }
 
+    /// A network of three inputs and two compartments whose synapses are said in this way.
+    fn listed(way: &str) -> String {
+        format!(
+            "Network(name: \"t\", timestep_ms: 1.0, populations: [Input(name: \"a\", shape: [2]), Input(name: \"b\", \
+             shape: [1]), Loihi(name: \"o\", shape: [2], du: 1024, dv: 128, vth_mant: 80)],\n projections: \
+             [Sparse(from: [\"a\", \"b\"], to: \"o\", {way})], output: \"o\")"
+        )
+    }
+
+    #[test]
+    fn synapses_in_arrays_are_those_listed_in_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, numbers: &[i32]| {
+            let file = std::fs::File::create(folder.path().join(name)).unwrap();
+            npy::write(file, &[numbers.len() as u64], numbers.iter().copied()).unwrap();
+        };
+        write("s.npy", &[0, 0, 1, 2]);
+        write("f.npy", &[0, 2, 3, 4]);
+        write("t.npy", &[1, 0, 1, 1]);
+        write("w.npy", &[4, -2, 6, 8]);
+        write("d.npy", &[0, 3, 3, 0]);
+        let lowered = |way: &str| crate::io::model_builder::ModelBuilder::from_network(&load(&folder, &listed(way))?);
+        let in_place = lowered("synapses: [(0, 1, 4), (0, 0, -2), (1, 1, 6), (2, 1, 8)]").unwrap();
+        let files = r#"target: Npy("t.npy"), weight: Npy("w.npy")"#;
+        for from in [r#"source: Npy("s.npy")"#, r#"first: Npy("f.npy")"#] {
+            let arrays = lowered(&format!("arrays: ({from}, {files})")).unwrap();
+            assert_eq!(arrays.projections, in_place.projections, "{from}");
+        }
+        let delayed = lowered(&format!(r#"arrays: (source: Npy("s.npy"), {files}, delay: Npy("d.npy"))"#)).unwrap();
+        let found: Vec<_> = delayed.projections.iter().map(|p| (p.delay, p.kind.clone())).collect();
+        let sparse = |synapses: &[(u64, u64, f64)]| crate::io::model_builder::ProjectionKind::Sparse(synapses.to_vec());
+        assert_eq!(found, [(0, sparse(&[(0, 1, 4.0), (2, 1, 8.0)])), (3, sparse(&[(0, 0, -2.0), (1, 1, 6.0)]))]);
+    }
+
+    #[test]
+    fn arrays_of_synapses_that_do_not_match_are_refused_where_they_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, numbers) in
+            [("two.npy", &[0, 1][..]), ("three.npy", &[0, 1, 2]), ("far.npy", &[0, 5]), ("back.npy", &[0, 2, 1, 2])]
+        {
+            let file = std::fs::File::create(folder.path().join(name)).unwrap();
+            npy::write(file, &[numbers.len() as u64], numbers.iter().copied()).unwrap();
+        }
+        let refused = |way: &str| {
+            let network = load(&folder, &listed(&format!("arrays: ({way})"))).unwrap();
+            crate::io::model_builder::ModelBuilder::from_network(&network).unwrap_err()
+        };
+        let two = r#"Npy("two.npy")"#;
+        for (way, code, word) in [
+            (format!("target: {two}, weight: {two}"), "model.synapse-arrays", "neither source nor first"),
+            (format!("source: {two}, first: {two}, target: {two}, weight: {two}"), "model.synapse-arrays", "both"),
+            (format!(r#"source: {two}, target: {two}, weight: Npy("three.npy")"#), "model.synapse-arrays", "3 numbers"),
+            (
+                format!(r#"source: {two}, target: Npy("far.npy"), weight: {two}"#),
+                "model.synapse-index",
+                "entry 1: target 5",
+            ),
+            (
+                format!(r#"first: Npy("three.npy"), target: {two}, weight: {two}"#),
+                "model.synapse-arrays",
+                "3 numbers for 3",
+            ),
+            (
+                format!(r#"first: Npy("back.npy"), target: {two}, weight: {two}"#),
+                "model.synapse-arrays",
+                "does not ascend",
+            ),
+        ] {
+            let error = refused(&way);
+            assert_eq!(error.code, code, "{way}: {error}");
+            assert!(error.message.contains(word) && error.position().is_some(), "{way}: {error}");
+        }
+    }
+
     #[test]
     fn an_unknown_name_is_answered_with_the_shipped_ones() {
         let error = load_model("vtsnn-slipp").unwrap_err();

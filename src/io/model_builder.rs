@@ -17,7 +17,7 @@ use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::base::fixed::SignMode;
 use crate::desc::network::{
     ArrayRef, Network, NetworkFile, ParameterValue, PopulationDesc, ProjectionDesc, ResetDesc, Semantics, Source,
-    ThresholdTest, WeightRounding,
+    SparseDesc, ThresholdTest, WeightRounding,
 };
 use crate::desc::neurons::NeuronKind;
 use crate::desc::spanned::Spanned;
@@ -210,6 +210,26 @@ pub struct ModelBuilder {
     pub provenance: Option<String>,
 }
 
+/// The synapses of a listed projection, by their own delay where they have one.
+fn listed(network: &Network, sparse: &SparseDesc) -> Result<Vec<(Option<i64>, ProjectionKind)>> {
+    let in_place = || sparse.synapses.iter().map(|synapse| synapse.value).collect();
+    let Some(arrays) = &sparse.arrays else { return Ok(vec![(None, ProjectionKind::Sparse(in_place()))]) };
+    let populations = &network.file().populations;
+    let size_of = |name: &str| {
+        let found = populations.iter().find(|population| population.value.name().value == name);
+        found.map_or(0, |population| population.value.shape().value.iter().product())
+    };
+    let sources = sparse.from.iter().map(|name| size_of(name)).sum();
+    let mut by_delay: BTreeMap<Option<i64>, Vec<(u64, u64, f64)>> = BTreeMap::new();
+    let array = |reference: &ArrayRef| network.array(reference);
+    for synapse in arrays.read(array, network.source(), (sources, size_of(&sparse.to)))? {
+        let synapse = synapse?;
+        let listed = by_delay.entry(synapse.delay).or_default();
+        listed.push((synapse.source.into(), synapse.target.into(), synapse.weight));
+    }
+    Ok(by_delay.into_iter().map(|(delay, listed)| (delay, ProjectionKind::Sparse(listed))).collect())
+}
+
 impl ModelBuilder {
     /// A network without populations.
     #[must_use]
@@ -258,9 +278,7 @@ impl ModelBuilder {
             let pair = |pair: &Option<Spanned<(u64, u64)>>, default| pair.as_ref().map_or(default, |pair| pair.value);
             let kind = match &projection.value {
                 ProjectionDesc::Dense(dense) => ProjectionKind::Dense(array_of(network, &dense.weights.source)?),
-                ProjectionDesc::Sparse(sparse) => {
-                    ProjectionKind::Sparse(sparse.synapses.iter().map(|synapse| synapse.value).collect())
-                }
+                ProjectionDesc::Sparse(_) => ProjectionKind::Sparse(Vec::new()),
                 ProjectionDesc::Conv2d(conv) => ProjectionKind::Conv2d {
                     weights: array_of(network, &conv.weights.source)?,
                     stride: pair(&conv.stride, (1, 1)),
@@ -276,16 +294,22 @@ impl ModelBuilder {
                 },
                 ProjectionDesc::Random(_) => return Err(seeded("a Random projection")),
             };
-            let delay = synapse.delay.map_or(0, |delay| delay.value);
-            model.projections.push(ProjectionBuilder {
-                from: synapse.from.iter().map(|name| name.value.clone()).collect(),
-                delay: u32::try_from(delay).map_err(|_| seeded(&format!("a delay of {delay}")))?,
-                weight_exp: synapse.weight_exp.map_or(0, |exponent| exponent.value),
-                sign: synapse.sign.map_or(SignMode::Mixed, |sign| sign.value),
-                weight_bits: synapse.weight_bits.map_or(8, |bits| bits.value),
-                weight_scale: synapse.weight_scale.map(|scale| scale.value),
-                ..ProjectionBuilder::new("", &synapse.to.value, kind)
-            });
+            let kinds = match &projection.value {
+                ProjectionDesc::Sparse(sparse) => listed(network, sparse)?,
+                _ => vec![(None, kind)],
+            };
+            for (own_delay, kind) in kinds {
+                let delay = own_delay.or(synapse.delay.map(|delay| delay.value)).unwrap_or(0);
+                model.projections.push(ProjectionBuilder {
+                    from: synapse.from.iter().map(|name| name.value.clone()).collect(),
+                    delay: u32::try_from(delay).map_err(|_| seeded(&format!("a delay of {delay}")))?,
+                    weight_exp: synapse.weight_exp.map_or(0, |exponent| exponent.value),
+                    sign: synapse.sign.map_or(SignMode::Mixed, |sign| sign.value),
+                    weight_bits: synapse.weight_bits.map_or(8, |bits| bits.value),
+                    weight_scale: synapse.weight_scale.map(|scale| scale.value),
+                    ..ProjectionBuilder::new("", &synapse.to.value, kind)
+                });
+            }
         }
         model.output = file.output.value.clone();
         model.classes = file.classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone());

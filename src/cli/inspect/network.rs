@@ -38,7 +38,10 @@ fn synapses(network: &Network, projection: &ProjectionDesc) -> Option<u64> {
     };
     match projection {
         ProjectionDesc::Dense(_) => sources.checked_mul(units_of(shape_of(&ends.to.value)?)?),
-        ProjectionDesc::Sparse(sparse) => Some(sparse.synapses.len() as u64),
+        ProjectionDesc::Sparse(sparse) => {
+            let in_files = sparse.arrays.as_ref().map_or(0, |arrays| network.array(&arrays.target.value).len());
+            Some((sparse.synapses.len() + in_files) as u64)
+        }
         ProjectionDesc::Random(random) => sources.checked_mul(random.fan_out.value),
         ProjectionDesc::Conv2d(conv) => {
             let (h, w, c, to_h, to_w) = volumes()?;

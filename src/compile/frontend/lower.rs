@@ -4,7 +4,7 @@
 //! populations and whose delays are in range; or the first thing that is not so, with its place in the model file. What
 //! a number means to the hardware is left to `quantise`.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use petgraph::graph::{DiGraph, NodeIndex};
@@ -18,7 +18,8 @@ use crate::desc::network::{
 };
 use crate::desc::neurons::ParameterField;
 use crate::desc::spanned::Spanned;
-use crate::desc::tensor::{Numbers, Tensor};
+use crate::desc::synapses::Synapse;
+use crate::desc::tensor::{ArrayRef, Numbers, Tensor};
 use crate::ir::graph::{
     Graph, MOST_CHANNELS, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment, Population,
     PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
@@ -304,25 +305,52 @@ impl Lowering<'_> {
             source_shape: graph[sources[0]].shape,
             target_shape: graph[target].shape,
         };
-        let whole = declared.kind(&desc.value)?;
-        let delay = synapse.delay.map_or(Ok(Delay::MIN), |delay| {
-            Delay::new(delay.value).map_err(|e| {
-                self.error("model.delay-range", format!("projection to '{}': {e}", synapse.to.value), delay.span)
+        let to_delay = |delay: i64, span: Span| {
+            Delay::new(delay).map_err(|e| {
+                self.error("model.delay-range", format!("projection to '{}': {e}", synapse.to.value), span)
                     .help("a longer delay needs a relay population")
             })
-        })?;
-        let mut first_source = 0;
-        for (&source, &size) in sources.iter().zip(&sizes) {
-            let kind = match &whole {
-                ProjectionKind::Sparse { synapses } => ProjectionKind::Sparse {
-                    synapses: synapses
-                        .iter()
-                        .filter(|s| (first_source..first_source + size).contains(&s.0))
-                        .map(|&(from, to, weight, span)| (from - first_source, to, weight, span))
-                        .collect(),
-                },
-                other => other.clone(),
-            };
+        };
+        let delay = synapse.delay.map_or(Ok(Delay::MIN), |delay| to_delay(delay.value, delay.span))?;
+        let parts = match &desc.value {
+            ProjectionDesc::Sparse(sparse) => declared.sparse(sparse)?,
+            other => vec![(None, declared.kind(other)?)],
+        };
+        for (own_delay, whole) in parts {
+            let delay = own_delay.map_or(Ok(delay), |own: Spanned<i64>| to_delay(own.value, own.span))?;
+            self.part(desc, delay, whole, (&sources, target), graph);
+        }
+        Ok(())
+    }
+
+    /// Adds a part of a projection, from each of its source populations.
+    fn part(
+        &self,
+        desc: &Spanned<ProjectionDesc>,
+        delay: Delay,
+        whole: ProjectionKind,
+        (sources, target): (&[NodeIndex], NodeIndex),
+        graph: &mut DiGraph<Population, Projection>,
+    ) {
+        let synapse = desc.value.synapse();
+        let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
+        let firsts = sizes.iter().scan(0, |next, &size| Some(std::mem::replace(next, *next + size)));
+        let firsts: Vec<u32> = firsts.collect();
+        let of_source = |(&first, &size): (&u32, &u32)| match &whole {
+            ProjectionKind::Sparse { synapses } => ProjectionKind::Sparse {
+                synapses: synapses
+                    .iter()
+                    .filter(|s| (first..first + size).contains(&s.0))
+                    .map(|&(from, to, weight, span)| (from - first, to, weight, span))
+                    .collect(),
+            },
+            other => other.clone(),
+        };
+        let kinds = match sources.len() {
+            1 => vec![whole],
+            _ => firsts.iter().zip(&sizes).map(of_source).collect(),
+        };
+        for ((&source, first_source), kind) in sources.iter().zip(firsts).zip(kinds) {
             let projection = Projection {
                 name: format!("{} -> {}", graph[source].name, graph[target].name),
                 span: desc.span,
@@ -336,12 +364,14 @@ impl Lowering<'_> {
                 kind,
             };
             graph.add_edge(source, target, projection);
-            first_source += size;
         }
-        Ok(())
     }
 }
 
+/// Synapses of a projection, and their own delay where they have one.
+type Part = (Option<Spanned<i64>>, ProjectionKind);
+/// (source, target, weight, place) each.
+type Listed = Vec<(u32, u32, f64, Span)>;
 /// Channels, height, width.
 type Volume = (u32, u32, u32);
 
@@ -359,7 +389,7 @@ impl Declared<'_> {
     fn kind(&self, desc: &ProjectionDesc) -> Result<ProjectionKind, Diagnostic> {
         match desc {
             ProjectionDesc::Dense(dense) => self.dense(dense),
-            ProjectionDesc::Sparse(sparse) => self.sparse(sparse),
+            ProjectionDesc::Sparse(_) => Ok(ProjectionKind::Sparse { synapses: Vec::new() }),
             ProjectionDesc::Conv2d(conv) => self.conv(conv),
             ProjectionDesc::SumPool2d(pool) => self.pool(pool),
             ProjectionDesc::Random(random) => self.random(random),
@@ -403,8 +433,35 @@ impl Declared<'_> {
         Ok(ProjectionKind::Dense { weights, rows })
     }
 
-    fn sparse(&self, sparse: &SparseDesc) -> Result<ProjectionKind, Diagnostic> {
+    /// The synapses by their own delay, where they have one.
+    fn sparse(&self, sparse: &SparseDesc) -> Result<Vec<Part>, Diagnostic> {
         let targets = u64::from(self.target_shape.len());
+        if let Some(arrays) = &sparse.arrays {
+            if !sparse.synapses.is_empty() {
+                let message = format!("projection to '{}': both synapses and arrays are given", self.to());
+                return Err(self.error("model.synapse-arrays", message, arrays.span));
+            }
+            if let (Some(own), Some(_)) = (&arrays.delay, &sparse.delay) {
+                let message = format!("projection to '{}': synapses and the projection have a delay", self.to());
+                return Err(self.error("model.synapse-arrays", message, own.span));
+            }
+            let delay_span = arrays.delay.as_ref().map_or(arrays.span, |delay| delay.span);
+            let mut by_delay: BTreeMap<Option<i64>, Listed> = BTreeMap::new();
+            let network = self.lowering.network;
+            let array = |reference: &ArrayRef| network.array(reference);
+            for synapse in arrays.read(array, network.source(), (self.sources, targets))? {
+                let Synapse { source, target, weight, delay } = synapse?;
+                by_delay.entry(delay).or_default().push((source, target, weight, arrays.weight.span));
+            }
+            let part = |(delay, synapses): (Option<i64>, Listed)| {
+                let delay = delay.map(|value| Spanned { value, span: delay_span });
+                (delay, ProjectionKind::Sparse { synapses })
+            };
+            return Ok(match by_delay.is_empty() {
+                true => vec![(None, ProjectionKind::Sparse { synapses: Vec::new() })],
+                false => by_delay.into_iter().map(part).collect(),
+            });
+        }
         let synapses = sparse
             .synapses
             .iter()
@@ -419,7 +476,7 @@ impl Declared<'_> {
                 Ok((source as u32, target as u32, weight, synapse.span))
             })
             .collect::<Result<_, _>>()?;
-        Ok(ProjectionKind::Sparse { synapses })
+        Ok(vec![(None, ProjectionKind::Sparse { synapses })])
     }
 
     fn volumes(&self, what: &str) -> Result<(Volume, Volume), Diagnostic> {
