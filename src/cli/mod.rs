@@ -84,6 +84,7 @@ enum Command {
     Stress(stress::Args),
     /// Describe the content of a file
     Inspect(inspect::Args),
+    Show(inspect::show::Args),
     /// Print shell completions
     #[command(after_help = "EXAMPLES:\n  nsim completions bash > ~/.local/share/bash-completion/completions/nsim")]
     Completions {
@@ -106,6 +107,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Import(args) => import::run(args, context),
         Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
+        Command::Show(args) => inspect::show::run(args, context),
         Command::Completions { shell } => {
             let mut command = Cli::command();
             let mut script = Vec::new();

@@ -80,6 +80,50 @@ macro_rules! resources {
             pools: Vec<Pool>,
         }
 
+        /// Limits that take the place of others; those that are not given stay.
+        #[derive(Debug, Clone, Default, Deserialize)]
+        #[serde(deny_unknown_fields, rename = "Limits")]
+        pub struct LimitChanges {
+            $($(#[$doc])* pub $name: Option<u32>,)*
+            /// Slots that an output axon takes when its target is on the same chip.
+            pub axon_out_slots: Option<u32>,
+            /// Slots that it takes when its target is on another chip.
+            pub axon_out_slots_off_chip: Option<u32>,
+            /// Synapses of one entry of a list.
+            pub synapses_per_entry: Option<u32>,
+            /// How words are counted.
+            pub packing: Option<Packing>,
+        }
+
+        impl LimitChanges {
+            /// The limits with these changes.
+            #[must_use]
+            pub fn applied(&self, mut limits: Limits) -> Limits {
+                $(if let Some(most) = self.$name {
+                    limits.most[Resource::$resource] = most;
+                })*
+                limits.axon_out_slots = self.axon_out_slots.unwrap_or(limits.axon_out_slots);
+                limits.axon_out_slots_off_chip =
+                    self.axon_out_slots_off_chip.unwrap_or(limits.axon_out_slots_off_chip);
+                limits.synapses_per_entry = self.synapses_per_entry.unwrap_or(limits.synapses_per_entry);
+                limits.packing = self.packing.unwrap_or(limits.packing);
+                limits
+            }
+
+            /// Whether a limit of this name is changed.
+            #[must_use]
+            pub fn changes(&self, name: &str) -> bool {
+                let changed = [
+                    $((stringify!($name), self.$name.is_some()),)*
+                    ("axon_out_slots", self.axon_out_slots.is_some()),
+                    ("axon_out_slots_off_chip", self.axon_out_slots_off_chip.is_some()),
+                    ("synapses_per_entry", self.synapses_per_entry.is_some()),
+                    ("packing", self.packing.is_some()),
+                ];
+                changed.contains(&(name, true))
+            }
+        }
+
         impl LimitsInFile {
             fn own(&self) -> PerResource<u32> {
                 PerResource([$(self.$name,)*])

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::resource::{Limits, Resource};
+use super::resource::{LimitChanges, Limits, Resource};
 use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::base::names::named_variants;
@@ -393,6 +393,54 @@ pub struct TargetFile {
     pub constants: Vec<Spanned<String>>,
 }
 
+/// A target file that says only what differs from another target.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Target")]
+pub struct TargetChanges {
+    /// The other target: a shipped one, or a file beside this one.
+    pub base: Spanned<String>,
+    /// The target's name; that of its file unless given.
+    pub name: Option<String>,
+    /// What it is.
+    pub notes: Option<String>,
+    /// Chips from west to east.
+    pub chips_x: Option<Spanned<u32>>,
+    /// Chips from north to south.
+    pub chips_y: Option<Spanned<u32>>,
+    /// Tiles of a chip from west to east.
+    pub width: Option<u32>,
+    /// Tiles of a chip from north to south.
+    pub height: Option<u32>,
+    /// Cores of a tile; as many as `cores_per_chip` needs unless given.
+    pub cores_per_tile: Option<u32>,
+    /// Cores of a chip; what its tiles hold when their number or size is given.
+    pub cores_per_chip: Option<u32>,
+    /// Limits of a core.
+    #[serde(default)]
+    pub limits: LimitChanges,
+    /// Presets of constants in place of the other target's.
+    pub constants: Option<Vec<Spanned<String>>>,
+}
+
+impl TargetChanges {
+    /// A chip with the changes. Sources of limits that are changed no longer say where they come from.
+    #[must_use]
+    pub fn chip(&self, mut chip: Chip) -> Chip {
+        chip.width = self.width.unwrap_or(chip.width);
+        chip.height = self.height.unwrap_or(chip.height);
+        let tiles = chip.width.saturating_mul(chip.height);
+        let held = self.cores_per_chip.map_or(0, |cores| cores.div_ceil(tiles.max(1)));
+        chip.cores_per_tile = self.cores_per_tile.unwrap_or(chip.cores_per_tile.max(held));
+        let resized = self.width.is_some() || self.height.is_some() || self.cores_per_tile.is_some();
+        let cores = if resized { tiles.saturating_mul(chip.cores_per_tile) } else { chip.cores };
+        chip.cores = self.cores_per_chip.unwrap_or(cores);
+        chip.limits = self.limits.applied(chip.limits);
+        chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit));
+        chip.alternatives.retain(|entry| !self.limits.changes(&entry.limit));
+        chip
+    }
+}
+
 /// The most cores of a board: 16,384 chips of Loihi's mesh protocol (Davies et al. 2018) with 128 cores each.
 pub const MOST_CORES: u64 = 16_384 * 128;
 
@@ -509,6 +557,12 @@ impl Target {
     #[must_use]
     pub fn chips_x(&self) -> u32 {
         self.chips_x
+    }
+
+    /// Chips from north to south.
+    #[must_use]
+    pub fn chips_y(&self) -> u32 {
+        self.chips_y
     }
 
     /// Number of cores of all chips.

@@ -88,6 +88,9 @@ pub const WORKLOADS: &[Shipped] = shipped!(
 /// Shipped scenarios.
 pub const SCENARIOS: &[Shipped] = shipped!("mapping/scenarios": "vtsnn-slip-paper");
 
+/// All of these tables.
+pub const TABLES: &[&[Shipped]] = &[MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, EVIDENCE, WORKLOADS, SCENARIOS];
+
 /// Where a text came from, which decides where the files that it names are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {

@@ -11,7 +11,7 @@ use super::shipped::{self, Origin, Shipped};
 use super::text::read_text;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::spanned::{Spanned, parse};
-use crate::desc::target::{Chip, Constant, Constants, Residual, Target, TargetFile};
+use crate::desc::target::{Chip, Constant, Constants, Residual, Target, TargetChanges, TargetFile};
 
 /// Loads a target: a path, `-`, or a shipped name.
 ///
@@ -27,19 +27,95 @@ pub fn load_target(argument: &str) -> Result<Target> {
 /// # Errors
 /// As [`load_target`].
 pub fn target(source: &SourceText, origin: Origin) -> Result<Target> {
+    target_within(source, origin, DEEPEST)
+}
+
+/// Targets that a target may be made of, one on the other.
+const DEEPEST: u32 = 8;
+
+fn target_within(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> {
+    if has_field(source.text(), "base") {
+        return changed(source, origin, deepest);
+    }
     let file: TargetFile = parse(source, "target.syntax")?;
     let chip_source = part(source, origin, &file.chip, "chips", "chip", shipped::CHIPS)?;
     let chip = parse_chip(&chip_source)?;
-    let mut constants = Vec::with_capacity(file.constants.len());
-    for name in &file.constants {
-        let text = part(source, origin, name, "constants", "preset of constants", shipped::CONSTANTS)?;
-        constants.push(parse_constants(&text)?);
-    }
+    let constants = presets(source, origin, &file.constants)?;
     // What has no place in the target file, the chip's file is to blame for.
     Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
         Some(_) => problem,
         None => problem.in_file(chip_source.path()),
     })
+}
+
+/// A target that says what differs from another.
+fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> {
+    let changes: TargetChanges = parse(source, "target.syntax")?;
+    let base_source = part(source, origin, &changes.base, "targets", "target", shipped::TARGETS)?;
+    let is_shipped = shipped::TARGETS.iter().any(|shipped| Path::new(shipped.path) == base_source.path());
+    let base_origin = if is_shipped { Origin::Shipped } else { Origin::File };
+    let Some(deepest) = deepest.checked_sub(1) else {
+        let message = format!("targets are based on each other more than {DEEPEST} deep");
+        return Err(Diagnostic::new("target.base", message).at(source, changes.base.span));
+    };
+    let base = target_within(&base_source, base_origin, deepest)?;
+    let chip = changes.chip(base.chip().clone());
+    chip.check(source)?;
+    let constants = match &changes.constants {
+        None => base.constants().to_vec(),
+        Some(names) => presets(source, origin, names)?,
+    };
+    let stem = source.path().file_stem().map_or_else(|| "target".into(), |stem| stem.to_string_lossy().into_owned());
+    let file = TargetFile {
+        name: changes.name.unwrap_or(stem),
+        notes: changes.notes.unwrap_or_default(),
+        chip: chip.name.clone().into(),
+        chips_x: changes.chips_x.unwrap_or_else(|| base.chips_x().into()),
+        chips_y: changes.chips_y.unwrap_or_else(|| base.chips_y().into()),
+        constants: Vec::new(),
+    };
+    Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
+        Some(_) => problem,
+        None => problem.in_file(source.path()),
+    })
+}
+
+fn presets(source: &SourceText, origin: Origin, names: &[Spanned<String>]) -> Result<Vec<Constants>> {
+    let preset = |name| {
+        let text = part(source, origin, name, "constants", "preset of constants", shipped::CONSTANTS)?;
+        parse_constants(&text)
+    };
+    names.iter().map(preset).collect()
+}
+
+/// Whether a text of RON names a field, comments and strings left out.
+fn has_field(text: &str, field: &str) -> bool {
+    let (mut rest, mut before) = (text, ' ');
+    while let Some(first) = rest.chars().next() {
+        if rest.starts_with("//") {
+            rest = rest.find('\n').map_or("", |end| &rest[end..]);
+        } else if rest.starts_with("/*") {
+            rest = rest.find("*/").map_or("", |end| &rest[end + 2..]);
+        } else if first == '"' {
+            let mut escaped = false;
+            let end = rest[1..].find(|c| {
+                let ends = c == '"' && !escaped;
+                escaped = c == '\\' && !escaped;
+                ends
+            });
+            rest = end.map_or("", |end| &rest[end + 2..]);
+        } else if !before.is_alphanumeric()
+            && before != '_'
+            && let Some(after) = rest.strip_prefix(field)
+            && after.trim_start().starts_with(':')
+        {
+            return true;
+        } else {
+            rest = &rest[first.len_utf8()..];
+        }
+        before = first;
+    }
+    false
 }
 
 /// A chip from its text.
@@ -139,6 +215,7 @@ fn part(
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::desc::resource::Resource;
 
     /// A small chip, for the tests of this room.
     pub(crate) const CHIP: &str = r#"Chip(
@@ -241,5 +318,41 @@ pub(crate) mod tests {
         for preset in shipped::CONSTANTS {
             parse_constants(&preset.source()).unwrap_or_else(|error| panic!("{error}"));
         }
+    }
+
+    #[test]
+    fn a_target_says_only_what_differs_from_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            load_target(path.to_str().unwrap())
+        };
+        let wide = write(
+            "wide.ron",
+            "// Not a base: this is a remark.\nTarget(base: \"loihi1-chip\", cores_per_chip: 256, limits: (axons_out: 8192))",
+        )
+        .unwrap();
+        let plain = load_target("loihi1-chip").unwrap();
+        assert_eq!((wide.name(), wide.cores(), wide.chip().cores_per_tile), ("wide", 256, 8));
+        assert_eq!(wide.limits(), &plain.limits().clone().with(Resource::AxonsOut, 8192));
+        assert_eq!(wide.constants().len(), plain.constants().len());
+        assert!(wide.chip().limit_sources.iter().all(|entry| entry.limit.value != "axons_out"));
+        let board = "Target(base: \"wide\", name: \"board\", chips_x: 3, constants: [\"davies2018\"])";
+        let board = write("board.ron", board).unwrap();
+        assert_eq!((board.name(), board.cores(), board.constants().len()), ("board", 768, 1));
+        assert_eq!(board.limits(), wide.limits());
+        for (text, code, word) in [
+            ("Target(base: \"loihi7\")", "target.part", "loihi7"),
+            ("Target(base: \"tiny\", limits: (axons: 1))", "target.syntax", "axons_out"),
+            ("Target(base: \"tiny\", chips_x: 500)", "target.size", "500"),
+            ("Target(base: \"loihi1-chip\", cores_per_tile: 4, cores_per_chip: 256)", "target.size", "256"),
+        ] {
+            let error = write("wrong.ron", text).unwrap_err();
+            assert_eq!(error.code, code, "{text}: {error}");
+            assert!(format!("{error} {}", error.help.clone().unwrap_or_default()).contains(word), "{text}: {error}");
+        }
+        write("a.ron", "Target(base: \"b\")").unwrap_err();
+        assert_eq!(write("b.ron", "Target(base: \"a\")").unwrap_err().code, "target.base");
     }
 }

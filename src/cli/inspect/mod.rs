@@ -6,6 +6,7 @@
 mod foreign;
 mod hardware;
 mod network;
+pub mod show;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
