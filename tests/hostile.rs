@@ -201,6 +201,25 @@ fn packets_that_decompress_without_end_are_refused() {
 }
 
 #[test]
+fn a_row_that_names_a_far_sample_costs_nothing() {
+    let place = Place::new();
+    for (steps, sample) in [(1, 30_000_000), (1, 1_000_000), (16_000_000, 7)] {
+        place.put("far.csv", format!("# steps: {steps}\nsample,timestep,channel\n{sample},0,0\n"));
+        let begin = Instant::now();
+        let error = place.object("nsim run ok.ron --input far.csv", 3);
+        assert_eq!(error["code"], "input.step", "{error}");
+        assert!(begin.elapsed() < Duration::from_secs(20), "{:?}", begin.elapsed());
+    }
+    // Files that are short, and together too long.
+    std::fs::create_dir(place.path("d")).unwrap();
+    for sample in 0..9 {
+        place.put(&format!("d/sample_{sample}_label_0.bs2"), [0, 0, 0, 0, 0]);
+    }
+    let error = place.object("nsim run ok.ron --input 'd?size=2,1&steps=16777216'", 3);
+    assert_eq!(error["code"], "input.too-long", "{error}");
+}
+
+#[test]
 fn a_long_time_constant_costs_no_more_than_a_short_one() {
     let place = Place::new();
     let srm = r#"Srm(name: "o", shape: [2], tau_sr_ms: 1e9, tau_ref_ms: 1.0, scale_ref: 2.0, theta: 10.0)"#;
@@ -253,9 +272,12 @@ fn a_file_beyond_its_limit_is_an_error_and_leaves_nothing() {
     assert_eq!(left, ["ok.ron"]);
 }
 
-/// The program, which gets a signal after a second.
-fn timed(signal: &str) -> String {
-    format!("timeout --preserve-status -s {signal} 1 {}", assert_cmd::cargo::cargo_bin("nsim").display())
+/// A line of a shell that runs the program, sends it a signal once a file is there, and ends as it ends.
+fn signalled(signal: &str, file: &str, arguments: &str) -> String {
+    format!(
+        "$program {arguments} & pid=$!; while kill -0 $pid && [ ! -e {file} ]; do sleep 0.02; done 2>/dev/null; \
+         kill -{signal} $pid 2>/dev/null; wait $pid"
+    )
 }
 
 #[test]
@@ -263,8 +285,8 @@ fn signals_end_with_their_status_and_what_was_begun_is_completed_by_the_same_com
     let place = Place::new();
     for (signal, status) in [("INT", 130), ("TERM", 143)] {
         let folder = format!("s{status}");
-        let line = format!("nsim scene slip --samples 400 --seed 1 -o {folder} --format json");
-        let output = place.run(&line.replacen("nsim", &timed(signal), 1));
+        let line = format!("scene slip --samples 400 --seed 1 -o {folder} --format json");
+        let output = place.run(&signalled(signal, &format!("{folder}/.nsim-unfinished"), &line));
         if output.status.code() == Some(0) {
             continue;
         }
@@ -335,6 +357,22 @@ fn stored_trainings_are_the_same_bytes_however_they_were_interrupted() {
         place.put(&format!("d/sample_{sample}_label_{}.npy", sample % 3), npy);
     }
     place.ends("nsim train t.ron --train d --checkpoint a.st --log a.csv -o a.ron", &[0]);
+    // A signal keeps the last finished epoch, and the same command goes on from there.
+    let line = "train t.ron --train d --set epochs=EPOCHS --checkpoint c.st --log c.csv -o c.ron --force --format json";
+    let line = line.replace("EPOCHS", "4000");
+    let output = place.run(&signalled("INT", "c.st", &line));
+    if output.status.code() != Some(0) {
+        assert_eq!(output.status.code(), Some(130));
+        let error: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let message = error["message"].as_str().unwrap();
+        assert!(message.contains("of 4000 epochs are kept in c.st"), "{message}");
+        place.ends(&format!("nsim {line}"), &[0]);
+        place.ends(&format!("nsim {}", line.replace("c.", "w.")), &[0]);
+        for ending in ["st", "csv", "safetensors"] {
+            let bytes = |name: &str| std::fs::read(place.path(&format!("{name}.{ending}"))).unwrap();
+            assert!(bytes("c") == bytes("w"), "{ending} differs after a signal");
+        }
+    }
     // The third checkpointed epoch never comes: the first process ends while it writes the second checkpoint.
     let cut = place.run("NSIM_FAULT=kill:7 nsim train t.ron --train d --checkpoint b.st --log b.csv -o b.ron");
     assert_eq!(cut.status.code(), Some(137));

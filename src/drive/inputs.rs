@@ -9,6 +9,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
+use crate::io::budget::MOST_STEPS_TOGETHER;
 use crate::io::spikes::{EventOptions, Expected, Manifest, PopulationSpikes, SpikeFormat, read_manifest, read_spikes};
 use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Sample, Stimulus};
@@ -84,7 +85,13 @@ pub fn stimulus(
             ))
         })?);
     }
-    Ok(Stimulus { samples: join(&inputs, filled)?, origin: arguments, seed: None })
+    let samples = join(&inputs, filled)?;
+    let steps = samples.iter().map(|sample| u64::from(sample.steps())).sum::<u64>();
+    if steps > MOST_STEPS_TOGETHER {
+        let message = format!("the samples have {steps} timesteps together, more than {MOST_STEPS_TOGETHER}");
+        return Err(Diagnostic::new("input.too-long", message).help("run some of them at a time").into());
+    }
+    Ok(Stimulus { samples, origin: arguments, seed: None })
 }
 
 /// A data set, or what a fold of it trains or tests on.

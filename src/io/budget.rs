@@ -1,20 +1,49 @@
-//! What reading a file may cost, decided by the file's size.
+//! What reading may cost: the sizes of files, the lengths of recordings, and what a file may make of its own size.
 //!
 //! Input: the size, then each claim of bytes and items before they are made. Output: nothing, or [`Exceeded`]. Files name
-//! the same bytes many times, and compress them: what they claim bears no relation to what they are. A budget is taken from
-//! before anything of a claimed size is allocated, and never given back.
+//! the same bytes many times, compress them, or name a place far behind all others: what they claim bears no relation to what
+//! they are. A budget is taken from before anything of a claimed size is allocated, and never given back.
+
+/// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while it is read, since each
+/// entry keeps its place for messages: this keeps the largest well within a gibibyte. Larger arrays belong beside the file.
+pub const MOST_TEXT: u64 = 32 << 20;
+/// The most bytes of an event list in text.
+pub const MOST_EVENT_TEXT: u64 = 256 << 20;
+/// The most bytes of an array file.
+pub const MOST_ARRAY: u64 = 1 << 30;
+
+/// The most timesteps of a sample: engines hold a number for each.
+pub const MOST_STEPS: u32 = 1 << 24;
+/// The most timesteps of all samples of a run.
+pub const MOST_STEPS_TOGETHER: u64 = 1 << 27;
+/// The most spikes of a sample: each takes eight bytes.
+pub const MOST_EVENTS: usize = 1 << 27;
 
 /// Bytes that any file may cost.
 pub const MOST_FIXED: u64 = 64 << 20;
 /// Bytes that a file may cost in addition, for each byte of its own.
 pub const MOST_RATIO: u64 = 12;
 
+/// Bytes that packets may decompress to, and so many in addition for each byte that was read. Events are 16 bytes of which 8
+/// hardly change, which no compression makes a hundred times smaller.
+const PACKETS_FIXED: u64 = 32 << 20;
+const PACKETS_RATIO: u64 = 64;
+
+/// Bytes of a sample without a spike, and of a timestep without one, in a run.
+const SAMPLE: u64 = 256;
+const STEP: u64 = 4;
+
 /// What a file claims beyond its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Exceeded {
     /// Bytes.
-    #[error("its arrays would take more than {} MiB and {MOST_RATIO} times the file's size", MOST_FIXED >> 20)]
-    Bytes,
+    #[error("its content would take more than {} MiB and {ratio} times the file's size", fixed >> 20)]
+    Bytes {
+        /// Bytes that any file may cost.
+        fixed: u64,
+        /// And for each byte of its own.
+        ratio: u64,
+    },
     /// Items.
     #[error("it has more than {0} items")]
     Items(usize),
@@ -26,6 +55,8 @@ pub enum Exceeded {
 /// What may still be taken.
 #[derive(Debug, Clone)]
 pub struct Budget {
+    fixed: u64,
+    ratio: u64,
     bytes: u64,
     items: usize,
     most_items: usize,
@@ -36,12 +67,30 @@ impl Budget {
     /// The budget of a file of so many bytes, items and depth.
     #[must_use]
     pub fn for_file(bytes: u64, most_items: usize, deepest: usize) -> Budget {
-        Budget {
-            bytes: MOST_FIXED.saturating_add(MOST_RATIO.saturating_mul(bytes)),
-            items: most_items,
-            most_items,
-            deepest,
-        }
+        let (fixed, ratio) = (MOST_FIXED, MOST_RATIO);
+        let mut budget = Budget { fixed, ratio, bytes: fixed, items: most_items, most_items, deepest };
+        budget.grow(bytes);
+        budget
+    }
+
+    /// The budget of a stream of packets of which nothing has been read.
+    #[must_use]
+    pub fn for_packets() -> Budget {
+        let (fixed, ratio) = (PACKETS_FIXED, PACKETS_RATIO);
+        Budget { fixed, ratio, bytes: fixed, items: usize::MAX, most_items: usize::MAX, deepest: 0 }
+    }
+
+    /// So many bytes more have been read.
+    pub fn grow(&mut self, bytes: u64) {
+        self.bytes = self.bytes.saturating_add(self.ratio.saturating_mul(bytes));
+    }
+
+    /// Takes so many samples of so many timesteps, before their spikes.
+    ///
+    /// # Errors
+    /// [`Exceeded::Bytes`].
+    pub fn samples(&mut self, count: u64, steps: u64) -> Result<(), Exceeded> {
+        self.bytes(count.saturating_mul(STEP.saturating_mul(steps).saturating_add(SAMPLE)))
     }
 
     /// Takes so many numbers that are stored in `width` bytes each and become reals.
@@ -57,7 +106,7 @@ impl Budget {
     /// # Errors
     /// [`Exceeded::Bytes`].
     pub fn bytes(&mut self, bytes: u64) -> Result<(), Exceeded> {
-        self.bytes = self.bytes.checked_sub(bytes).ok_or(Exceeded::Bytes)?;
+        self.bytes = self.bytes.checked_sub(bytes).ok_or(Exceeded::Bytes { fixed: self.fixed, ratio: self.ratio })?;
         Ok(())
     }
 
@@ -80,12 +129,28 @@ mod tests {
 
     #[test]
     fn what_is_taken_is_gone() {
+        let exceeded = Err(Exceeded::Bytes { fixed: MOST_FIXED, ratio: MOST_RATIO });
         let mut budget = Budget::for_file(1000, 2, 3);
-        assert_eq!(budget.numbers(u64::MAX, 8), Err(Exceeded::Bytes));
+        assert_eq!(budget.numbers(u64::MAX, 8), exceeded);
         assert_eq!(budget.bytes(MOST_FIXED), Ok(()));
         assert_eq!(budget.numbers(750, 8), Ok(()));
-        assert_eq!(budget.bytes(1), Err(Exceeded::Bytes));
+        assert_eq!(budget.bytes(1), exceeded);
         assert_eq!(budget.item(4), Err(Exceeded::Depth(3)));
         assert_eq!((budget.item(3), budget.item(0), budget.item(0)), (Ok(()), Ok(()), Err(Exceeded::Items(2))));
+    }
+
+    #[test]
+    fn packets_earn_what_they_may_take() {
+        let mut budget = Budget::for_packets();
+        assert!(budget.bytes(PACKETS_FIXED).is_ok() && budget.bytes(1).is_err());
+        budget.grow(1);
+        assert!(budget.bytes(PACKETS_RATIO).is_ok() && budget.bytes(1).is_err());
+    }
+
+    #[test]
+    fn a_recording_may_be_as_long_as_a_sample_may() {
+        assert!(Budget::for_file(100, 1, 1).samples(1, MOST_STEPS.into()).is_ok());
+        assert!(Budget::for_file(100, 1, 1).samples(2, MOST_STEPS.into()).is_err());
+        assert!(Budget::for_file(100, 1, 1).samples(1 << 20, 1).is_err());
     }
 }

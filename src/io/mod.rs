@@ -4,7 +4,7 @@
 //! and the place. Nothing here trusts a size that a file claims: a header is checked against the bytes that are there
 //! before anything is allocated for it. Whether a network or a stimulus makes sense is for later stages to say.
 
-mod budget;
+pub mod budget;
 pub mod disk;
 mod element;
 pub mod foreign;

@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 
 use npyz::{DType, Endianness, NpyHeader, Order, TypeChar, WriterBuilder};
 
+use super::budget::{Budget, MOST_ARRAY};
 use super::element::Element;
-use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
+use super::text::{NPY_MAGIC, read_bytes};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::tensor::{Numbers, Tensor};
 
@@ -282,6 +283,9 @@ impl Array {
         if is_bool && let Some(byte) = data.iter().find(|&&byte| byte > 1) {
             return Err(self.failed(format!("invalid value for bool: {byte}")));
         }
+        let (count, width) = ((data.len() / self.element.bytes()) as u64, self.element.bytes() as u64);
+        let taken = Budget::for_file(self.bytes.len() as u64, 1, 1).numbers(count, width);
+        taken.map_err(|exceeded| self.failed(exceeded))?;
         let place = self.c_order();
         let wrong = |index, value: &dyn Display, why: &str| self.wrong(place(index), value, why);
         let numbers = match self.element.numbers(data, self.is_big_endian(), wrong)? {
@@ -349,8 +353,8 @@ pub fn write_bytes(out: &mut dyn Write, shape: &[u64], bytes: &[u8]) -> std::io:
     let fields = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({axes}), }}");
     let before = NPY_MAGIC.len() + 4;
     let padded = (before + fields.len() + 1).next_multiple_of(64) - before - 1;
-    let header = format!("{fields:padded$}\n");
-    let length = u16::try_from(header.len()).map_err(std::io::Error::other)?;
+    let length = u16::try_from(padded + 1).map_err(|_| std::io::Error::other("the shape has too many axes"))?;
+    let header = format!("{fields}{}\n", " ".repeat(padded - fields.len()));
     out.write_all(NPY_MAGIC)?;
     out.write_all(&[1, 0])?;
     out.write_all(&length.to_le_bytes())?;
@@ -515,6 +519,8 @@ mod tests {
             assert_eq!(tensor.numbers(), &Numbers::Integers(numbers.iter().map(|&n| i32::from(n)).collect()));
         }
         assert!(write_bytes(&mut Vec::new(), &[3], &[0, 1]).is_err());
+        // The header's length is stored in two bytes.
+        assert!(write_bytes(&mut Vec::new(), &vec![1; 40_000], &[0]).is_err());
     }
 
     #[test]

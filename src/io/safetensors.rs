@@ -1,14 +1,17 @@
 //! One tensor of a safetensors file.
 //!
-//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are left out.
+//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are left out. What all keys together may
+//! take is bounded by the file's size ([`Budget`]).
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
+use super::budget::{Budget, MOST_ARRAY};
 use super::element::Element;
-use super::text::{MOST_ARRAY, read_bytes};
+use super::text::read_bytes;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::tensor::{Numbers, Tensor};
 
@@ -27,7 +30,11 @@ pub struct Entry {
 pub struct TensorFile {
     path: PathBuf,
     bytes: Vec<u8>,
+    budget: RefCell<Budget>,
 }
+
+/// The most tensors that are taken from a file.
+const MOST_TENSORS: usize = 1 << 16;
 
 /// Reads a file.
 ///
@@ -43,7 +50,8 @@ impl TensorFile {
     /// # Errors
     /// `safetensors.format`.
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
-        let file = TensorFile { path: path.into(), bytes };
+        let budget = RefCell::new(Budget::for_file(bytes.len() as u64, MOST_TENSORS, 1));
+        let file = TensorFile { path: path.into(), bytes, budget };
         file.view()?;
         Ok(file)
     }
@@ -101,7 +109,11 @@ impl TensorFile {
                 .help("F64, F32, F16, BF16, integers of 8 to 64 bits and BOOL are")
                 .in_file(&self.path));
         };
-        element.numbers(tensor.data(), false, |index, value, why| {
+        let (width, data) = (element.bytes(), tensor.data());
+        let mut budget = self.budget.borrow_mut();
+        let taken = budget.item(1).and_then(|()| budget.numbers((data.len() / width) as u64, width as u64));
+        taken.map_err(|exceeded| Diagnostic::new("safetensors.format", exceeded.to_string()).in_file(&self.path))?;
+        element.numbers(data, false, |index, value, why| {
             Diagnostic::new("safetensors.value", format!("number {index} of tensor '{key}' is {value}, which is {why}"))
                 .in_file(&self.path)
         })

@@ -7,16 +7,9 @@ use std::fs::Metadata;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
+use super::budget::MOST_TEXT;
 use super::disk::{self, Input};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
-
-/// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while it is read, since each
-/// entry keeps its place for messages: this keeps the largest well within a gibibyte. Larger arrays belong beside the file.
-pub const MOST_TEXT: u64 = 32 << 20;
-/// The most bytes of an event list in text.
-pub const MOST_EVENT_TEXT: u64 = 256 << 20;
-/// The most bytes of an array file.
-pub const MOST_ARRAY: u64 = 1 << 30;
 
 /// What every `.npy` file begins with.
 pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
@@ -153,6 +146,7 @@ pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::budget::MOST_ARRAY;
 
     fn file(name: &str, bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
         let folder = tempfile::tempdir().unwrap();

@@ -17,7 +17,8 @@ use super::optimiser::{Moments, Rule};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::Semantics;
 use crate::desc::training::CreditDesc;
-use crate::io::text::{MOST_ARRAY, read_bytes};
+use crate::io::budget::MOST_ARRAY;
+use crate::io::text::read_bytes;
 use crate::io::write;
 use crate::neuron::Fields;
 

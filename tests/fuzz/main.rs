@@ -19,8 +19,9 @@ use rayon::prelude::*;
 
 /// Cases of the normal tests.
 const CASES: u64 = 10_000;
-/// What one may take; machines that run tests beside other work are slow.
+/// What one may take of a processor, and by the clock: machines that run tests beside other work are slow.
 const LONGEST: Duration = Duration::from_secs(20);
+const LONGEST_WAIT: Duration = Duration::from_secs(600);
 /// Memory that one may take: so much, so many times its input, and so many bytes a weight that its model draws from a seed.
 const MOST_KIB: u64 = 256 << 10;
 const MOST_TIMES: u64 = 32;
@@ -429,6 +430,15 @@ fn drawn(folder: &Path) -> u64 {
     ["m.ron", "input.ron"].iter().filter_map(|name| weights(name)).sum()
 }
 
+/// Processor time of a process: the 14th and 15th field of `/proc/PID/stat`, in hundredths of a second (proc(5)).
+fn busy(process: u32) -> Duration {
+    let text = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    // The second field, the name in parentheses, may hold spaces.
+    let fields = text.rsplit(')').next().unwrap_or_default().split_whitespace();
+    let ticks: u64 = fields.skip(11).take(2).filter_map(|field| field.parse::<u64>().ok()).sum();
+    Duration::from_millis(10 * ticks)
+}
+
 /// Runs a case; what is wrong with how it ends, if anything.
 fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &AtomicU64) -> Option<String> {
     let folder = tempfile::Builder::new().prefix("nsim-fuzz-").tempdir().unwrap();
@@ -459,10 +469,13 @@ fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &Atom
         if peak > most && !std::mem::replace(&mut is_drawn, true) {
             most = most.saturating_add((MOST_DRAWN * drawn(folder.path()).min(1 << 40)) / 1024);
         }
-        if begin.elapsed() > LONGEST || peak > most {
+        let wait = begin.elapsed();
+        // Whoever has not waited longer has not computed longer, on two threads.
+        let busy = if wait > LONGEST / 2 { busy(child.id()) } else { Duration::ZERO };
+        if busy > LONGEST || wait > LONGEST_WAIT || peak > most {
             let _ = child.kill();
             let _ = child.wait();
-            break Err(format!("{:?} and {} MiB, where {} are allowed", begin.elapsed(), peak >> 10, most >> 10));
+            break Err(format!("{busy:?} in {wait:?} and {} MiB, where {} are allowed", peak >> 10, most >> 10));
         }
         std::thread::sleep(Duration::from_millis(2));
     };

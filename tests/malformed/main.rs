@@ -118,7 +118,7 @@ fn the_program_exits_with_3_and_names_the_code() {
             Through::Target => command.arg("map").arg(&sound).arg("--target").arg(&path),
             Through::Spikes => command.arg("run").arg(&sound).arg("--target").arg("tiny").arg("--input").arg(&path),
         };
-        let output = command.arg("--format").arg("json").timeout(std::time::Duration::from_secs(20)).output().unwrap();
+        let output = command.arg("--format").arg("json").timeout(std::time::Duration::from_secs(120)).output().unwrap();
         let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
         let named = said.contains("nsim.error/1") && said.contains(&format!("\"{}\"", case.code));
         if output.status.code() != Some(3) || !named || said.contains("panicked") {

@@ -9,12 +9,13 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::base::diagnostic::Diagnostic;
+use crate::io::budget::MOST_ARRAY;
 use crate::io::foreign::hdf5::{self, Group, Item};
 use crate::io::foreign::{self, Imported, Kind, Options, torch};
 use crate::io::spikes::EventFormat;
 use crate::io::spikes::events::event::{Event, Sink};
 use crate::io::spikes::events::{nir_data, read};
-use crate::io::text::{MOST_ARRAY, read_bytes};
+use crate::io::text::read_bytes;
 use crate::report::inspect::{Findings, FindingsTable, number};
 
 /// A row each: an array, or a text.

@@ -24,7 +24,7 @@ use std::os::unix::fs::MetadataExt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{LazyLock, Mutex};
 
-use super::{Extent, Operation};
+use super::operation::{Extent, Operation};
 
 static ASKED: LazyLock<Option<(String, u64)>> = LazyLock::new(|| {
     let text = std::env::var("NSIM_FAULT").ok()?;

@@ -6,6 +6,7 @@
 
 #[cfg(all(debug_assertions, unix))]
 mod faults;
+mod operation;
 
 use std::fs::{File, Metadata};
 use std::io::{Error, ErrorKind, Read, Result, Write};
@@ -13,32 +14,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempPath;
 
-/// The classes of operations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Operation {
-    /// Bytes go to a file or to stdout.
-    Write,
-    /// Files and folders are made.
-    Make,
-    /// They are named, removed, brought to the disk.
-    Change,
-    /// Bytes come from a file.
-    Read,
-    /// Files are opened, looked at, listed.
-    Look,
-}
-
-/// What an operation may do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Extent {
-    Whole,
-    /// Half of the bytes.
-    Half,
-    /// Half of the bytes, and the process ends.
-    Torn,
-    /// No bytes, as at the end of a file.
-    Nothing,
-}
+use self::operation::{Extent, Operation};
 
 /// Lets an operation go on, or fails in its place.
 #[cfg(all(debug_assertions, unix))]
@@ -71,8 +47,11 @@ pub(super) fn write(file: &mut File, bytes: &[u8]) -> Result<usize> {
 fn part_of(out: &mut impl Write, bytes: &[u8]) -> Result<usize> {
     match point(Operation::Write)? {
         Extent::Whole => out.write(bytes),
+        #[cfg(all(debug_assertions, unix))]
         Extent::Nothing => Ok(0),
+        #[cfg(all(debug_assertions, unix))]
         Extent::Half => out.write(&bytes[..bytes.len().div_ceil(2)]),
+        #[cfg(all(debug_assertions, unix))]
         Extent::Torn => {
             out.write_all(&bytes[..bytes.len() / 2])?;
             out.flush()?;
@@ -220,12 +199,26 @@ impl Input {
 }
 
 impl Read for Input {
+    /// Goes on after a signal: `BufRead::fill_buf` does not.
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize> {
+        loop {
+            match self.read_once(buffer) {
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                read => return read,
+            }
+        }
+    }
+}
+
+impl Input {
+    fn read_once(&mut self, buffer: &mut [u8]) -> Result<usize> {
         if buffer.is_empty() {
             return Ok(0);
         }
         let wanted = match point(Operation::Read)? {
+            #[cfg(all(debug_assertions, unix))]
             Extent::Nothing => 0,
+            #[cfg(all(debug_assertions, unix))]
             Extent::Half | Extent::Torn => buffer.len().div_ceil(2),
             Extent::Whole => buffer.len(),
         };

@@ -20,7 +20,8 @@ use std::path::Path;
 
 use self::imported::listed;
 pub use self::imported::{Imported, Options, ResetMode};
-use super::text::{MOST_ARRAY, NPY_MAGIC, read_bytes};
+use super::budget::MOST_ARRAY;
+use super::text::{NPY_MAGIC, read_bytes};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::Network;
 

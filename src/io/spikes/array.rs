@@ -5,8 +5,9 @@
 //! 2 before time. Errors: `input.shape`, `input.too-long`, `input.too-many`, and those of the array's numbers.
 
 use super::options::Polarity;
-use super::population::{MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
+use super::population::{PopulationSpikes, too_many};
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::budget::{MOST_EVENTS, MOST_STEPS};
 use crate::io::npy;
 
 fn product(axes: &[usize]) -> Option<u64> {

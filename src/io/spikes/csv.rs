@@ -5,12 +5,10 @@
 
 use std::path::Path;
 
-use super::population::{MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
+use super::population::{PopulationSpikes, too_many};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
-use crate::io::text::{MOST_EVENT_TEXT, decode, read_bytes};
-
-/// The most timesteps of all samples together: engines hold a number for each.
-const MOST_STEPS_TOGETHER: u64 = 1 << 27;
+use crate::io::budget::{Budget, MOST_EVENT_TEXT, MOST_EVENTS, MOST_STEPS};
+use crate::io::text::{decode, read_bytes};
 
 /// The column of each field.
 #[derive(Debug, Clone, Copy)]
@@ -49,6 +47,7 @@ pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
 /// # Errors
 /// As [`read`].
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>> {
+    let size = bytes.len() as u64;
     let source = decode(path, bytes)?;
     let comments = Comments::read(&source)?;
     let mut reader = csv::ReaderBuilder::new()
@@ -103,10 +102,10 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         let sample = columns.sample.map_or(Ok(0), |column| number(column, "sample"))? as usize;
         last = last.max(Some(step));
         if sample >= samples.len() {
-            // Every sample gets a place, so their number is bounded like their timesteps.
+            // Every sample gets a place with all timesteps.
             let steps = u64::from(comments.steps.or(last.map(|last| last + 1)).unwrap_or(1));
-            if (sample as u64 + 1) * steps > MOST_STEPS_TOGETHER {
-                let message = format!("sample {sample} makes more than {MOST_STEPS_TOGETHER} timesteps in all");
+            if let Err(exceeded) = Budget::for_file(size, MOST_EVENTS, 1).samples(sample as u64 + 1, steps) {
+                let message = format!("sample {sample} makes the recording too long: {exceeded}");
                 return Err(row_problem(&source, at, "input.step", message));
             }
             samples.resize_with(sample + 1, Vec::new);
@@ -124,8 +123,8 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
     if samples.is_empty() {
         samples.push(Vec::new());
     }
-    if samples.len() as u64 * u64::from(steps) > MOST_STEPS_TOGETHER {
-        let message = format!("{} samples of {steps} timesteps are more than {MOST_STEPS_TOGETHER}", samples.len());
+    if let Err(exceeded) = Budget::for_file(size, MOST_EVENTS, 1).samples(samples.len() as u64, steps.into()) {
+        let message = format!("{} samples of {steps} timesteps: {exceeded}", samples.len());
         return Err(Diagnostic::new("input.step", message).in_file(source.path()));
     }
     let name = source.path().display().to_string();

@@ -1,7 +1,7 @@
 //! How a recording becomes spikes: the options that stand after the `?` of a source.
 
-use super::population::MOST_STEPS;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::budget::MOST_STEPS;
 
 /// What becomes of the polarities.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -1,13 +1,9 @@
-//! The spikes of one sample on one population, and the limits that every reader keeps.
+//! The spikes of one sample on one population.
 
 use std::path::Path;
 
 use crate::base::diagnostic::Diagnostic;
-
-/// The most timesteps of a sample: engines hold a number for each.
-pub const MOST_STEPS: u32 = 1 << 24;
-/// The most spikes of a sample: each takes eight bytes.
-pub const MOST_EVENTS: usize = 1 << 27;
+use crate::io::budget::MOST_EVENTS;
 
 /// The spikes of one sample on the channels of one population.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -12,9 +12,10 @@ use super::options::{EventOptions, Polarity};
 use super::population::{Expected, PopulationSpikes};
 use super::{array, csv};
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::budget::MOST_ARRAY;
 use crate::io::foreign::hdf5;
 use crate::io::npy;
-use crate::io::text::{MOST_ARRAY, read_bytes};
+use crate::io::text::read_bytes;
 
 /// What the recordings of a source are read for.
 #[derive(Debug, Clone, Copy)]

@@ -15,15 +15,12 @@ use planus::{SliceWithStartOffset, TableRead};
 
 use super::event::{Event, Sink, fill, unreadable, wrong};
 use crate::base::diagnostic::Result;
+use crate::io::budget::Budget;
 
 /// What a file begins with.
 const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
 /// The most bytes of a packet, and of what it decompresses to.
 const MOST_PACKET: usize = 64 << 20;
-/// What packets decompress to: so many bytes, and so many for each byte of the file that was read. Events are 16 bytes of
-/// which 8 hardly change, which no compression makes a hundred times smaller.
-const MOST_FIXED: u64 = 32 << 20;
-const MOST_RATIO: u64 = 64;
 /// Bytes of an event.
 const EVENT: usize = 16;
 
@@ -54,7 +51,8 @@ pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         }
     }
     // The table of packets at the end is no packet.
-    let mut unpacked = 0;
+    let mut budget = Budget::for_packets();
+    let mut earned = 0;
     while end < 0 || at < end as u64 {
         let mut head = [0; 8];
         if !fill(input, &mut head, &mut at)? {
@@ -63,9 +61,9 @@ pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         let size = i32::from_le_bytes([head[4], head[5], head[6], head[7]]);
         let packed = exactly(input, usize::try_from(size).unwrap_or(usize::MAX), &mut at, "a packet")?;
         let packet = unpack(packed, compression)?;
-        unpacked += packet.len() as u64;
-        if unpacked > MOST_FIXED + MOST_RATIO * at {
-            return Err(wrong(format!("{at} bytes decompress to {unpacked}, more than recordings of events do")));
+        budget.grow(at - std::mem::replace(&mut earned, at));
+        if let Err(exceeded) = budget.bytes(packet.len() as u64) {
+            return Err(wrong(format!("its packets decompress to more than recordings of events do: {exceeded}")));
         }
         packet_events(&packet, sink)?;
     }

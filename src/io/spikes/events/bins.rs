@@ -5,8 +5,9 @@
 
 use super::event::{Counts, Event, Sink, wrong};
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::budget::{MOST_EVENTS, MOST_STEPS};
 use crate::io::spikes::options::{EventOptions, Origin, Polarity};
-use crate::io::spikes::population::{Expected, MOST_EVENTS, MOST_STEPS, PopulationSpikes, too_many};
+use crate::io::spikes::population::{Expected, PopulationSpikes, too_many};
 
 /// Events of a batch, at least.
 const BATCH: usize = 1 << 16;

@@ -9,9 +9,10 @@ use std::path::Path;
 
 use super::event::wrong;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::budget::MOST_STEPS;
 use crate::io::foreign::hdf5::{Attribute, Group, Item, Numbers};
 use crate::io::spikes::options::EventOptions;
-use crate::io::spikes::population::{Expected, MOST_STEPS, PopulationSpikes};
+use crate::io::spikes::population::{Expected, PopulationSpikes};
 
 /// The most samples of a file.
 const MOST_SAMPLES: usize = 1 << 20;
