@@ -98,7 +98,7 @@ fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
     let moved = |fit: Fit, count: u32| Fit {
         dv: nsim::base::fixed::Decay::new(900).unwrap(),
         refractory: nsim::base::fixed::Refractory::new(2).unwrap(),
-        delay: 2,
+        copies: vec![(2, 0.7), (5, 0.4)],
         own: vec![vec![fit.threshold * 0.2], (0..count).map(|i| -0.02 * fit.threshold * f64::from(i)).collect()],
         threshold: fit.threshold * 0.6,
         gains: (0..count).map(|i| 0.8 + 0.05 * f64::from(i)).collect(),
@@ -243,13 +243,13 @@ fn the_search_comes_nearer_than_the_analytic_start() {
     let found = search(&graph, &borrowed(&calibration), |_| ()).unwrap();
     assert!(found.end.count_error < 0.6 * found.start.count_error, "{:?} {:?}", found.start, found.end);
     assert_eq!(found, search(&graph, &borrowed(&calibration), |_| ()).unwrap(), "the same search twice");
-    let output = Ladder::new(&graph, &found.fits).unwrap().layers()[1].clone();
+    let output = Ladder::new(&graph, &found.conversion.fits).unwrap().layers()[1].clone();
     let trained = Rung::TRAINED.with(Cause::Untruncated);
     let on_unseen = |fits: &[Option<Fit>]| {
         let ladder = Ladder::new(&graph, fits).unwrap();
         distances(&ladder, trained, &[Rung::MACHINE], &output, &borrowed(&unseen))[0]
     };
-    let (start, end) = (on_unseen(&analytic::starts(&graph)), on_unseen(&found.fits));
+    let (start, end) = (on_unseen(&analytic::starts(&graph)), on_unseen(&found.conversion.fits));
     assert!(end.class_agreement > start.class_agreement + 0.1, "{start:?} {end:?}");
 }
 

@@ -23,6 +23,11 @@ pub struct Distance {
     pub potential_rmse: Option<f64>,
 }
 
+impl Distance {
+    /// Of a network from itself.
+    pub const EQUAL: Distance = Distance { class_agreement: 1.0, coincidence: 1.0, potential_rmse: Some(0.0) };
+}
+
 /// A row of the attribution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Share {
@@ -55,38 +60,61 @@ pub struct Attribution {
     pub shares: Vec<Share>,
 }
 
+/// How far a rung is from the trained network, in all and layer by layer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// Over all layers.
+    pub distance: Distance,
+    /// In the order of the ladder's layers.
+    pub layers: Vec<TrainSums>,
+}
+
 /// Compares rungs with one of them over samples, all rungs of a sample at once.
 #[must_use]
 pub fn distances(ladder: &Ladder, from: Rung, rungs: &[Rung], output: &Layer, samples: &[&Sample]) -> Vec<Distance> {
-    let layers = ladder.layers();
+    let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
+    measured((ladder, from), &to, output, samples).into_iter().map(|measured| measured.distance).collect()
+}
+
+/// Compares rungs, perhaps of several ladders of one network, with one of them over samples.
+#[must_use]
+pub fn measured(
+    (first, from): (&Ladder, Rung),
+    to: &[(&Ladder, Rung)],
+    output: &Layer,
+    samples: &[&Sample],
+) -> Vec<Measured> {
+    let layers = first.layers();
     let of_sample = |sample: &&Sample| {
-        let trained = ladder.run(from, sample, true);
-        let one = |&rung: &Rung| {
+        let trained = first.run(from, sample, true);
+        let one = |&(ladder, rung): &(&Ladder, Rung)| {
             let trace = ladder.run(rung, sample, true);
-            let mut sum = TrainSums::default();
-            for layer in &layers {
+            let sums = layers.iter().map(|layer| {
                 let mut comparison = Comparison::default();
-                comparison.add(0, layer, &trained, &trace, ladder.shift(rung) - ladder.shift(from));
-                sum.merge(&comparison.tally);
-            }
-            (sum, trained.class(output) == trace.class(output))
+                comparison.add(0, layer, &trained, &trace, ladder.shift(rung) - first.shift(from));
+                comparison.tally
+            });
+            (sums.collect(), trained.class(output) == trace.class(output))
         };
-        rungs.iter().map(one).collect::<Vec<_>>()
+        to.iter().map(one).collect::<Vec<(Vec<TrainSums>, bool)>>()
     };
-    let each: Vec<Vec<(TrainSums, bool)>> = samples.par_iter().map(of_sample).collect();
-    let distance = |rung: usize| {
-        let (mut sum, mut same) = (TrainSums::default(), 0usize);
+    let each: Vec<Vec<(Vec<TrainSums>, bool)>> = samples.par_iter().map(of_sample).collect();
+    let of_rung = |rung: usize| {
+        let (mut by_layer, mut same) = (vec![TrainSums::default(); layers.len()], 0usize);
         for sample in &each {
-            sum.merge(&sample[rung].0);
+            by_layer.iter_mut().zip(&sample[rung].0).for_each(|(sum, tally)| sum.merge(tally));
             same += usize::from(sample[rung].1);
         }
-        Distance {
+        let mut sum = TrainSums::default();
+        by_layer.iter().for_each(|tally| sum.merge(tally));
+        let distance = Distance {
             class_agreement: same as f64 / samples.len().max(1) as f64,
             coincidence: sum.coincidence(),
             potential_rmse: sum.potential_rmse(),
-        }
+        };
+        Measured { distance, layers: by_layer }
     };
-    (0..rungs.len()).map(distance).collect()
+    (0..to.len()).map(of_rung).collect()
 }
 
 /// Climbs the ladder both ways.

@@ -8,6 +8,8 @@
 //! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every product one of 24 by 13 bits,
 //! so that the doubles hold exactly what the chip's registers hold.
 
+use std::sync::OnceLock;
+
 use petgraph::graph::NodeIndex;
 
 use crate::base::diagnostic::Diagnostic;
@@ -116,15 +118,22 @@ struct Link {
 #[derive(Debug)]
 pub struct Ladder {
     populations: Vec<Population>,
-    /// In real numbers without what a search chose, and with it; the same rounded.
-    links: [Vec<Link>; 4],
+    /// What the rungs are made from.
+    graph: Graph,
+    fits: Vec<Option<Fit>>,
+    plain: Vec<Option<Fit>>,
+    detail: Detail,
+    /// Register units for a real unit of each population whose scale is chosen.
+    units: Vec<Option<f64>>,
+    /// By `links`: made when a rung first needs them.
+    links: [OnceLock<Vec<Link>>; 8],
     compartments: u32,
     slots: usize,
     test: ThresholdTest,
     reset: Option<Reset>,
     timestep_ms: f64,
-    /// The converted network without what a search chose, and with it.
-    rounded: Quantised,
+    /// The converted network without what a search chose, made when a rung first needs it, and with it.
+    rounded: OnceLock<Quantised>,
     calibrated: Quantised,
     causes: Vec<Cause>,
 }
@@ -168,11 +177,10 @@ impl Ladder {
                 _ => None,
             })
             .collect();
-        let (real, chosen) = (analytic::with_fits(graph, &plain), analytic::with_fits(graph, fits));
-        let (rounded, calibrated) = (quantise_with(&real, detail)?, quantise_with(&chosen, detail)?);
+        let chosen = analytic::with_fits(graph, fits);
+        let calibrated = quantise_with(&chosen, detail)?;
         // Everything is in the register units of the network that is deployed.
         let units = scales(&chosen, detail)?;
-        let plain_units = scales(&real, detail)?;
         let (mut channels, mut compartments) = (0, 0);
         let mut populations = Vec::new();
         for (((node, population), fit), scale) in graph.populations().zip(fits).zip(&units) {
@@ -188,71 +196,126 @@ impl Ladder {
             populations.push(Population { origin, first: *counter, count, scale: scale.unwrap_or(1.0) });
             *counter += count;
         }
-        let real_links = |graph: &Graph| {
-            let link = |(_, source, target, projection): (_, NodeIndex, NodeIndex, &graph::Projection)| {
-                let factor = units[target.index()].unwrap_or_else(|| {
-                    let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
-                    scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
-                });
-                let (sources, targets) = (populations[source.index()].count, populations[target.index()].count);
-                let factor = factor * graph.population(source).spike_factor();
-                Link {
-                    source: source.index(),
-                    target: target.index(),
-                    delay: projection.delay.get().into(),
-                    restores: analytic::stands_for_reset(&projection.name),
-                    synapses: Synapses::new(projection, sources, targets, factor),
-                }
-            };
-            graph.projections().map(link).collect::<Vec<Link>>()
-        };
-        // A network rounded at another scale is brought to the units of the deployed one.
-        let integer_links = |network: &Quantised, own: &[Option<f64>]| {
-            let link = |projection: &quantised::Projection| {
-                let (source, target) = (projection.source.0 as usize, projection.target.0 as usize);
-                let rescale = match (units[target], own[target]) {
-                    (Some(here), Some(there)) => here / there,
-                    _ => 1.0,
-                };
-                let payload = f64::from(network.populations()[projection.source].spike_factor());
-                Link {
-                    source,
-                    target,
-                    delay: projection.delay.get().into(),
-                    restores: analytic::stands_for_reset(&projection.name),
-                    synapses: integer(projection, populations[source].count, rescale * payload),
-                }
-            };
-            network.projections().iter().map(link).collect::<Vec<Link>>()
-        };
-        let links = [
-            real_links(&real),
-            real_links(&chosen),
-            integer_links(&rounded, &plain_units),
-            integer_links(&calibrated, &units),
-        ];
-        let slots = links.iter().flatten().map(|link| link.delay as usize + 2).max().unwrap_or(1);
         let facts = graph.facts();
         let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
+        let latest = fits.iter().flatten().flat_map(|fit| &fit.copies).map(|&(delay, _)| delay).max().unwrap_or(0);
+        let delays = chosen.projections().map(|(_, _, _, projection)| u32::from(projection.delay.get()));
+        let slots = (delays.max().unwrap_or(0) + latest + 2) as usize;
         let mut ladder = Ladder {
             populations,
-            links,
+            graph: graph.clone(),
+            fits: fits.to_vec(),
+            plain,
+            detail,
+            units,
+            links: Default::default(),
             compartments,
             slots,
             test: facts.threshold,
             reset,
             timestep_ms,
-            rounded,
+            rounded: OnceLock::new(),
             calibrated,
             causes: Vec::new(),
         };
-        ladder.causes = ladder.present(graph, fits, &plain);
+        ladder.causes = ladder.present();
         Ok(ladder)
     }
 
+    /// Whether what comes in is copied: an alpha kernel needs no copies, only current and voltage with decays of their own do.
+    fn copied(&self, rung: Rung) -> bool {
+        let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
+        single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)
+    }
+
+    /// The synapses of a rung.
+    fn links(&self, rung: Rung) -> &[Link] {
+        let (weights, chosen) = (rung.has(Cause::Weights), rung.has(Cause::Calibration));
+        let copied = self.copied(rung);
+        let place = usize::from(weights) * 4 + usize::from(chosen) * 2 + usize::from(copied);
+        self.links[place].get_or_init(|| {
+            let fits = if chosen { &self.fits } else { &self.plain };
+            let single = |fit: &Option<Fit>| fit.clone().map(|fit| Fit { copies: vec![(0, 1.0)], ..fit });
+            let of = match copied {
+                true => analytic::with_fits(&self.graph, fits),
+                false => analytic::with_fits(&self.graph, &fits.iter().map(single).collect::<Vec<_>>()),
+            };
+            match weights {
+                false => self.real_links(&of),
+                true if chosen && copied => self.integer_links(&self.calibrated, &self.units),
+                true => match (quantise_with(&of, self.detail), scales(&of, self.detail)) {
+                    (Ok(network), Ok(units)) => self.integer_links(&network, &units),
+                    // What the deployed network's parameters allow, fewer of them allow too.
+                    _ => self.real_links(&of),
+                },
+            }
+        })
+    }
+
+    fn real_links(&self, graph: &Graph) -> Vec<Link> {
+        let link = |(_, source, target, projection): (_, NodeIndex, NodeIndex, &graph::Projection)| {
+            let factor = self.units[target.index()].unwrap_or_else(|| {
+                let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
+                scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
+            });
+            let (sources, targets) = (self.populations[source.index()].count, self.populations[target.index()].count);
+            let factor = factor * graph.population(source).spike_factor();
+            Link {
+                source: source.index(),
+                target: target.index(),
+                delay: projection.delay.get().into(),
+                restores: analytic::stands_for_reset(&projection.name),
+                synapses: Synapses::new(projection, sources, targets, factor),
+            }
+        };
+        graph.projections().map(link).collect()
+    }
+
+    /// A network rounded at a scale of its own, in the units of the deployed one.
+    fn integer_links(&self, network: &Quantised, own: &[Option<f64>]) -> Vec<Link> {
+        let link = |projection: &quantised::Projection| {
+            let (source, target) = (projection.source.0 as usize, projection.target.0 as usize);
+            let rescale = match (self.units[target], own[target]) {
+                (Some(here), Some(there)) => here / there,
+                _ => 1.0,
+            };
+            let payload = f64::from(network.populations()[projection.source].spike_factor());
+            Link {
+                source,
+                target,
+                delay: projection.delay.get().into(),
+                restores: analytic::stands_for_reset(&projection.name),
+                synapses: integer(projection, self.populations[source].count, rescale * payload),
+            }
+        };
+        network.projections().iter().map(link).collect()
+    }
+
+    /// The network in integers without what a search chose.
+    fn rounded(&self) -> &Quantised {
+        self.rounded.get_or_init(|| {
+            let plain = analytic::with_fits(&self.graph, &self.plain);
+            quantise_with(&plain, self.detail).unwrap_or_else(|_| self.calibrated.clone())
+        })
+    }
+
+    /// With these integers in the place of the deployed ones, which differ from them in weights alone.
+    #[must_use]
+    pub fn with_weights(mut self, network: Quantised) -> Ladder {
+        self.calibrated = network;
+        self.links[7] = OnceLock::new();
+        self
+    }
+
+    /// Register units for a real unit of each population whose scale is chosen.
+    #[must_use]
+    pub fn units(&self) -> &[Option<f64>] {
+        &self.units
+    }
+
     /// The causes that tell this network from its trained form.
-    fn present(&self, graph: &Graph, fits: &[Option<Fit>], plain: &[Option<Fit>]) -> Vec<Cause> {
-        let srm = graph.has_srm();
+    fn present(&self) -> Vec<Cause> {
+        let (graph, srm) = (&self.graph, self.graph.has_srm());
         let real = self.populations.iter().any(|population| match &population.origin {
             Some(Origin::Loihi(p)) => p.get("vth").is_some(),
             Some(Origin::Srm(..)) => true,
@@ -266,7 +329,7 @@ impl Ladder {
         let holds = |cause: &Cause| match cause {
             Cause::Untruncated | Cause::Kernel | Cause::HardReset => srm,
             Cause::Decays => timed,
-            Cause::Calibration => fits != plain,
+            Cause::Calibration => self.fits != self.plain,
             Cause::Weights => real,
             Cause::State => true,
         };
@@ -306,7 +369,7 @@ impl Ladder {
     /// A compartment as a rung has it.
     fn neuron(&self, population: usize, index: u32, rung: Rung) -> Neuron {
         let of = &self.populations[population];
-        let network = if rung.has(Cause::Calibration) { &self.calibrated } else { &self.rounded };
+        let network = if rung.has(Cause::Calibration) { &self.calibrated } else { self.rounded() };
         let integers = match &network.populations().as_slice()[population].units {
             Units::Compartments { neurons, .. } => RealForm::from(&neurons.get(index)),
             Units::Input(_) => RealForm::from(&quantised::Neuron::PLAIN),
@@ -326,28 +389,22 @@ impl Ladder {
                         (r, r)
                     }
                 };
-                let matched = analytic::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1);
+                let copied = rung.has(Cause::Decays) && rung.has(Cause::Kernel);
+                let at = analytic::matched_threshold_of(srm, self.timestep_ms, fit);
+                let matched = match copied {
+                    true => at,
+                    false => analytic::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1),
+                };
                 let chosen = rung.has(Cause::Calibration);
                 // The factor by which a search moved the threshold from where the peaks match.
-                let moved = match chosen {
-                    true => {
-                        let at = analytic::matched_threshold(
-                            srm,
-                            self.timestep_ms,
-                            analytic::keep(fit.du),
-                            analytic::keep(fit.dv),
-                        );
-                        fit.threshold / at
-                    }
-                    false => 1.0,
-                };
+                let moved = if chosen { fit.threshold / at } else { 1.0 };
                 let real = matched * moved * of.scale;
                 let weights = rung.has(Cause::Weights);
                 Neuron {
                     keep_u: keeps.0,
                     keep_v: keeps.1,
                     // The mantissa's own when decays and calibration are the deployed ones.
-                    threshold: match (weights, chosen && rung.has(Cause::Decays) && rung.has(Cause::Kernel)) {
+                    threshold: match (weights, chosen && copied) {
                         (true, true) => integers.threshold,
                         (true, false) => (real / 64.0).round_ties_even() * 64.0,
                         (false, _) => real,
@@ -400,7 +457,7 @@ impl Ladder {
             potentials: if potentials { vec![0.0; self.compartments as usize * steps as usize] } else { Vec::new() },
         };
         let mut spikes: Vec<(usize, u32)> = Vec::new();
-        let links = &self.links[usize::from(rung.has(Cause::Weights)) * 2 + usize::from(rung.has(Cause::Calibration))];
+        let links = self.links(rung);
         for now in 0..steps {
             for link in links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
                 let of = &self.populations[link.source];
@@ -453,11 +510,10 @@ pub fn layers(network: &Quantised) -> Vec<Layer> {
     network.populations().iter().filter_map(layer).collect()
 }
 
-/// A fit without what only a search would choose: the peaks matched, no delay, no synapse onto itself, no gains, no biases.
+/// A fit without what only a search would choose: the peaks matched, no synapse onto itself, no gains, no biases.
 fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
     Fit {
-        threshold: analytic::matched_threshold(srm, timestep_ms, analytic::keep(fit.du), analytic::keep(fit.dv)),
-        delay: 0,
+        threshold: analytic::matched_threshold_of(srm, timestep_ms, fit),
         own: Vec::new(),
         gains: Vec::new(),
         biases: Vec::new(),

@@ -52,7 +52,7 @@ pub struct Args {
     #[command(flatten)]
     conversion: ConversionArgs,
     /// How many samples to search on
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     calibration_samples: u32,
     /// Compare only so many steps of each sample
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -102,7 +102,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 
     let wanted = args.calibration_samples as usize;
     let (fits, found) = args.conversion.fits((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
-    let ladder = Ladder::new(&graph, &fits)?;
+    let ladder = match &found {
+        Some(found) => found.conversion.ladder(&graph)?,
+        None => Ladder::new(&graph, &fits)?,
+    };
     let target = io::target::load_target(&args.target)?;
     let compiled = match compile(ladder.deployed().clone(), &target, &Options::default()) {
         Ok(compiled) => compiled,

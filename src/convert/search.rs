@@ -4,17 +4,17 @@
 //! analytic start (`compile::frontend::analytic`) each stage goes through the populations from the input on. A population gets the
 //! spikes that its converted sources send, and is to send those that the trained population sends, step by step:
 //!
-//! 1. [`Stage::Reset`]: synapses of each compartment onto itself give back what the hard reset takes.
-//! 2. [`Stage::Shape`]: du, dv, delay, threshold and those synapses together: a few shapes, then finer steps from the best while
-//!    they help. A faster voltage behind a slower current loses less at a reset than the alpha kernel's equal decays.
-//! 3. [`Stage::Compartments`]: for each compartment its own gain of the incoming weights, its own bias, and its own synapse onto
-//!    itself.
+//! 1. [`Stage::Shape`]: du, dv, and up to 16 delayed copies of all that comes in (`super::copies`), with synapses of each
+//!    compartment onto itself for the refractory response; then threshold and those synapses in finer steps while they help. A
+//!    voltage that forgets everything in a step loses nothing at a reset, and the copies make the current's single exponential
+//!    an alpha kernel again.
+//! 2. [`Stage::Rounding`]: weights rounded for the least error of the potential (`super::rounding`).
 //!
 //! What is minimised is 1 minus the coincidence factor, and a share of the difference of spike counts (a greater one for the
 //! output, whose counts are classes). The start and every stage are run as integers; what is nearest to the trained network is
 //! returned: the search never makes things worse on the calibration samples. No randomness; ties go to the first.
 
-use std::collections::HashMap;
+use std::sync::Arc;
 
 use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
@@ -24,13 +24,18 @@ use crate::agree::compare::output_layer;
 use crate::agree::ladder::{Cause, Ladder, Rung};
 use crate::agree::metrics::{TrainSums, coincidence};
 use crate::agree::trace::{Comparison, Layer, Trace};
-use crate::base::diagnostic::Result;
-use crate::base::fixed::{DECAY_ONE, Decay, Refractory};
+use crate::base::diagnostic::{Diagnostic, Result};
+use crate::base::fixed::{DECAY_ONE, Decay, Delay, Refractory};
 use crate::base::names::named_variants;
 use crate::compile::frontend::analytic::{self, Fit};
-use crate::ir::graph::{Graph, PopulationKind, SrmParameters};
+use crate::compile::frontend::quantise::quantise;
+use crate::ir::graph::{Graph, PopulationKind, ProjectionKind, SrmParameters};
+use crate::ir::quantised::{Connectivity, Projection, Quantised, Units};
 use crate::ir::spikes::Sample;
 use crate::reference::synapses::Synapses;
+
+use super::copies::{self, Arrivals, Copies, MOST};
+use super::rounding::{self, Incoming, Target};
 
 /// Most neuron-steps that a candidate is tried on; calibration samples beyond are left out.
 const MOST_WORK: u64 = 2_000_000;
@@ -41,6 +46,13 @@ const FEW: usize = 20;
 /// Synapses of a compartment onto itself: the paper's refractory response is below 0.01 thresholds after so many steps.
 const OWN: usize = 10;
 
+/// How much more than on the calibration samples may arrive before a register wraps.
+const FORESEEN: f64 = 2.0;
+
+/// What a copy more of all that comes in has to gain in distance, and what it has to gain besides for each synapse.
+const COPY_PRICE: f64 = 0.0005;
+const SYNAPSE_PRICE: f64 = 1e-7;
+
 /// The most compartments of a population that get synapses onto themselves, which are listed one by one.
 const MOST_OWN: u32 = 1 << 16;
 
@@ -49,19 +61,16 @@ const MOST_OWN: u32 = 1 << 16;
 pub enum Stage {
     /// The analytic start.
     Start,
-    /// What a reset takes is given back.
-    Reset,
-    /// Decays, delay, threshold and synapses onto itself of each population together.
+    /// Decays, delayed copies of what comes in, threshold and synapses onto itself of each population together.
     Shape,
-    /// Gain, bias and synapse onto itself of each compartment.
-    Compartments,
+    /// Weights rounded for the least error of the potential.
+    Rounding,
 }
 
 named_variants!(Stage {
     Start = "analytic start",
-    Reset = "reset given back",
-    Shape = "decays, delay and threshold together",
-    Compartments = "each compartment",
+    Shape = "decays, delayed copies and reset together",
+    Rounding = "weights rounded for the potential",
 });
 
 /// How near a conversion is on the calibration samples.
@@ -71,8 +80,8 @@ pub struct ConversionScore {
     pub class_agreement: f64,
     /// Coincidence factor over all layers.
     pub coincidence: f64,
-    /// The least coincidence factor of a layer.
-    pub least_coincidence: f64,
+    /// The mean of the layers' coincidence factors.
+    pub mean_coincidence: f64,
     /// Differences of the output's spike counts relative to all of its spikes.
     pub count_error: f64,
 }
@@ -80,21 +89,72 @@ pub struct ConversionScore {
 impl ConversionScore {
     /// What is minimised: wrong classes, wrong counts of the output, spikes that do not coincide.
     fn distance(&self) -> f64 {
-        2.0 * (1.0 - self.class_agreement) + self.count_error + (1.0 - self.least_coincidence)
+        2.0 * (1.0 - self.class_agreement) + self.count_error + (1.0 - self.mean_coincidence)
     }
+}
+
+/// What stands for a network of spike response neurons.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Conversion {
+    /// In the order of the populations.
+    pub fits: Vec<Option<Fit>>,
+    /// Integer weights that differ from the nearest, by projection of the network in integers.
+    pub weights: Vec<(usize, Arc<[i16]>)>,
+}
+
+impl Conversion {
+    fn nearest(fits: Vec<Option<Fit>>) -> Conversion {
+        Conversion { fits, weights: Vec::new() }
+    }
+
+    /// The steps from the network to these integers.
+    ///
+    /// # Errors
+    /// As `compile::frontend::quantise`.
+    pub fn ladder(&self, graph: &Graph) -> Result<Ladder> {
+        let ladder = Ladder::new(graph, &self.fits)?;
+        if self.weights.is_empty() {
+            return Ok(ladder);
+        }
+        let network = with_weights(ladder.deployed(), &self.weights)?;
+        Ok(ladder.with_weights(network))
+    }
+
+    /// The integers.
+    ///
+    /// # Errors
+    /// As `compile::frontend::quantise`.
+    pub fn integers(&self, graph: &Graph) -> Result<Quantised> {
+        with_weights(&quantise(&analytic::with_fits(graph, &self.fits))?, &self.weights)
+    }
+}
+
+/// A network with other weights in some of its projections.
+fn with_weights(network: &Quantised, changed: &[(usize, Arc<[i16]>)]) -> Result<Quantised> {
+    let mut parts = network.parts().clone();
+    for (index, weights) in changed {
+        let Some(projection) = parts.projections.iter_mut().nth(*index) else { continue };
+        match &mut projection.connectivity {
+            Connectivity::Dense { weights: old, .. } | Connectivity::Sparse { weights: old, .. } => {
+                *old = weights.clone();
+            }
+            _ => {}
+        }
+    }
+    Quantised::new(parts).map_err(|error| Diagnostic::new("model.inconsistent", error.to_string()))
 }
 
 /// What a search found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SearchResult {
-    /// In the order of the populations.
-    pub fits: Vec<Option<Fit>>,
+    /// What is nearest to the trained network.
+    pub conversion: Conversion,
     /// The analytic start.
     pub start: ConversionScore,
     /// What is left.
     pub end: ConversionScore,
     /// Every stage as it scored, the start first.
-    pub stages: Vec<(Stage, Vec<Option<Fit>>, ConversionScore)>,
+    pub stages: Vec<(Stage, Conversion, ConversionScore)>,
     /// Candidates that were tried.
     pub tried: u64,
     /// Calibration samples.
@@ -104,7 +164,7 @@ pub struct SearchResult {
 /// A population's inputs and what it should do with them.
 struct Task {
     neurons: usize,
-    /// Weighted input of each sample, `[step][neuron]`.
+    /// Weighted input of each sample, `[neuron][step]`.
     arrivals: Vec<Vec<f64>>,
     /// The steps in which each neuron of each sample should spike.
     wanted: Vec<Vec<Vec<u32>>>,
@@ -118,9 +178,7 @@ struct Candidate {
     keep_u: f64,
     keep_v: f64,
     threshold: f64,
-    delay: usize,
-    gain: f64,
-    bias: f64,
+    copies: Copies,
     own: [f64; OWN],
 }
 
@@ -149,39 +207,77 @@ impl Gap {
     }
 }
 
+/// Space for one neuron in one sample.
+#[derive(Debug, Default)]
+struct Run {
+    input: Vec<f64>,
+    spikes: Vec<u32>,
+}
+
 impl Task {
-    fn gap(&self, neuron: usize, c: &Candidate) -> Gap {
-        let mut gap = Gap::default();
-        let mut got = Vec::new();
-        for (arrivals, wanted) in self.arrivals.iter().zip(&self.wanted) {
-            let steps = arrivals.len() / self.neurons;
-            got.clear();
-            let (mut u, mut v) = (0.0, 0.0);
-            // What its own spikes bring in this step and those to come.
-            let (mut coming, mut at) = ([0.0; OWN], 0);
-            for step in 0..steps {
-                let arrived = step.checked_sub(c.delay).map_or(0.0, |t| arrivals[t * self.neurons + neuron]);
-                u = c.keep_u * u + c.gain * arrived + coming[at];
-                coming[at] = 0.0;
-                at = if at + 1 == OWN { 0 } else { at + 1 };
-                v = c.keep_v * v + u + c.bias;
-                if v > c.threshold {
-                    v = 0.0;
-                    got.push(step as u32);
-                    for (k, weight) in c.own.iter().enumerate() {
-                        coming[(at + k) % OWN] += weight;
-                    }
-                }
+    fn arrived(&self) -> Arrivals<'_> {
+        Arrivals { neurons: self.neurons, samples: &self.arrivals }
+    }
+
+    /// What a candidate spikes in a sample; `see` gets what arrives in each step and the current after it.
+    fn spikes(&self, sample: usize, neuron: usize, c: &Candidate, run: &mut Run, mut see: impl FnMut(f64, f64)) {
+        let arrivals = &self.arrivals[sample];
+        let steps = arrivals.len() / self.neurons;
+        let arrived = &arrivals[neuron * steps..(neuron + 1) * steps];
+        run.input.clear();
+        run.input.resize(steps, 0.0);
+        for &(delay, factor) in c.copies.as_slice() {
+            let late = (delay as usize).min(steps);
+            run.input[late..].iter_mut().zip(arrived).for_each(|(sum, x)| *sum += factor * x);
+        }
+        run.spikes.clear();
+        let (mut u, mut v) = (0.0, 0.0);
+        // What its own spikes bring in this step and those to come.
+        let (mut coming, mut at) = ([0.0; OWN], 0);
+        for (step, x) in run.input.iter().enumerate() {
+            let x = x + coming[at];
+            u = c.keep_u * u + x;
+            see(x, u);
+            coming[at] = 0.0;
+            at = if at + 1 == OWN { 0 } else { at + 1 };
+            v = c.keep_v * v + u;
+            if v > c.threshold {
+                v = 0.0;
+                run.spikes.push(step as u32);
+                let (first, rest) = c.own.split_at(OWN - at);
+                coming[at..].iter_mut().zip(first).for_each(|(sum, weight)| *sum += weight);
+                coming.iter_mut().zip(rest).for_each(|(sum, weight)| *sum += weight);
             }
-            let wanted = &wanted[neuron];
+        }
+    }
+
+    fn gap(&self, neuron: usize, c: &Candidate) -> Gap {
+        let (mut gap, mut run) = (Gap::default(), Run::default());
+        for (sample, wanted) in self.wanted.iter().enumerate() {
+            self.spikes(sample, neuron, c, &mut run, |_, _| ());
+            let (wanted, got) = (&wanted[neuron], &run.spikes);
             if !(wanted.is_empty() && got.is_empty()) {
-                let (beyond_chance, at_most) = coincidence(wanted, &got, steps as u32);
+                let (beyond_chance, at_most) = coincidence(wanted, got, run.input.len() as u32);
                 let counts = wanted.len().abs_diff(got.len()) as f64;
                 let spikes = (wanted.len() + got.len()) as f64;
                 gap = gap.add(Gap { beyond_chance, at_most, counts, spikes });
             }
         }
         gap
+    }
+
+    /// The greatest input of a step to foresee: some times that of these samples, or what, held for ever, brings the current there.
+    fn greatest_input(&self, c: &Candidate) -> f64 {
+        let of_neuron = |neuron: usize| {
+            let (mut most, mut run) = (0.0, Run::default());
+            for sample in 0..self.arrivals.len() {
+                self.spikes(sample, neuron, c, &mut run, |x, u| {
+                    most = f64::max(most, x.abs().max(u.abs() * (1.0 - c.keep_u)));
+                });
+            }
+            most
+        };
+        FORESEEN * (0..self.neurons).into_par_iter().map(of_neuron).reduce(|| 0.0, f64::max)
     }
 
     fn distance(&self, candidate: &Candidate) -> f64 {
@@ -204,41 +300,34 @@ impl Task {
 /// What the compartments of a population share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Shape {
-    du: f64,
-    dv: f64,
-    delay: i64,
-    /// Of the threshold at which a constant input counts the same.
-    factor: f64,
+    keep_u: f64,
+    keep_v: f64,
+    copies: Copies,
+    threshold: f64,
     /// The voltage at a spike, and the refractory response, in those of the trained neuron.
     given_back: f64,
     refractory: f64,
-    /// Whether there are synapses onto itself at all.
-    own: bool,
 }
 
 impl Shape {
     fn valid(&self) -> bool {
-        (1.0..=4096.0).contains(&self.du)
-            && (1.0..=4096.0).contains(&self.dv)
-            && (0..=20).contains(&self.delay)
-            && (0.05..=20.0).contains(&self.factor)
-            && (0.0..=6.0).contains(&self.given_back)
-            && (0.0..=6.0).contains(&self.refractory)
-    }
-
-    fn keeps(&self) -> (f64, f64) {
-        (1.0 - self.du.round() / DECAY_ONE as f64, 1.0 - self.dv.round() / DECAY_ONE as f64)
+        (0.0..=6.0).contains(&self.given_back) && (0.0..=6.0).contains(&self.refractory)
     }
 
     fn candidate(&self, srm: &SrmParameters, timestep_ms: f64) -> Candidate {
-        let (keep_u, keep_v) = self.keeps();
-        let threshold = self.factor * analytic::area_threshold(srm, timestep_ms, keep_u, keep_v);
-        let mut candidate =
-            Candidate { keep_u, keep_v, threshold, delay: self.delay as usize, gain: 1.0, bias: 0.0, own: [0.0; OWN] };
-        if self.own {
-            candidate.own = own(srm, timestep_ms, &candidate, (self.given_back, self.refractory));
-        }
-        candidate
+        let candidate = Candidate {
+            keep_u: self.keep_u,
+            keep_v: self.keep_v,
+            threshold: self.threshold,
+            copies: self.copies,
+            own: [0.0; OWN],
+        };
+        Candidate { own: own(srm, timestep_ms, &candidate, (self.given_back, self.refractory)), ..candidate }
+    }
+
+    /// What its copies have to gain.
+    fn price(&self, synapses: f64) -> f64 {
+        (COPY_PRICE + SYNAPSE_PRICE * synapses) * self.copies.as_slice().len() as f64
     }
 }
 
@@ -264,23 +353,27 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
         samples.par_iter().map(|sample| ladder.run(Rung::TRAINED.with(Cause::Untruncated), sample, false)).collect();
     let layers = ladder.layers();
     let output = output_layer(ladder.deployed());
-    let score = |fits: &[Option<Fit>]| -> Result<ConversionScore> {
-        Ok(scored(&Ladder::new(graph, fits)?, &layers, &output, samples, &trained))
+    let score = |conversion: &Conversion| -> Result<ConversionScore> {
+        Ok(scored(&conversion.ladder(graph)?, &layers, &output, samples, &trained))
     };
-    let start = score(&starts)?;
-    let mut best = (starts.clone(), start);
-    let (mut tried, mut shapes) = (0, HashMap::new());
-    let mut stages = vec![(Stage::Start, starts.clone(), start)];
+    let analysis = Conversion::nearest(starts.clone());
+    let start = score(&analysis)?;
+    let mut best = (analysis.clone(), start);
+    let mut tried = 0;
+    let mut stages = vec![(Stage::Start, analysis, start)];
     let material = Material { graph, layers: &layers, samples, trained: &trained, starts: &starts };
-    for stage in [Stage::Reset, Stage::Shape, Stage::Compartments] {
-        let fits = material.pipeline(stage, &mut shapes, &mut tried, &mut progress)?;
-        let score = score(&fits)?;
-        stages.push((stage, fits.clone(), score));
+    for stage in [Stage::Shape, Stage::Rounding] {
+        let conversion = match stage {
+            Stage::Rounding => material.rounding(&best.0, &mut progress)?,
+            _ => Conversion::nearest(material.pipeline(&mut tried, &mut progress)?),
+        };
+        let score = score(&conversion)?;
+        stages.push((stage, conversion.clone(), score));
         if score.distance() < best.1.distance() {
-            best = (fits, score);
+            best = (conversion, score);
         }
     }
-    Ok(SearchResult { fits: best.0, start, end: best.1, stages, tried, samples: samples.len() })
+    Ok(SearchResult { conversion: best.0, start, end: best.1, stages, tried, samples: samples.len() })
 }
 
 struct Material<'a> {
@@ -292,14 +385,55 @@ struct Material<'a> {
 }
 
 impl Material<'_> {
+    /// The weights of a conversion rounded for the least error of the potential, population by population.
+    fn rounding(&self, conversion: &Conversion, progress: &mut impl FnMut(&str)) -> Result<Conversion> {
+        let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
+        let mut ladder = conversion.ladder(graph)?;
+        let mut weights = conversion.weights.clone();
+        let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
+        let as_trained: Vec<Trace> = self.trained.iter().map(earlier).collect();
+        for node in order {
+            let population = graph.population(node);
+            let PopulationKind::Srm(srm) = &population.kind else { continue };
+            let Some(layer) = self.layers.iter().find(|layer| layer.name == population.name) else { continue };
+            let (Some(fit), Some(unit)) = (&conversion.fits[node.index()], ladder.units()[node.index()]) else {
+                continue;
+            };
+            progress(&population.name);
+            let converted: Vec<Trace> =
+                self.samples.par_iter().map(|sample| ladder.run(Rung::MACHINE, sample, false)).collect();
+            let task = task(graph, node, layer, (self.samples, &as_trained, self.trained), 0.0);
+            let network = ladder.deployed();
+            let into = |projection: &Projection| {
+                projection.target.0 as usize == node.index() && !analytic::stands_for_reset(&projection.name)
+            };
+            let numbered = network.projections().iter().enumerate().filter(|(_, projection)| into(projection));
+            let (indices, projections): (Vec<usize>, Vec<&Projection>) = numbered.unzip();
+            let incoming = projections.into_iter().map(|projection| {
+                let source = &network.populations()[projection.source];
+                let (input, first) = match &source.units {
+                    Units::Input(first) => (true, first.0),
+                    Units::Compartments { first, .. } => (false, first.0),
+                };
+                Incoming { projection, first, count: source.shape.len(), input }
+            });
+            let incoming: Vec<Incoming<'_>> = incoming.collect();
+            let target = Target {
+                neurons: task.neurons,
+                keeps: (analytic::keep(fit.du), analytic::keep(fit.dv)),
+                potentials: &copies::potentials(task.arrived(), srm, timestep_ms),
+                threshold: fit.threshold * unit,
+            };
+            let Some(rounded) = rounding::rounded(&target, &incoming, self.samples, &converted) else { continue };
+            weights.extend(indices.into_iter().zip(rounded));
+            let network = with_weights(ladder.deployed(), &weights)?;
+            ladder = ladder.with_weights(network);
+        }
+        Ok(Conversion { fits: conversion.fits.clone(), weights })
+    }
+
     /// Goes through the populations from the input on.
-    fn pipeline(
-        &self,
-        stage: Stage,
-        shapes: &mut HashMap<NodeIndex, Shape>,
-        tried: &mut u64,
-        progress: &mut impl FnMut(&str),
-    ) -> Result<Vec<Option<Fit>>> {
+    fn pipeline(&self, tried: &mut u64, progress: &mut impl FnMut(&str)) -> Result<Vec<Option<Fit>>> {
         let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
         let mut fits = self.starts.to_vec();
         let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
@@ -309,6 +443,10 @@ impl Material<'_> {
             let population = graph.population(node);
             let PopulationKind::Srm(srm) = &population.kind else { continue };
             let Some(layer) = self.layers.iter().find(|layer| layer.name == population.name) else { continue };
+            if layer.count > MOST_OWN {
+                // It stays as it is by analysis.
+                continue;
+            }
             progress(&population.name);
             let output = node == graph.output();
             // What only inputs drive is the same in every pipeline.
@@ -323,27 +461,9 @@ impl Material<'_> {
             }
             let count_weight = if output { 0.5 } else { 0.2 };
             let task = task(graph, node, layer, (self.samples, &converted, self.trained), count_weight);
-            let start = start_shape(srm, timestep_ms, layer.count <= MOST_OWN);
-            let shape = match shapes.get(&node) {
-                _ if stage == Stage::Reset => start,
-                Some(shape) if inputs_only || stage == Stage::Compartments && !output => *shape,
-                _ => best_shape(&task, start, srm, timestep_ms, tried),
-            };
-            if stage != Stage::Reset {
-                shapes.insert(node, shape);
-            }
-            let shared = shape.candidate(srm, timestep_ms);
-            let mut fit = fit_of(&shape, &shared, srm, timestep_ms);
-            if stage == Stage::Compartments {
-                let each = compartments(&task, &shape, (srm, timestep_ms), takes_gains(graph, node), tried);
-                if takes_gains(graph, node) {
-                    fit.gains = each.iter().map(|c| c.gain).collect();
-                }
-                fit.biases = each.iter().map(|c| c.bias).collect();
-                if shape.own {
-                    fit.own = (0..OWN).map(|k| each.iter().map(|c| c.own[k]).collect()).collect();
-                }
-            }
+            let shape = best_shape(&task, graph, node, srm, tried);
+            let mut fit = fit_of(&shape, srm, timestep_ms);
+            fit.greatest_input = Some(task.greatest_input(&shape.candidate(srm, timestep_ms)));
             fits[node.index()] = Some(fit);
             known = false;
         }
@@ -388,7 +508,7 @@ fn scored(
     ConversionScore {
         class_agreement: same as f64 / samples.len().max(1) as f64,
         coincidence: all.coincidence(),
-        least_coincidence: by_layer.iter().map(TrainSums::coincidence).fold(1.0, f64::min),
+        mean_coincidence: by_layer.iter().map(TrainSums::coincidence).sum::<f64>() / by_layer.len().max(1) as f64,
         count_error: last.count_error(),
     }
 }
@@ -421,11 +541,11 @@ fn task(
         .collect();
     let of_sample = |((sample, converted), trained): ((&&Sample, &Trace), &Trace)| {
         let steps = sample.steps() as usize;
-        let mut arrivals = vec![0.0; steps * neurons];
+        let mut arrived = vec![0.0; steps * neurons];
         for (first, count, input, delay, synapses) in &links {
             let mut send = |source: u32, step: usize| {
                 if step < steps {
-                    synapses.deliver(source, &mut arrivals[step * neurons..(step + 1) * neurons]);
+                    synapses.deliver(source, &mut arrived[step * neurons..(step + 1) * neurons]);
                 }
             };
             if *input {
@@ -442,46 +562,38 @@ fn task(
         }
         let train = |neuron: usize| &trained.trains[layer.first as usize + neuron];
         let wanted = (0..neurons).map(|neuron| train(neuron).iter().filter_map(|t| t.checked_sub(1)).collect());
-        (arrivals, wanted.collect())
+        let by_neuron = (0..neurons).flat_map(|neuron| arrived.iter().skip(neuron).step_by(neurons).copied());
+        (by_neuron.collect(), wanted.collect())
     };
     let (arrivals, wanted) = samples.par_iter().zip(converted).zip(trained).map(of_sample).unzip();
     Task { neurons, arrivals, wanted, count_weight }
 }
 
-/// The analytic start with what a reset takes given back.
-fn start_shape(srm: &SrmParameters, timestep_ms: f64, own: bool) -> Shape {
-    let base = f64::from(analytic::start(srm, timestep_ms).du.get());
-    let shape = Shape { du: base, dv: base, delay: 0, factor: 1.0, given_back: 1.0, refractory: 1.0, own };
-    let (keep_u, keep_v) = shape.keeps();
-    let peak = analytic::matched_threshold(srm, timestep_ms, keep_u, keep_v);
-    Shape { factor: peak / analytic::area_threshold(srm, timestep_ms, keep_u, keep_v), ..shape }
-}
-
-/// Current and voltage decays relative to the start, with the delay that brings the peak of the answer back to its place.
-const DECAYS: [(f64, f64, i64); 7] =
-    [(1.0, 1.0, 0), (0.85, 1.3, 0), (0.67, 1.9, 1), (0.6, 2.5, 2), (0.55, 3.5, 2), (0.5, 5.0, 3), (0.65, 3.5, 4)];
-
-fn best_shape(task: &Task, start: Shape, srm: &SrmParameters, timestep_ms: f64, tried: &mut u64) -> Shape {
-    let mut shapes = vec![start];
-    for (du, dv, delay) in DECAYS {
-        for factor in [0.4, 0.6, 0.8, 1.0] {
-            for given_back in [1.0, 1.15, 1.5, 2.0] {
-                shapes.push(Shape {
-                    du: start.du * du,
-                    dv: start.dv * dv,
-                    delay,
-                    factor: factor * start.factor,
-                    given_back,
-                    ..start
-                });
-            }
-        }
-    }
-    shapes.retain(Shape::valid);
+fn best_shape(task: &Task, graph: &Graph, node: NodeIndex, srm: &SrmParameters, tried: &mut u64) -> Shape {
+    let timestep_ms = graph.facts().timestep_ms;
+    let sketch = task.sketch();
+    let into =
+        || graph.projections().filter(|(_, _, target, _)| *target == node).map(|(_, _, _, projection)| projection);
+    let latest = into().map(|projection| u32::from(projection.delay.get())).max().unwrap_or(0);
+    let room = u32::from(Delay::MAX.get()) - latest;
+    let sources = |(_, source, target, _): (_, NodeIndex, NodeIndex, _)| {
+        if target == node { f64::from(graph.population(source).shape.len()) } else { 0.0 }
+    };
+    // All to all: windows have fewer, which then cost more.
+    let synapses = graph.projections().map(sources).sum::<f64>() * task.neurons as f64;
+    let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { MOST };
+    let shape = |(keep_u, keep_v, copies): (f64, f64, Copies)| {
+        // Random weights have no factor: the threshold takes its place.
+        let unit = if most == 1 { copies.as_slice().first().map_or(1.0, |copy| copy.1) } else { 1.0 };
+        let threshold = srm.theta / unit;
+        Shape { keep_u, keep_v, copies: copies.scaled(1.0 / unit), threshold, given_back: 1.15, refractory: 1.0 }
+    };
+    let shapes: Vec<Shape> =
+        copies::candidates(sketch.arrived(), srm, timestep_ms, (most, room)).into_iter().map(shape).collect();
     let ranked = |task: &Task, shapes: &[Shape], tried: &mut u64| {
         *tried += shapes.len() as u64;
-        let distances: Vec<f64> =
-            shapes.par_iter().map(|shape| task.distance(&shape.candidate(srm, timestep_ms))).collect();
+        let distance = |shape: &Shape| task.distance(&shape.candidate(srm, timestep_ms)) + shape.price(synapses);
+        let distances: Vec<f64> = shapes.par_iter().map(distance).collect();
         let mut order: Vec<usize> = (0..shapes.len()).collect();
         order.sort_by(|&a, &b| distances[a].total_cmp(&distances[b]));
         order.into_iter().map(|place| (shapes[place], distances[place])).collect::<Vec<_>>()
@@ -500,116 +612,40 @@ fn best_shape(task: &Task, start: Shape, srm: &SrmParameters, timestep_ms: f64, 
         }
         best
     };
-    let sketch = task.sketch();
     let few: Vec<(Shape, f64)> = ranked(&sketch, &shapes, tried).into_iter().take(3).collect();
-    let mut found: Vec<Shape> =
-        few.into_iter().map(|from| descend(&sketch, from, &[1.2, 1.1, 1.05], tried).0).collect();
-    found.push(start);
-    let Some(&best) = ranked(task, &found, tried).first() else { return start };
-    descend(task, best, &[1.05, 1.02], tried).0
+    let found: Vec<Shape> = few.into_iter().map(|from| descend(&sketch, from, &[1.1, 1.05], tried).0).collect();
+    let best = ranked(task, &found, tried)[0];
+    descend(task, best, &[1.02], tried).0
 }
 
 /// Shapes one step away.
 fn near(best: &Shape, step: f64) -> Vec<Shape> {
     let mut near = Vec::new();
     for by in [step, 1.0 / step] {
-        near.push(Shape { du: best.du * by, ..*best });
-        near.push(Shape { dv: best.dv * by, ..*best });
-        near.push(Shape { du: best.du * by, dv: best.dv / by, ..*best });
-        near.push(Shape { factor: best.factor * by, ..*best });
-        if best.own {
+        near.push(Shape { threshold: best.threshold * by, ..*best });
+        near.push(Shape { refractory: best.refractory * by, ..*best });
+        near.push(Shape { threshold: best.threshold * by, refractory: best.refractory / by, ..*best });
+        if best.keep_v > 0.0 {
             near.push(Shape { given_back: best.given_back * by, ..*best });
-            near.push(Shape { refractory: best.refractory * by, ..*best });
-            near.push(Shape { factor: best.factor * by, given_back: best.given_back / by, ..*best });
-            near.push(Shape {
-                factor: best.factor * by,
-                given_back: best.given_back / by,
-                refractory: best.refractory / by,
-                ..*best
-            });
+            near.push(Shape { threshold: best.threshold * by, given_back: best.given_back / by, ..*best });
         }
     }
-    near.push(Shape { delay: best.delay + 1, ..*best });
-    near.push(Shape { delay: best.delay - 1, ..*best });
     near.retain(Shape::valid);
     near
 }
 
-fn fit_of(shape: &Shape, candidate: &Candidate, srm: &SrmParameters, timestep_ms: f64) -> Fit {
-    let start = analytic::start(srm, timestep_ms);
-    let own = if shape.own { candidate.own.iter().map(|&weight| vec![weight]).collect() } else { Vec::new() };
+fn fit_of(shape: &Shape, srm: &SrmParameters, timestep_ms: f64) -> Fit {
+    let (start, candidate) = (analytic::start(srm, timestep_ms), shape.candidate(srm, timestep_ms));
+    let decay = |keep: f64| Decay::new(libm::rint(DECAY_ONE as f64 * (1.0 - keep)) as i64);
     Fit {
-        du: Decay::new(shape.du.round() as i64).unwrap_or(start.du),
-        dv: Decay::new(shape.dv.round() as i64).unwrap_or(start.dv),
+        du: decay(shape.keep_u).unwrap_or(start.du),
+        dv: decay(shape.keep_v).unwrap_or(start.dv),
         refractory: Refractory::new(1).unwrap_or(start.refractory),
         threshold: candidate.threshold,
-        delay: shape.delay as u32,
-        own,
+        copies: shape.copies.as_slice().to_vec(),
+        own: candidate.own.iter().map(|&weight| vec![weight]).collect(),
         gains: Vec::new(),
         biases: Vec::new(),
+        greatest_input: None,
     }
-}
-
-/// Whether each compartment's incoming weights are its own.
-fn takes_gains(graph: &Graph, node: NodeIndex) -> bool {
-    let mut into = graph.projections().filter(|(_, _, target, _)| *target == node);
-    into.all(|(_, _, _, projection)| projection.kind.has_own_weights())
-}
-
-/// The best gain, bias and synapse onto itself of each compartment.
-fn compartments(
-    task: &Task,
-    shape: &Shape,
-    (srm, timestep_ms): (&SrmParameters, f64),
-    gains: bool,
-    tried: &mut u64,
-) -> Vec<Candidate> {
-    let shared = shape.candidate(srm, timestep_ms);
-    // A bias that alone brings the voltage to the threshold, and no further.
-    let unit = shared.threshold * (1.0 - shared.keep_v);
-    let one = |neuron: usize| {
-        let distance = |c: &Candidate| task.gap(neuron, c).distance(task.count_weight);
-        let with = |c: &Candidate, given: f64, refractory: f64| match shape.own {
-            true => Candidate { own: own(srm, timestep_ms, c, (given, refractory)), ..*c },
-            false => *c,
-        };
-        let (mut given, mut refractory) = (shape.given_back, shape.refractory);
-        let (mut best, mut count) = (shared, 0u64);
-        let mut least = distance(&best);
-        // What does not bring a spike more to its place on a few samples is chance.
-        let spikes: usize = task.wanted.iter().map(|wanted| wanted[neuron].len()).sum();
-        let margin = 1.0 / spikes.max(1) as f64;
-        for step in [1.15, 1.07, 1.03, 1.015] {
-            for _ in 0..6 {
-                let mut near = Vec::new();
-                for by in [step, 1.0 / step] {
-                    if gains {
-                        near.push((Candidate { gain: best.gain * by, ..best }, given, refractory));
-                    }
-                    near.push((Candidate { bias: best.bias + (by - 1.0) * unit, ..best }, given, refractory));
-                    if shape.own {
-                        near.push((with(&best, given * by, refractory), given * by, refractory));
-                        near.push((with(&best, given, refractory * by), given, refractory * by));
-                    }
-                }
-                near.retain(|(c, _, _)| (0.3..=3.0).contains(&c.gain) && c.bias.abs() <= 0.5 * unit);
-                count += near.len() as u64;
-                let mut moved = false;
-                for (candidate, g, r) in near {
-                    let here = distance(&candidate);
-                    if here < least - margin {
-                        (best, least, given, refractory, moved) = (candidate, here, g, r, true);
-                    }
-                }
-                if !moved {
-                    break;
-                }
-            }
-        }
-        (best, count)
-    };
-    let each: Vec<(Candidate, u64)> = (0..task.neurons).into_par_iter().map(one).collect();
-    // A compartment is one of as many as a candidate for all is tried on.
-    *tried += each.iter().map(|(_, count)| count).sum::<u64>() / task.neurons.max(1) as u64;
-    each.into_iter().map(|(candidate, _)| candidate).collect()
 }

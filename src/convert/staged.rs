@@ -5,14 +5,13 @@
 //! exponents (`compile::frontend::exponents`). What the rest costs is found by putting the real number in the place of each kind of
 //! integer, all others staying (`agree::ladder`).
 
-use crate::agree::attribution::{Distance, distances};
+use crate::agree::attribution::{self, Distance};
 use crate::agree::compare::output_layer;
 use crate::agree::ladder::{Cause, Ladder, Rung};
-use crate::agree::trace::Comparison;
 use crate::base::diagnostic::Result;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::exponents::Detail;
-use crate::convert::search::{self, SearchResult};
+use crate::convert::search::{self, Conversion, SearchResult};
 use crate::golden::Golden;
 use crate::ir::graph::{Graph, PopulationKind};
 use crate::ir::quantised::Quantised;
@@ -105,29 +104,22 @@ fn trained(ladder: &Ladder) -> Rung {
     ladder.trained().with(Cause::Untruncated)
 }
 
-fn measured(ladder: &Ladder, samples: &[&Sample]) -> Measured {
-    let output = output_layer(ladder.deployed());
-    let from = trained(ladder);
-    let distance = distances(ladder, from, &[Rung::MACHINE], &output, samples)[0];
-    let layers = ladder.layers();
-    let mut comparisons = vec![Comparison::default(); layers.len()];
-    for (index, sample) in samples.iter().enumerate() {
-        let (a, b) = (ladder.run(from, sample, false), ladder.run(Rung::MACHINE, sample, false));
-        let shift = ladder.shift(Rung::MACHINE) - ladder.shift(from);
-        layers.iter().zip(&mut comparisons).for_each(|(layer, sum)| sum.add(index, layer, &a, &b, shift));
-    }
-    let rows = layers.into_iter().zip(comparisons).map(|(layer, sum)| {
-        let silent = sum.tally.spikes_a + sum.tally.spikes_b == 0;
-        (layer.name, (!silent).then(|| sum.tally.coincidence()), sum.tally.spikes_b)
+fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) -> Measured {
+    let rows = ladder.layers().into_iter().zip(measured.layers).map(|(layer, sum)| {
+        let silent = sum.spikes_a + sum.spikes_b == 0;
+        (layer.name, (!silent).then(|| sum.coincidence()), sum.spikes_b)
     });
-    Measured { distance, layers: rows.collect(), samples: samples.len() }
+    Measured { distance: measured.distance, layers: rows.collect(), samples }
 }
 
 impl Converted {
     /// How far the integers are from the trained network on other samples.
     #[must_use]
     pub fn on(&self, samples: &[&Sample]) -> Measured {
-        measured(&self.ladder, samples)
+        let (ladder, output) = (&self.ladder, output_layer(self.ladder.deployed()));
+        let on =
+            attribution::measured((ladder, trained(ladder)), &[(ladder, Rung::MACHINE)], &output, samples).remove(0);
+        by_layer(ladder, on, samples.len())
     }
 }
 
@@ -136,52 +128,63 @@ impl Converted {
 /// # Errors
 /// As `compile::frontend::quantise`.
 pub fn convert(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> Result<Converted> {
-    let (fits, stages, ladder) = match graph.has_srm() {
+    let Steps { fits, stages, ladder } = match graph.has_srm() {
         true => by_search(graph, samples, progress)?,
-        false => by_exponents(graph, samples)?,
+        false => by_exponents(graph)?,
     };
-    let calibration = measured(&ladder, samples);
     let output = output_layer(ladder.deployed());
     let costly: Vec<Cause> =
         ladder.causes().iter().copied().filter(|cause| !matches!(cause, Cause::Untruncated | Cause::Kernel)).collect();
-    let rungs: Vec<Rung> = costly.iter().map(|&cause| Rung::MACHINE.without(cause)).collect();
-    let without = distances(&ladder, trained(&ladder), &rungs, &output, samples);
-    let left: Vec<Left> = costly.into_iter().zip(without).map(|(cause, without)| Left { cause, without }).collect();
+    let mut rungs: Vec<(&Ladder, Rung)> = vec![(&ladder, Rung::MACHINE)];
+    rungs.extend(stages.iter().map(|(_, _, ladder)| (ladder, Rung::MACHINE)));
+    rungs.extend(costly.iter().map(|&cause| (&ladder, Rung::MACHINE.without(cause))));
+    let mut all = attribution::measured((&ladder, trained(&ladder)), &rungs, &output, samples).into_iter();
+    let none = attribution::Measured { distance: Distance::EQUAL, layers: Vec::new() };
+    let calibration = by_layer(&ladder, all.next().unwrap_or(none), samples.len());
+    let row = |(stage, measured): ((String, bool, Ladder), attribution::Measured)| StageRow {
+        name: stage.0,
+        distance: measured.distance,
+        kept: stage.1,
+    };
+    let stages: Vec<StageRow> = stages.into_iter().zip(all.by_ref()).map(row).collect();
+    let left: Vec<Left> =
+        costly.into_iter().zip(all).map(|(cause, measured)| Left { cause, without: measured.distance }).collect();
     let network = ladder.deployed().clone();
     let layers = losses(&network, &calibration, &left, samples);
     Ok(Converted { network, fits, stages, layers, left, calibration, ladder })
 }
 
-type Steps = (Vec<Option<Fit>>, Vec<StageRow>, Ladder);
-
-fn by_search(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> Result<Steps> {
-    let SearchResult { fits, stages, .. } = search::search(graph, samples, progress)?;
-    let last = stages.iter().position(|(_, of_stage, _)| *of_stage == fits).unwrap_or(0);
-    let row = |(place, (stage, of_stage, _)): (usize, &(search::Stage, Vec<Option<Fit>>, _))| {
-        let ladder = Ladder::new(graph, of_stage)?;
-        let output = output_layer(ladder.deployed());
-        let distance = distances(&ladder, trained(&ladder), &[Rung::MACHINE], &output, samples)[0];
-        Ok(StageRow { name: stage.name().to_string(), distance, kept: place <= last })
-    };
-    let rows = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
-    let ladder = Ladder::new(graph, &fits)?;
-    Ok((fits, rows, ladder))
+/// A conversion before it is measured.
+struct Steps {
+    fits: Vec<Option<Fit>>,
+    /// Each stage's name, whether the result has it, and its integers.
+    stages: Vec<(String, bool, Ladder)>,
+    ladder: Ladder,
 }
 
-fn by_exponents(graph: &Graph, samples: &[&Sample]) -> Result<Steps> {
+fn by_search(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> Result<Steps> {
+    let SearchResult { conversion, stages, .. } = search::search(graph, samples, progress)?;
+    let last = stages.iter().position(|(_, of_stage, _)| *of_stage == conversion).unwrap_or(0);
+    let row = |(place, (stage, of_stage, _)): (usize, &(search::Stage, Conversion, _))| {
+        Ok((stage.name().to_string(), place <= last, of_stage.ladder(graph)?))
+    };
+    let stages = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
+    let ladder = conversion.ladder(graph)?;
+    Ok(Steps { fits: conversion.fits, stages, ladder })
+}
+
+fn by_exponents(graph: &Graph) -> Result<Steps> {
     let fits = analytic::starts(graph);
-    let mut rows = Vec::new();
-    for (name, detail) in [
+    let row =
+        |(name, detail): (&str, Detail)| Ok((name.to_string(), true, Ladder::with_exponents(graph, &fits, detail)?));
+    let stages = [
         ("analytic start", Detail::Zero),
         ("a scale a population, an exponent a projection", Detail::Projections),
         ("an exponent for weights of like size", Detail::Groups),
-    ] {
-        let ladder = Ladder::with_exponents(graph, &fits, detail)?;
-        let output = output_layer(ladder.deployed());
-        let distance = distances(&ladder, trained(&ladder), &[Rung::MACHINE], &output, samples)[0];
-        rows.push(StageRow { name: name.to_string(), distance, kept: true });
-    }
-    Ok((fits.clone(), rows, Ladder::new(graph, &fits)?))
+    ];
+    let stages = stages.into_iter().map(row).collect::<Result<_>>()?;
+    let ladder = Ladder::new(graph, &fits)?;
+    Ok(Steps { fits, stages, ladder })
 }
 
 /// What each layer lost, and what to do about it.

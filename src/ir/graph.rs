@@ -146,6 +146,8 @@ pub struct NeuronParameters {
     pub given: Vec<(&'static str, Values)>,
     /// The step before which the population is held at zero.
     pub start_step: u32,
+    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all weights.
+    pub greatest_input: Option<f64>,
 }
 
 impl NeuronParameters {

@@ -55,6 +55,6 @@ impl ConversionArgs {
             }
         };
         let found = search::search(graph, &calibration, |population| tracing::info!("searching '{population}'"))?;
-        Ok((found.fits.clone(), Some(found)))
+        Ok((found.conversion.fits.clone(), Some(found)))
     }
 }

@@ -7,8 +7,6 @@ use crate::base::id::PopulationId;
 use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
-use crate::compile::frontend::analytic::with_fits;
-use crate::compile::frontend::quantise::quantise;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{self, CompileError, Compiled, Form, Options, Reason, mapping_file};
 use crate::convert::calibration::{self, RunInput};
@@ -288,7 +286,7 @@ fn converted(network: &Network) -> Result<compile::Front, Error> {
         found.end.class_agreement,
         found.end.coincidence
     );
-    Ok(quantise(&with_fits(&graph, &found.fits))?.into())
+    Ok(found.conversion.integers(&graph)?.into())
 }
 
 /// A network in integers, without what `--prune` leaves out.

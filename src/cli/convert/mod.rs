@@ -41,7 +41,7 @@ pub struct Args {
     #[arg(long, value_name = "SOURCE")]
     calibrate: Vec<String>,
     /// How many samples to convert on
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     calibration_samples: u32,
     /// The model file to write; its arrays go beside it as .safetensors
     #[arg(short, long, value_name = "LOIHI.ron")]

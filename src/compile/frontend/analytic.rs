@@ -13,6 +13,7 @@
 
 use crate::base::fixed::{DECAY_ONE, Decay, Delay, Refractory, SignMode};
 use crate::desc::neurons::NeuronKind;
+use crate::desc::spanned::Spanned;
 use crate::ir::graph::{
     Graph, NeuronParameters, PerCompartment, PopulationKind, Projection, ProjectionKind, SrmParameters, Values,
 };
@@ -28,8 +29,8 @@ pub struct Fit {
     pub refractory: Refractory,
     /// Threshold in the units of the weights.
     pub threshold: f64,
-    /// Steps by which all that comes in is delayed.
-    pub delay: u32,
+    /// All that comes in arrives so often: each copy with its delay in steps and its factor of the weights.
+    pub copies: Vec<(u32, f64)>,
     /// Synapses of each compartment onto itself in the units of the weights: those of delay 0, 1, .., for each one weight for
     /// all or one each.
     pub own: Vec<Vec<f64>>,
@@ -38,6 +39,8 @@ pub struct Fit {
     pub gains: Vec<f64>,
     /// Bias of each compartment in the units of the weights; none: all 0.
     pub biases: Vec<f64>,
+    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all weights.
+    pub greatest_input: Option<f64>,
 }
 
 /// The greatest value of a compartment's answer to one spike of weight 1, current and voltage keeping these shares of
@@ -95,6 +98,30 @@ pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, kee
     srm.theta * peak(keep_u, keep_v) / (std::f64::consts::E * r / tau * peak(r, r))
 }
 
+/// The same of a fit, all copies together.
+#[must_use]
+pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) -> f64 {
+    let (keep_u, keep_v) = (keep(fit.du), keep(fit.dv));
+    let one = matched_threshold(srm, timestep_ms, keep_u, keep_v);
+    let [first, rest @ ..] = fit.copies.as_slice() else { return one };
+    if rest.is_empty() {
+        return one * first.1;
+    }
+    let last = fit.copies.iter().map(|&(delay, _)| delay).max().unwrap_or(0);
+    let (mut u, mut v, mut most) = (0.0, 0.0, 0.0);
+    for step in 0..ITERATED {
+        let arrived: f64 = fit.copies.iter().filter(|&&(delay, _)| delay == step).map(|&(_, factor)| factor).sum();
+        u = keep_u * u + arrived;
+        let next = keep_v * v + u;
+        if step > last && next <= v {
+            break;
+        }
+        v = next;
+        most = f64::max(most, v);
+    }
+    one * most / peak(keep_u, keep_v)
+}
+
 /// The threshold at which a constant input brings the potential as far as the alpha kernel does, relative to the threshold.
 #[must_use]
 pub fn area_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
@@ -147,10 +174,11 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
         dv: decay,
         refractory: Refractory::new(1).unwrap_or(Refractory::MIN),
         threshold: matched_threshold(srm, timestep_ms, keep(decay), keep(decay)),
-        delay: 0,
+        copies: vec![(0, 1.0)],
         own: Vec::new(),
         gains: Vec::new(),
         biases: Vec::new(),
+        greatest_input: None,
     }
 }
 
@@ -179,6 +207,7 @@ fn parameters(fit: &Fit) -> NeuronParameters {
             ("refractory", Values::constant(fit.refractory.get().into())),
         ],
         start_step: 0,
+        greatest_input: fit.greatest_input,
     }
 }
 
@@ -198,16 +227,31 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),
         (other, _) => other.clone(),
     });
-    let changed = kinds.with_projections(|target, projection| {
-        let Some(Fit { gains, delay, .. }) = &fits[target.index()] else { return projection.clone() };
-        let late = i64::from(projection.delay.get()) + i64::from(*delay);
-        let kind = match !gains.is_empty() && projection.kind.has_own_weights() {
-            true => projection.kind.map_weights(|target, weight| weight * gains[target]),
-            false => projection.kind.clone(),
+    let copy = |projection: &Projection, fit: &Fit, (delay, factor): (u32, f64)| {
+        let late = i64::from(projection.delay.get()) + i64::from(delay);
+        let gains = if projection.kind.has_own_weights() { fit.gains.as_slice() } else { &[] };
+        let kind = match &projection.kind {
+            kind if factor == 1.0 && gains.is_empty() => kind.clone(),
+            ProjectionKind::SumPool2d { window, weight } => {
+                let weight = Spanned { value: weight.value * factor, ..weight.clone() };
+                ProjectionKind::SumPool2d { window: *window, weight }
+            }
+            kind => kind.map_weights(|target, weight| weight * factor * gains.get(target).copied().unwrap_or(1.0)),
         };
         Projection { kind, delay: Delay::new(late).unwrap_or(Delay::MAX), ..projection.clone() }
-    });
+    };
     let mut added = Vec::new();
+    for (_, source, target, projection) in graph.projections() {
+        let Some(fit) = &fits[target.index()] else { continue };
+        for &of in fit.copies.iter().skip(1) {
+            let name = format!("{} ({} steps later)", projection.name, of.0);
+            added.push((source, target, Projection { name, ..copy(projection, fit, of) }));
+        }
+    }
+    let changed = kinds.with_projections(|target, projection| match &fits[target.index()] {
+        Some(fit) => copy(projection, fit, fit.copies.first().copied().unwrap_or((0, 1.0))),
+        None => projection.clone(),
+    });
     for (node, population) in graph.populations() {
         let own = fits[node.index()].as_ref().map_or(&[][..], |fit| &fit.own);
         for (delay, weights) in own.iter().enumerate() {

@@ -5,8 +5,8 @@
 //! mantissa `w S / 2^(6 + e)`.
 //!
 //! - *Scale.* S0 is the greatest scale at which every weight fits with exponent 0. S is S0 doubled as often as these bounds
-//!   allow: the sum of all weights of a compartment stays within the 21 bits of a step's input and, held for ever, the current
-//!   within 23 bits; the bias fits its field; the threshold is at most 2^16 register units, which leaves 128 thresholds below
+//!   allow: the sum of all weights of a compartment, or the greatest input that a calibration foresees, stays within the 21
+//!   bits of a step's input and, held for ever, the current within 23 bits; the bias fits its field; the threshold is at most 2^16 register units, which leaves 128 thresholds below
 //!   zero before the voltage clips. The largest weights are rounded as with S0, thresholds and biases more finely, and what
 //!   the decays round away counts less.
 //! - *Exponents.* Each projection takes the least exponent at which its own weights fit, and at least the one whose step is 64
@@ -190,7 +190,8 @@ fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
     if !(open && fits > 0.0 && fits.is_finite()) {
         return None;
     }
-    let sum = greatest_sum(graph, node).max(f64::MIN_POSITIVE);
+    let foreseen = parameters.greatest_input.unwrap_or(f64::INFINITY);
+    let sum = greatest_sum(graph, node).min(foreseen).max(f64::MIN_POSITIVE);
     let decay = least_decay(parameters, graph.facts().timestep_ms).max(f64::MIN_POSITIVE);
     let bias = parameters.get("bias").map_or(0.0, |bias| greatest(&bias.each)).max(f64::MIN_POSITIVE);
     let bounds = [
@@ -201,7 +202,11 @@ fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
         THRESHOLD / threshold,
     ];
     let room = bounds.into_iter().fold(f64::INFINITY, f64::min) / fits;
-    Some(fits * libm::exp2(libm::log2(room).floor().max(0.0)))
+    Some(match parameters.greatest_input {
+        // Most weights have the least exponent, and steps that S alone makes finer.
+        Some(_) => fits * room.max(1.0),
+        None => fits * libm::exp2(libm::log2(room).floor().max(0.0)),
+    })
 }
 
 /// The projection with its exponent, or as several by the size of its weights.

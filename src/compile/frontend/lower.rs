@@ -200,7 +200,7 @@ impl Lowering<'_> {
         };
         let values = |(what, value): &(&'static str, Parameter)| Ok((*what, self.values(name, what, value, units)?));
         let given = desc.parameters.iter().map(values).collect::<Result<_, Diagnostic>>()?;
-        Ok(NeuronParameters { kind: desc.kind, given, start_step })
+        Ok(NeuronParameters { kind: desc.kind, given, start_step, greatest_input: None })
     }
 
     fn srm(&self, desc: &SrmDesc) -> Result<SrmParameters, Diagnostic> {
