@@ -66,7 +66,7 @@ const WRITING: [Case; 34] = [
         "b",
     ),
     case("run i/GEN.ron --mapping i/GEN-map.ron --input i/labels.ron --probe o.spikes -o p --format json", "a", "b"),
-    Case { arguments: "bench published --svg GEN.svg", generations: ["one", "two"], slow: true },
+    Case { arguments: "bench published --svg GEN.svg --preset GEN.ron", generations: ["one", "two"], slow: true },
 ];
 
 /// Commands that only read.

@@ -54,13 +54,6 @@ pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
     io::write::check_all_free(args.svg.iter().chain(&args.preset), context.force)?;
     let evidence = evidence::shipped()?;
     let base = io::target::load_constants(&evidence.base.value)?;
-    if let Some(path) = &args.preset {
-        let text = io::target::constants_text(
-            &preset(&evidence, &base, Accounting::Profiler),
-            "Written by: nsim bench published --preset FILE",
-        );
-        io::write::text(path, context.force, &text)?;
-    }
     let workloads = workload::shipped()?;
     // Intervals follow from how far other works were missed: all are predicted whatever is shown.
     let mut rows = output::with_progress(context, workloads.len(), "workloads", |done| {
@@ -76,9 +69,16 @@ pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
         }
     }
     let report = PublishedReport { rows: &rows };
+    let mut batch = io::write::Batch::new(context.force);
     if let Some(path) = &args.svg {
-        io::write::text(path, context.force, &report.svg())?;
+        batch.add(path, |out| out.write_all(report.svg().as_bytes()))?;
     }
+    if let Some(path) = &args.preset {
+        let constants = preset(&evidence, &base, Accounting::Profiler);
+        let text = io::target::constants_text(&constants, "Written by: nsim bench published --preset FILE");
+        batch.add(path, |out| out.write_all(text.as_bytes()))?;
+    }
+    batch.commit()?;
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
