@@ -5,21 +5,26 @@
 
 mod common;
 
-use common::{Net, neuron};
+use std::sync::Arc;
+
+use common::{Net, neuron, random};
 use nsim::base::id::ChannelId;
+use nsim::base::units::Picoseconds;
 use nsim::compile::{Options, compile};
 use nsim::cost::CostTable;
 use nsim::cost::host::Host;
 use nsim::cost::model::StepTime;
 use nsim::cost::transport::QueueMemory;
-use nsim::cost::{Deployment, MessageRoutes, Transport};
+use nsim::cost::{Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
 use nsim::desc::resource::Resource;
-use nsim::desc::target::Target;
-use nsim::drive::priced::run_priced;
-use nsim::io::target::load_target;
+use nsim::desc::target::{Chip, Target};
+use nsim::drive::Keep;
+use nsim::drive::priced::{Metered, SampleRun, run_priced};
+use nsim::drive::samples::{self, Running};
+use nsim::io::target::{load_constants, load_target};
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Quantised;
-use nsim::ir::spikes::{Engine, Sample};
+use nsim::ir::spikes::{Copies, Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 
 const CHANNELS: u32 = 16;
@@ -117,4 +122,70 @@ fn more_copies_or_more_traffic_never_cost_less() {
             last = now;
         }
     }
+}
+
+/// A board of small chips, on which few copies take several.
+fn small_chips(seed: u64) -> Target {
+    let target = load_target("pohoiki-springs").unwrap();
+    let most = [2, 5, 24, 1024][seed as usize % 4];
+    let chip = Chip { cores: [8, 64, 128][seed as usize % 3], ..target.chip().clone() };
+    let target = target.with_chip(chip);
+    let limits = target.limits().clone().with(Resource::Compartments, most);
+    target.with_limits(limits)
+}
+
+#[test]
+fn one_group_of_cores_stands_for_all_that_are_alike() {
+    let (mut grouped, mut several_chips, mut one_chip) = (0, 0, 0);
+    for seed in 0..160 {
+        let (network, target) = (random::network(seed), small_chips(seed));
+        let copies = [2, 3, 7, 12][seed as usize / 4 % 4];
+        let (sample, channels) = (random::sample(&network, seed), network.channels());
+        let Ok(compiled) = compile(network, &target, &Options { copies, ..Options::default() }) else { continue };
+        let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
+        let ends = ["vtsnn-calibrated", "davies2018"].map(|name| load_constants(name).unwrap());
+        let tables: Vec<CostTable> = target
+            .constants()
+            .iter()
+            .take(1)
+            .chain(&ends)
+            .map(|constants| CostTable::new(constants).unwrap())
+            .collect();
+        let (fast, obvious) = (Metered::new(&compiled), Metered::every_core(&compiled));
+        grouped += u32::from(compiled.core_groups().is_some());
+        several_chips += u32::from(deployment.chips_used > 1);
+        for transport in [Transport::Analytic, Transport::Queued] {
+            let settings = |routes: &Arc<MessageRoutes>| MeterSettings {
+                tables: tables.clone(),
+                timing: deployment.timing(transport),
+                routes: routes.clone(),
+                timestep: Picoseconds(1_000_000),
+                distribution: None,
+                by_step: Some(0),
+            };
+            let run = |metered: &Metered<'_>| {
+                let run = SampleRun { samples: &[&sample], early_exit: None, skip: true, progress: &|| () };
+                metered.run(settings(&metered.routes), run).unwrap()
+            };
+            let (fast, obvious) = (run(&fast), run(&obvious));
+            assert_eq!(fast.activity, obvious.activity, "seed {seed}");
+            assert_eq!(fast.meter.lanes(), obvious.meter.lanes(), "seed {seed} {transport:?}");
+            assert_eq!(fast.meter.by_step(), obvious.meter.by_step(), "seed {seed} {transport:?}");
+            assert_eq!(fast.outcomes[0].spikes, obvious.outcomes[0].spikes, "seed {seed}");
+            // Nothing is a group here: the whole program on its own cores.
+            let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
+            let settings = Arc::new(settings(&routes));
+            let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+            let shown = Copies { copies, channels };
+            let running = Running { keep: &keep, copies: shown, skip: true, per_step: true, progress: &|| () };
+            let whole =
+                samples::fast(&compiled.program, &[&sample], running, || StepMeter::new(settings.clone())).unwrap();
+            assert_eq!(fast.activity, whole.activity, "seed {seed}");
+            if deployment.chips_used == 1 || transport == Transport::Analytic {
+                assert_eq!(fast.meter.lanes(), whole.meter.lanes(), "seed {seed} {transport:?}");
+                one_chip += 1;
+            }
+        }
+    }
+    assert!(grouped > 60 && several_chips > 30 && one_chip > 100, "{grouped} {several_chips} {one_chip}");
 }

@@ -10,6 +10,7 @@ pub mod error;
 pub mod explore;
 pub mod form;
 pub mod frontend;
+pub mod groups;
 pub mod mapping;
 pub mod mapping_file;
 pub mod options;

@@ -13,10 +13,10 @@ use std::sync::Arc;
 
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
-use crate::cost::model::{StepTime, energy_of_counts, sum_of_cores};
+use crate::cost::model::{StepTime, energy_of_counts};
 use crate::cost::quantiles::Quantiles;
 use crate::cost::transport::{MessageRoutes, QueueMemory, Timing, Transport};
-use crate::ir::activity::StepActivity;
+use crate::ir::activity::{HopCounts, StepActivity};
 use crate::ir::program::Program;
 
 /// Sums over steps under one preset, exact.
@@ -97,6 +97,7 @@ pub struct StepMeter {
     by_step: Vec<StepSums>,
     /// The number of the next step in its sample.
     next: usize,
+    hops: HopCounts,
     memory: QueueMemory,
 }
 
@@ -138,6 +139,7 @@ impl StepMeter {
             distribution: Distribution::default(),
             by_step: Vec::new(),
             next: 0,
+            hops: HopCounts::default(),
             memory: QueueMemory::default(),
         }
     }
@@ -152,9 +154,10 @@ impl StepMeter {
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         let MeterSettings { tables, timing, routes, timestep, distribution, by_step } = &*self.settings;
         let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
-        let sum = sum_of_cores(step);
+        let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
+        self.hops += hops.times(times.into());
         for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
-            let energy = energy_of_counts(sum, step.hops, 1, table, 0).total();
+            let energy = energy_of_counts(sum, hops, 1, table, 0).total();
             lane.whole.add(energy, time, *timestep, times.into());
             if !decided {
                 lane.until_decided.add(energy, time, *timestep, times.into());
@@ -185,6 +188,7 @@ impl StepMeter {
             lane.whole.merge(&more.whole);
             lane.until_decided.merge(&more.until_decided);
         }
+        self.hops += other.hops;
         self.distribution.dynamic.merge(&other.distribution.dynamic);
         self.distribution.whole.merge(&other.distribution.whole);
         self.by_step.resize(self.by_step.len().max(other.by_step.len()), StepSums::default());
@@ -207,6 +211,12 @@ impl StepMeter {
     #[must_use]
     pub fn transport(&self) -> Transport {
         self.settings.timing.transport
+    }
+
+    /// Links that messages crossed in all steps, those of all groups of cores.
+    #[must_use]
+    pub fn hops(&self) -> HopCounts {
+        self.hops
     }
 
     /// The steps under each preset, in the presets' order.

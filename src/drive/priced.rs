@@ -4,17 +4,19 @@
 
 use std::sync::Arc;
 
-use super::samples::{Meter, Run, Running, fast};
+use super::decision::EarlyExit;
+use super::samples::{Meter, Progress, Run, Running, fast};
 use super::{Keep, Outcome, Passed};
 use crate::base::diagnostic::Result;
+use crate::base::id::{CoreId, Id};
 use crate::base::units::Picoseconds;
 use crate::compile::Compiled;
 use crate::cost::estimate::{Case, Estimate, estimate, step_price};
-use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
+use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::desc::target::Target;
-use crate::ir::activity::{Activity, StepActivity};
-use crate::ir::program::Program;
+use crate::ir::activity::{Activity, CoreCounts, StepActivity};
+use crate::ir::groups::CoreGroups;
 use crate::ir::spikes::{Copies, Sample};
 
 impl Meter for StepMeter {
@@ -27,17 +29,84 @@ impl Meter for StepMeter {
     }
 }
 
-/// Runs samples and meters each step.
-///
-/// # Errors
-/// As [`fast`].
-pub fn run_metered(
-    program: &Program,
-    samples: &[&Sample],
-    metered: &Arc<MeterSettings>,
-    running: Running<'_>,
-) -> Result<Run<StepMeter>> {
-    fast(program, samples, Running { per_step: true, ..running }, || StepMeter::new(metered.clone()))
+/// How samples that all copies of a mapping see are run.
+#[derive(Clone)]
+pub struct SampleRun<'a> {
+    /// The samples.
+    pub samples: &'a [&'a Sample],
+    /// When they are decided.
+    pub early_exit: Option<EarlyExit>,
+    /// Whether work that cannot change anything is left out.
+    pub skip: bool,
+    /// Called after each sample.
+    pub progress: Progress<'a>,
+}
+
+/// A mapping as it is metered: the program that is run, and where its messages and those of cores that do the same go.
+#[derive(Debug)]
+pub struct Metered<'c> {
+    compiled: &'c Compiled,
+    /// One group of cores of each kind; `None` where all cores are run.
+    groups: Option<CoreGroups>,
+    /// The routes of all messages.
+    pub routes: Arc<MessageRoutes>,
+}
+
+impl<'c> Metered<'c> {
+    /// Of groups of cores that hold copies alike, one is run for all.
+    #[must_use]
+    pub fn new(compiled: &'c Compiled) -> Self {
+        let groups = compiled.core_groups();
+        let routes = match &groups {
+            Some(groups) => MessageRoutes::of_groups(groups),
+            None => MessageRoutes::of_program(&compiled.program),
+        };
+        Metered { compiled, groups, routes: Arc::new(routes) }
+    }
+
+    /// The same with every core run: the obvious way, which tests compare with.
+    #[must_use]
+    pub fn every_core(compiled: &'c Compiled) -> Self {
+        let one = compiled.one_copy();
+        let groups = CoreGroups::each(&compiled.program, one, &compiled.together()).ok();
+        let program = MessageRoutes::of_program(&compiled.program);
+        let routes = groups.as_ref().map_or(program, MessageRoutes::of_groups);
+        Metered { compiled, groups, routes: Arc::new(routes) }
+    }
+
+    /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those of the first; what was
+    /// skipped, and an outcome's totals and what left its field, are those of the cores that were run.
+    ///
+    /// # Errors
+    /// As [`fast`].
+    pub fn run(&self, settings: MeterSettings, sweep: SampleRun<'_>) -> Result<Run<StepMeter>> {
+        let SampleRun { samples, early_exit, skip, progress } = sweep;
+        let copies = self.compiled.options.copies;
+        let (program, run_copies) = match &self.groups {
+            Some(groups) => (&groups.program, groups.copies()),
+            None => (&self.compiled.program, copies),
+        };
+        let keep = Keep { output: program.output(), probes: Vec::new(), early_exit };
+        // Copies share no input channels: each sees the whole sample.
+        let shown = Copies { copies: run_copies, channels: self.compiled.one.channels() };
+        let running = Running { keep: &keep, copies: shown, skip, per_step: true, progress };
+        let settings = Arc::new(settings);
+        let run = fast(program, samples, running, || StepMeter::new(settings.clone()))?;
+        let Some(groups) = &self.groups else { return Ok(run) };
+        // Every copy does the same.
+        let spikes_in = run.activity.spikes_in() / u64::from(run_copies) * u64::from(copies);
+        let mut cores = vec![CoreCounts::default(); self.compiled.program.cores().len()];
+        for group in &groups.groups {
+            let of_kind = groups.kinds[group.kind].cores.clone().map(CoreId);
+            group
+                .cores
+                .iter()
+                .zip(of_kind)
+                .for_each(|(core, run_core)| cores[core.index()] = run.activity.cores()[run_core]);
+        }
+        let activity = run.activity.on_cores(cores.into(), run.meter.hops(), spikes_in);
+        Ok(Run { activity, ..run })
+    }
 }
 
 /// Timesteps of each sample; `None` when samples differ.
@@ -69,15 +138,17 @@ pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> R
     let tables = vec![CostTable::new(&target.constants()[0])?];
     let timestep_ms = compiled.one.parts().timestep_ms;
     let price = step_price(&tables[0], &deployment, copies, Mode::Offline);
-    let (program, timestep) = (&compiled.program, Picoseconds::from_milliseconds(timestep_ms));
-    let metered = MeterSettings::new(tables, deployment.timing(Transport::default()), program, timestep);
-    let metered = Arc::new(MeterSettings { distribution: Some((0, price)), ..metered });
-    // Copies share no input channels: each sees the whole sample.
-    let copies = Copies { copies, channels: compiled.one.channels() };
-    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
-    let running = Running { keep: &keep, copies, skip: true, per_step: true, progress: &|| () };
+    let metered = Metered::new(compiled);
+    let settings = MeterSettings {
+        tables,
+        routes: metered.routes.clone(),
+        timing: deployment.timing(Transport::default()),
+        timestep: Picoseconds::from_milliseconds(timestep_ms),
+        distribution: Some((0, price)),
+        by_step: None,
+    };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let run = run_metered(program, &samples, &metered, running)?;
+    let run = metered.run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| () })?;
     let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
     let estimate = estimate(&Case { steps_per_sample: steps_per_sample(&samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })

@@ -263,6 +263,15 @@ impl Activity {
         self.steps += other.steps;
     }
 
+    /// As many steps of these cores, whose counts, links crossed and input spikes follow from this run of some of them.
+    #[must_use]
+    pub fn on_cores(&self, cores: IdVec<CoreId, CoreCounts>, hops: HopCounts, spikes_in: u64) -> Self {
+        let mut all = Activity { cores, hops, spikes_in, messages_from_inputs: 0, steps: self.steps };
+        let sum = all.sum();
+        all.messages_from_inputs = sum.messages_in - sum.messages_out;
+        all
+    }
+
     /// By core.
     #[must_use]
     pub fn cores(&self) -> &IdVec<CoreId, CoreCounts> {

@@ -6,6 +6,7 @@
 pub mod activity;
 pub mod firing_rates;
 pub mod graph;
+pub mod groups;
 pub mod partition;
 pub mod placement;
 pub mod program;

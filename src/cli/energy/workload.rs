@@ -1,20 +1,17 @@
 //! The samples of `nsim energy` on the mapped program, metered step by step.
 
-use std::sync::Arc;
-
 use crate::base::units::Picoseconds;
 use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
 use crate::cli::args::jobs::Job;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::compile::Compiled;
-use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
+use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use crate::desc::target::Target;
-use crate::drive::Keep;
 use crate::drive::decision::EarlyExit;
 use crate::drive::inputs;
-use crate::drive::priced::{run_metered, steps_per_sample};
-use crate::drive::samples::{Run, Running};
+use crate::drive::priced::{Metered, SampleRun, steps_per_sample};
+use crate::drive::samples::Run;
 use crate::error::Error;
 use crate::ir::spikes::{Copies, Sample, Stimulus};
 
@@ -35,7 +32,7 @@ pub struct Workload<'j> {
     pub origin: Vec<String>,
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
-    routes: Arc<MessageRoutes>,
+    metered: Metered<'j>,
 }
 
 impl<'j> Workload<'j> {
@@ -51,9 +48,9 @@ impl<'j> Workload<'j> {
         let order = select_numbers(stimulus.samples.len(), input)?;
         let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
         check_pruned(&compiled.one, &samples, input)?;
-        let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
+        let metered = Metered::new(compiled);
         let Stimulus { samples: given, origin, seed } = stimulus;
-        Ok(Workload { compiled, target, copies, given, order, origin, seed, routes })
+        Ok(Workload { compiled, target, copies, given, order, origin, seed, metered })
     }
 
     /// Samples of one copy, in run order.
@@ -84,7 +81,7 @@ impl<'j> Workload<'j> {
         MeterSettings {
             tables,
             timing: deployment.timing(transport),
-            routes: self.routes.clone(),
+            routes: self.metered.routes.clone(),
             timestep: Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms),
             distribution: None,
             by_step: None,
@@ -103,16 +100,14 @@ impl<'j> Workload<'j> {
     /// [`Error::Input`] when the program's sums could not be exact.
     pub fn simulate(
         &self,
-        metered: MeterSettings,
+        settings: MeterSettings,
         early_exit: Option<EarlyExit>,
         skip: bool,
         context: Context,
     ) -> Result<Run<StepMeter>, Error> {
-        let program = &self.compiled.program;
-        let keep = Keep { output: program.output(), probes: Vec::new(), early_exit };
-        let (samples, copies, metered) = (self.samples(), self.shown(), Arc::new(metered));
+        let samples = self.samples();
         let run = output::with_progress(context, samples.len(), "samples", |progress| {
-            run_metered(program, &samples, &metered, Running { keep: &keep, copies, skip, per_step: true, progress })
+            self.metered.run(settings, SampleRun { samples: &samples, early_exit, skip, progress })
         })?;
         Ok(run)
     }
