@@ -83,6 +83,8 @@ pub const WORKLOADS: &[Shipped] = shipped!(
     "ceolini-emg",
     "vtsnn-offline",
     "vtsnn-realtime",
+    "olfaction",
+    "knn",
 );
 
 /// Shipped scenarios.

@@ -93,7 +93,7 @@ pub fn rows(
 }
 
 /// Widens the interval of each row by how far the model missed figures of other works: constants and rates are not all that
-/// can be wrong. The factor is such that nine in ten of the figures left out of other works, of the same kind, lie within it
+/// can be wrong. The factor is such that nine in ten of the first-hand figures left out of other works, of the same kind, lie within it
 /// (split conformal prediction with works as groups: Vovk, Gammerman and Shafer 2005, chapter 4).
 fn widen(rows: &mut [PublishedRow]) {
     let kind = |row: &PublishedRow| match row.quantity.kind() {
@@ -108,8 +108,8 @@ fn widen(rows: &mut [PublishedRow]) {
     let factors: Vec<f64> = rows
         .iter()
         .map(|row| {
-            let others =
-                rows.iter().filter(|other| other.left_out && other.work != row.work && kind(other) == kind(row));
+            let counts = |other: &&PublishedRow| other.left_out && other.first_hand && other.work != row.work;
+            let others = rows.iter().filter(counts).filter(|other| kind(other) == kind(row));
             let mut others: Vec<f64> = others.map(missing).collect();
             others.sort_by(f64::total_cmp);
             let rank = (COVERAGE * (others.len() + 1) as f64).ceil() as usize;

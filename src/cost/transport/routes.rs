@@ -9,6 +9,7 @@ use petgraph::unionfind::UnionFind;
 
 use crate::base::csr::Csr;
 use crate::base::id::{ChannelId, CoreId, Id};
+use crate::cost::model::sum_of_cores;
 use crate::ir::activity::{CoreCounts, HopCounts, StepActivity};
 use crate::ir::groups::{CoreGroups, Kind};
 use crate::ir::placement::{Mesh, Route, Site};
@@ -239,6 +240,9 @@ impl MessageRoutes {
     /// The counts of all cores of all groups in a step.
     #[must_use]
     pub fn sum_of_cores(&self, step: &StepActivity) -> CoreCounts {
+        if self.is_whole() {
+            return sum_of_cores(step);
+        }
         let mut all = CoreCounts::default();
         for KindOfGroup { kind, groups } in &self.kinds {
             let mut sum = CoreCounts::default();

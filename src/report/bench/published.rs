@@ -24,7 +24,7 @@ fn percent(x: f64) -> String {
 }
 
 const COLUMNS: [Column<PublishedRow>; 9] = [
-    ("workload", |row| row.workload.clone()),
+    ("workload", |row| format!("{}{}", row.workload, if row.first_hand { "" } else { " (second-hand)" })),
     ("quantity", |row| format!("{}, {}", row.quantity.name(), row.quantity.unit())),
     ("published", |row| three(row.published)),
     ("predicted", |row| three(row.predicted.value)),
@@ -66,7 +66,7 @@ impl PublishedReport<'_> {
     /// # Errors
     /// Never in practice: the rows are built in memory.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<PublishedRow>; 13] = [
+        let columns: [Column<PublishedRow>; 14] = [
             ("work", |row| row.work.clone()),
             ("workload", |row| row.workload.clone()),
             ("quantity", |row| row.quantity.name().to_string()),
@@ -79,6 +79,7 @@ impl PublishedReport<'_> {
             ("left_out", |row| row.left_out.to_string()),
             ("accounting", |row| row.accounting.name().to_string()),
             ("source", |row| row.source.clone()),
+            ("first_hand", |row| row.first_hand.to_string()),
             ("cause", |row| row.cause.clone().unwrap_or_default()),
         ];
         csv_of(self.rows, &columns)
