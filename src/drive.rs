@@ -4,10 +4,13 @@
 //! step. Goes out: an [`Outcome`] for each sample, in run order. Samples share nothing: each begins from rest, nothing
 //! drains at its end. A sample that is decided early did what the first steps of the whole sample do, count by count.
 
+pub mod cores;
 pub mod decision;
 pub mod inputs;
+pub mod populations;
 pub mod priced;
 pub mod samples;
+pub mod warnings;
 
 use decision::{Decision, EarlyExit};
 use sha2::{Digest, Sha256};

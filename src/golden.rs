@@ -19,6 +19,7 @@ use crate::desc::neurons::NeuronKind;
 use crate::ir::activity::{Overflow, Totals};
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Neuron, Projection, Quantised, Reset, SpikeSource, Units};
+use crate::ir::source_counts::LeftField;
 use crate::ir::spikes::Engine;
 
 /// The greatest number of steps from a spike to the update that it enters: delay field 62, and one step between
@@ -87,6 +88,8 @@ pub struct Golden {
     graded: bool,
     totals: Totals,
     overflow: Overflow,
+    /// Of each compartment, over all samples.
+    left_fields: IdVec<CompartmentId, LeftField>,
 }
 
 impl Golden {
@@ -115,6 +118,7 @@ impl Golden {
             compartments[target].incoming.push(synapse);
         }
         let parts = network.parts();
+        let left_fields = compartments.ids().map(|_| LeftField::default()).collect();
         Golden {
             semantics: parts.semantics,
             threshold: parts.threshold,
@@ -130,7 +134,14 @@ impl Golden {
             graded: network.populations().iter().any(|population| population.payload.is_some()),
             totals: Totals::default(),
             overflow: Overflow::default(),
+            left_fields,
         }
+    }
+
+    /// How often values of each compartment left their fields, over all samples so far.
+    #[must_use]
+    pub fn left_fields(&self) -> &IdVec<CompartmentId, LeftField> {
+        &self.left_fields
     }
 
     /// What the source's spike of this many steps before the one that is being computed carried, if it spiked then.
@@ -214,6 +225,8 @@ impl Golden {
             // Steps and compartments go upward, so that the first to be seen is the first.
             self.overflow.first.get_or_insert((step, id));
         }
+        self.left_fields[id].wrapped += u64::from(outcome.q_wrapped) + u64::from(outcome.u_wrapped);
+        self.left_fields[id].clipped += u64::from(outcome.v_clipped);
         outcome.spiked
     }
 }

@@ -19,6 +19,7 @@ use crate::compile::{CompileError, Form, Options, compile};
 use crate::convert::staged::is_real;
 use crate::desc::stimulus::{InputArg, InputSource};
 use crate::drive::inputs;
+use crate::drive::warnings::warnings_of;
 use crate::error::Error;
 use crate::io;
 use crate::io::spikes::read_source;
@@ -123,6 +124,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let deployed =
         Deployed { graph: &graph, fits: &fits, ladder: &ladder, program, samples: &samples, steps: args.steps };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
+    output::warn_all(&warnings_of(&compiled.quantised, program, &samples)?);
     let attribution = match attributed {
         true => {
             let some = &samples[..samples.len().min(args.attribution_samples as usize)];
@@ -209,6 +211,7 @@ fn with_model(
     let agreement = output::with_progress(context, samples.len(), "samples", |done| {
         compare_networks((a, b), &output, samples, args.steps, done)
     })?;
+    output::warn_all(&warnings_of(&second, &deployed.program, samples)?);
     let report = AgreeReport {
         model: &graph.facts().name,
         against: "another model",

@@ -8,6 +8,7 @@ use crate::base::diagnostic::Diagnostic;
 use crate::bench::Environment;
 use crate::cli::context::{Context, Format};
 use crate::drive::samples::Progress;
+use crate::drive::warnings::Warning;
 use crate::error::Error;
 use crate::io;
 use crate::report::text::{self, replaced};
@@ -64,6 +65,16 @@ pub fn print(
         }
     };
     Ok(io::write::stdout(&out)?)
+}
+
+/// Says what to look at, a line each.
+pub fn warn_all(warnings: &[Warning]) {
+    for Warning { population, message, .. } in warnings {
+        match population {
+            Some(population) => tracing::warn!("'{population}': {message}"),
+            None => tracing::warn!("{message}"),
+        }
+    }
 }
 
 /// Works under a progress bar; the work calls what it is given after each of `length` parts.

@@ -7,14 +7,19 @@ use crate::cli::args::values::{Switch, one_of_named};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::probes::{ProbeArgs, Recorded};
+use crate::drive::cores::core_rows;
 use crate::drive::decision::{EarlyExit, Rule};
-use crate::drive::samples::{self, Progress, Running, Traces, fast, golden};
+use crate::drive::populations::ByPopulation;
+use crate::drive::samples::{self, Interpreted, Progress, Running, Traces, fast, golden};
+use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::drive::{Keep, Outcome, Quantity, inputs};
 use crate::error::Error;
 use crate::io;
 use crate::ir::activity::Activity;
+use crate::ir::source_counts::SourceCounts;
 use crate::ir::spikes::{Copies, Sample};
 use crate::reference::{self, Kernel, Model};
+use crate::report::detail::Detail;
 use crate::report::run::RunReport;
 
 /// Which engine runs.
@@ -102,11 +107,23 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         probes: probes.iter().map(|p| p.probe).collect(),
         early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
     };
-    let Ran { engine, outcomes, traces, activity, skipped_updates, wall_s } =
+    let Done { engine, outcomes, traces, activity, counts, skipped_updates, wall_s } =
         output::with_progress(context, samples.len(), "samples", |done| ran(args, &job, &samples, &keep, done))?;
     let recorded = traces.as_deref().map_or(Recorded::Integers(&outcomes), Recorded::Reals);
     let files = args.probes.write(&probes, recorded, network.parts().timestep_ms, context.force)?;
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
+    let sums = ByPopulation::new(network, &counts);
+    let engine_ran = match &job {
+        Job::Mapped(compiled, ..) => Ran::Program(&compiled.program),
+        Job::Quantised(..) => Ran::Integers,
+        Job::Real(..) => Ran::Reals,
+    };
+    let finished = Finished { network, ran: engine_ran, sums: &sums, samples: &samples, outcomes: &outcomes };
+    let warnings = warnings(finished);
+    let cores = job.program().zip(activity.as_ref());
+    let cores = cores.map_or_else(Vec::new, |(program, activity)| core_rows(program, activity, None));
+    let detail = Detail { sums, cores, warnings };
+    output::warn_all(&detail.warnings);
     let report = RunReport {
         network,
         target: job.program().map(|_| job.target_name()),
@@ -119,49 +136,58 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         skipped_updates,
         early_exit: args.early_exit,
         wall_s,
+        detail: &detail,
         files: &files,
     };
-    if let Some(warning) = report.warning() {
-        tracing::warn!("{warning}");
-    }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 
 /// What an engine did with the samples.
-struct Ran {
+struct Done {
     engine: &'static str,
     outcomes: Vec<Outcome>,
     /// Probes of the reference engine.
     traces: Option<Vec<Traces>>,
     /// Counts of the machine.
     activity: Option<Activity>,
+    counts: SourceCounts,
     skipped_updates: u64,
     wall_s: f64,
 }
 
 /// Runs the samples on the engine that the job is ready for.
-fn ran(args: &Args, job: &Job, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Result<Ran, Error> {
+fn ran(args: &Args, job: &Job, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Result<Done, Error> {
     Ok(match job {
         Job::Mapped(compiled, ..) => {
             let skip = args.skip == Switch::On;
             let running = Running { keep, copies: Copies::ONE, skip, per_step: false, progress };
             let run = fast(&compiled.program, samples, running, || ())?;
-            let (activity, skipped_updates) = (Some(run.activity), run.skipped_updates);
-            Ran { engine: "fast", outcomes: run.outcomes, traces: None, activity, skipped_updates, wall_s: run.wall_s }
+            Done {
+                engine: "fast",
+                outcomes: run.outcomes,
+                traces: None,
+                activity: Some(run.activity),
+                counts: run.counts,
+                skipped_updates: run.skipped_updates,
+                wall_s: run.wall_s,
+            }
         }
         Job::Quantised(quantised, _) => {
-            let (outcomes, wall_s) = golden(quantised, samples, keep, progress);
-            Ran { engine: "golden", outcomes, traces: None, activity: None, skipped_updates: 0, wall_s }
+            let Interpreted { outcomes, counts, wall_s } = golden(quantised, samples, keep, progress);
+            Done { engine: "golden", outcomes, traces: None, activity: None, counts, skipped_updates: 0, wall_s }
         }
-        Job::Real(graph, ..) => {
+        Job::Real(graph, quantised, _) => {
             if keep.probes.iter().any(|probe| probe.quantity == Quantity::VRegister) {
                 let message = "--probe .v_register: the reference engine has no registers; probe .v";
                 return Err(Error::Usage(message.to_string()));
             }
             let model = Model::<f64>::new(graph, reference::Options { kernel: args.kernel });
-            let (outcomes, traces, wall_s) = samples::reference(&model, samples, keep, progress);
-            Ran { engine: "reference", outcomes, traces: Some(traces), activity: None, skipped_updates: 0, wall_s }
+            let units = (quantised.channels(), quantised.compartments());
+            let (Interpreted { outcomes, counts, wall_s }, traces) =
+                samples::reference(&model, units, samples, keep, progress);
+            let traces = Some(traces);
+            Done { engine: "reference", outcomes, traces, activity: None, counts, skipped_updates: 0, wall_s }
         }
     })
 }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use crate::base::units::{Femtojoules, Picoseconds};
 use crate::cost::constants::CostTable;
-use crate::cost::model::{StepTime, energy_of_counts};
+use crate::cost::model::{StepTime, core_time, energy_of_counts};
 use crate::cost::quantiles::Quantiles;
 use crate::cost::transport::{MessageRoutes, QueueMemory, Timing, Transport};
 use crate::ir::activity::{HopCounts, StepActivity};
@@ -98,6 +98,10 @@ pub struct StepMeter {
     /// The number of the next step in its sample.
     next: usize,
     hops: HopCounts,
+    /// Steps in which each core was the slowest, under the first preset.
+    slowest: Vec<u64>,
+    /// The time of the last step under the first preset.
+    last_time: StepTime,
     memory: QueueMemory,
 }
 
@@ -140,6 +144,8 @@ impl StepMeter {
             by_step: Vec::new(),
             next: 0,
             hops: HopCounts::default(),
+            slowest: Vec::new(),
+            last_time: StepTime::default(),
             memory: QueueMemory::default(),
         }
     }
@@ -156,6 +162,15 @@ impl StepMeter {
         let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
         let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
         self.hops += hops.times(times.into());
+        if let (Some(table), Some(time)) = (tables.first(), step_times.first()) {
+            self.last_time = *time;
+            self.slowest.resize(step.cores.len(), 0);
+            let by_time = step.cores.iter().enumerate().map(|(core, counts)| (core_time(counts, table), core));
+            // Of cores that take as long the first counts, so that each step has one.
+            if let Some((_, core)) = by_time.reduce(|most, next| if next.0 > most.0 { next } else { most }) {
+                self.slowest[core] += u64::from(times);
+            }
+        }
         for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
             let energy = energy_of_counts(sum, hops, 1, table, 0).total();
             lane.whole.add(energy, time, *timestep, times.into());
@@ -193,6 +208,8 @@ impl StepMeter {
         self.distribution.whole.merge(&other.distribution.whole);
         self.by_step.resize(self.by_step.len().max(other.by_step.len()), StepSums::default());
         self.by_step.iter_mut().zip(&other.by_step).for_each(|(sums, more)| sums.merge(more));
+        self.slowest.resize(self.slowest.len().max(other.slowest.len()), 0);
+        self.slowest.iter_mut().zip(&other.slowest).for_each(|(sum, more)| *sum += more);
     }
 
     /// The conditions under which steps are metered.
@@ -235,6 +252,25 @@ impl StepMeter {
     #[must_use]
     pub fn by_step(&self) -> &[StepSums] {
         &self.by_step
+    }
+
+    /// The same with these steps in which each core was the slowest, where it saw other cores than there are.
+    #[must_use]
+    pub fn with_slowest_steps(self, slowest: Vec<u64>) -> Self {
+        StepMeter { slowest, ..self }
+    }
+
+    /// Steps in which each core was the slowest under the first preset, the first of several that were: in all as many as steps.
+    /// Empty before the first step.
+    #[must_use]
+    pub fn slowest_steps(&self) -> &[u64] {
+        &self.slowest
+    }
+
+    /// The time of the step that was added last, under the first preset.
+    #[must_use]
+    pub fn last_time(&self) -> StepTime {
+        self.last_time
     }
 
     /// Number of timesteps.
@@ -292,6 +328,8 @@ pub(crate) mod tests {
             prop_assert_eq!(one_by_one.lanes(), whole.lanes());
             prop_assert_eq!(one_by_one.distribution(), whole.distribution());
             prop_assert_eq!(one_by_one.steps(), activity.steps());
+            prop_assert_eq!(one_by_one.slowest_steps(), whole.slowest_steps());
+            prop_assert_eq!(whole.slowest_steps().iter().sum::<u64>(), activity.steps());
             for (lane, table) in whole.lanes().iter().zip(whole.tables()) {
                 let Lane { whole, until_decided } = lane;
                 prop_assert_eq!(whole.energy, energy(&activity, table, 0).total());

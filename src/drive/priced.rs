@@ -74,8 +74,8 @@ impl<'c> Metered<'c> {
         Metered { compiled, groups, routes: Arc::new(routes) }
     }
 
-    /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those of the first; what was
-    /// skipped, and an outcome's totals and what left its field, are those of the cores that were run.
+    /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those of the first; counts by source,
+    /// what was skipped, and an outcome's totals and what left its field, are those of the cores that were run.
     ///
     /// # Errors
     /// As [`fast`].
@@ -104,8 +104,16 @@ impl<'c> Metered<'c> {
                 .zip(of_kind)
                 .for_each(|(core, run_core)| cores[core.index()] = run.activity.cores()[run_core]);
         }
+        // Of groups that are alike the first stands for all, as of cores that take as long.
+        let mut slowest = vec![0; cores.len()];
+        for (kind, number) in groups.kinds.iter().zip(0..) {
+            let first = groups.groups.iter().find(|group| group.kind == number);
+            for (core, run_core) in first.iter().flat_map(|group| &group.cores).zip(kind.cores.clone()) {
+                slowest[core.index()] = run.meter.slowest_steps().get(run_core as usize).copied().unwrap_or(0);
+            }
+        }
         let activity = run.activity.on_cores(cores.into(), run.meter.hops(), spikes_in);
-        Ok(Run { activity, ..run })
+        Ok(Run { activity, meter: run.meter.with_slowest_steps(slowest), ..run })
     }
 }
 

@@ -15,6 +15,7 @@ use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::firing_rates::Rates;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
+use crate::ir::source_counts::{LeftField, SourceCounts};
 use crate::ir::spikes::{Copies, Engine, Sample};
 use crate::machine::{Image, Machine, Settings};
 use crate::reference::{Model, Real, Reference};
@@ -47,7 +48,7 @@ pub trait Meter: Send {
     /// Sees steps in a row that were alike.
     fn see(&mut self, step: &StepActivity, passed: Passed);
 
-    /// Adds what another one saw of other samples. What it says may depend neither on the order nor on the parts.
+    /// Adds what another one saw of later samples. What it says may not depend on the parts.
     fn merge(&mut self, other: &Self);
 }
 
@@ -64,6 +65,8 @@ pub struct Run<M> {
     pub outcomes: Vec<Outcome>,
     /// Of all samples.
     pub activity: Activity,
+    /// Of all samples, by source.
+    pub counts: SourceCounts,
     /// What saw all samples.
     pub meter: M,
     /// Compartment updates that were left out because the compartment was at rest.
@@ -100,7 +103,7 @@ pub fn fast<M: Meter>(
             progress();
             results.push((outcome, machine.skipped_updates()));
         }
-        (results, all, machine.take_activity())
+        (results, all, machine.take_counts())
     };
     let parts: Vec<_> = if shards > 1 {
         // A step that is shared from outside the pool would wake a thread each time.
@@ -113,12 +116,14 @@ pub fn fast<M: Meter>(
     let mut result = Run {
         outcomes: Vec::with_capacity(samples.len()),
         activity: Activity::new(program.cores().len()),
+        counts: SourceCounts::new(program.channels() as usize, program.seats().len()),
         meter: new_meter(),
         skipped_updates: 0,
         wall_s: 0.0,
     };
-    for (results, meter, activity) in parts {
+    for (results, meter, (activity, counts)) in parts {
         result.activity.merge(&activity);
+        result.counts.merge(&counts);
         result.meter.merge(&meter);
         for (outcome, skipped) in results {
             result.outcomes.push(outcome);
@@ -129,42 +134,96 @@ pub fn fast<M: Meter>(
     Ok(result)
 }
 
+impl<M: Meter> Run<M> {
+    /// Adds the samples that ran after these.
+    pub fn append(&mut self, later: Run<M>) {
+        self.outcomes.extend(later.outcomes);
+        self.activity.merge(&later.activity);
+        self.counts.merge(&later.counts);
+        self.meter.merge(&later.meter);
+        self.skipped_updates += later.skipped_updates;
+        self.wall_s += later.wall_s;
+    }
+}
+
 /// Samples that a thread takes at once: four parts a thread balance samples of different lengths.
 fn chunk(samples: &[&Sample]) -> usize {
     samples.len().div_ceil(rayon::current_num_threads() * 4).max(1)
 }
 
-/// Runs samples on the golden interpreter; returns outcomes and seconds.
+/// What a run without cores yields.
+#[derive(Debug)]
+pub struct Interpreted {
+    /// In run order.
+    pub outcomes: Vec<Outcome>,
+    /// Of all samples, by source.
+    pub counts: SourceCounts,
+    /// Seconds spent.
+    pub wall_s: f64,
+}
+
+impl Interpreted {
+    fn from_parts(parts: Vec<(Vec<Outcome>, SourceCounts)>, empty: SourceCounts, begin: Instant) -> Self {
+        let mut all = Interpreted { outcomes: Vec::new(), counts: empty, wall_s: 0.0 };
+        for (outcomes, counts) in parts {
+            all.outcomes.extend(outcomes);
+            all.counts.merge(&counts);
+        }
+        all.wall_s = begin.elapsed().as_secs_f64();
+        all
+    }
+}
+
+/// Counts the spikes of a step.
+fn add_spikes(counts: &mut SourceCounts, spikes: &[CompartmentId]) {
+    spikes.iter().for_each(|spike| counts.compartments[*spike] += 1);
+}
+
+/// Counts the input spikes of the steps that were run.
+fn add_inputs(counts: &mut SourceCounts, sample: &Sample, steps: u32) {
+    let channels = (0..steps).flat_map(|step| sample.at(step));
+    channels.for_each(|channel| counts.channels[*channel] += 1);
+}
+
+/// Runs samples on the golden interpreter.
 #[must_use]
-pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> (Vec<Outcome>, f64) {
+pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Interpreted {
     let begin = Instant::now();
-    let run = |engine: &mut Golden, sample: &&Sample| {
-        let outcome = run_sample(engine, sample, keep, |_, _| ());
-        progress();
-        outcome
-    };
+    let nothing = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
     let part = |part: &[&Sample]| {
-        let mut engine = Golden::new(network);
-        part.iter().map(|sample| run(&mut engine, sample)).collect::<Vec<_>>()
+        let (mut engine, mut counts) = (Golden::new(network), nothing.clone());
+        let run = |sample: &&Sample| {
+            let outcome = run_sample(&mut engine, sample, keep, |engine, _| add_spikes(&mut counts, engine.spikes()));
+            add_inputs(&mut counts, sample, outcome.steps);
+            progress();
+            outcome
+        };
+        let outcomes: Vec<Outcome> = part.iter().map(run).collect();
+        let left = engine.left_fields().enumerate().filter(|(_, left)| **left != LeftField::default());
+        left.for_each(|(compartment, left)| counts.add_left_field(compartment, *left));
+        (outcomes, counts)
     };
-    let outcomes = samples.par_chunks(chunk(samples)).flat_map_iter(part).collect();
-    (outcomes, begin.elapsed().as_secs_f64())
+    let parts = samples.par_chunks(chunk(samples)).map(part).collect();
+    Interpreted::from_parts(parts, nothing, begin)
 }
 
 /// For each probe `[compartments][steps]`, in real numbers.
 pub type Traces = Vec<Vec<f64>>;
 
-/// Runs samples on the reference engine; the probes come as real numbers beside the outcomes, with the seconds spent.
+/// Runs samples of a network with so many channels and compartments on the reference engine; the probes come as real numbers
+/// beside the outcomes. Nothing leaves a field of real numbers.
 #[must_use]
 pub fn reference<F: Real>(
     model: &Model<F>,
+    (channels, compartments): (u32, u32),
     samples: &[&Sample],
     keep: &Keep,
     progress: Progress<'_>,
-) -> (Vec<Outcome>, Vec<Traces>, f64) {
+) -> (Interpreted, Vec<Traces>) {
     let begin = Instant::now();
     let plain = Keep { probes: Vec::new(), ..keep.clone() };
-    let run = |engine: &mut Reference<'_, F>, sample: &Sample| {
+    let nothing = SourceCounts::new(channels as usize, compartments as usize);
+    let run = |engine: &mut Reference<'_, F>, counts: &mut SourceCounts, sample: &Sample| {
         let steps = sample.steps() as usize;
         let mut traces: Traces = keep.probes.iter().map(|probe| vec![0.0; probe.count as usize * steps]).collect();
         let mut step = 0;
@@ -172,17 +231,20 @@ pub fn reference<F: Real>(
             for (probe, trace) in keep.probes.iter().zip(&mut traces) {
                 record(engine, probe, step, steps, trace);
             }
+            add_spikes(counts, engine.spikes());
             step += 1;
         });
+        add_inputs(counts, sample, outcome.steps);
         progress();
         (outcome, traces)
     };
     let part = |part: &[&Sample]| {
-        let mut engine = Reference::new(model);
-        part.iter().map(|sample| run(&mut engine, sample)).collect::<Vec<_>>()
+        let (mut engine, mut counts) = (Reference::new(model), nothing.clone());
+        let (outcomes, traces) = part.iter().map(|sample| run(&mut engine, &mut counts, sample)).unzip();
+        ((outcomes, counts), traces)
     };
-    let (outcomes, traces) = samples.par_chunks(chunk(samples)).flat_map_iter(part).unzip();
-    (outcomes, traces, begin.elapsed().as_secs_f64())
+    let (parts, traces): (Vec<_>, Vec<Vec<Traces>>) = samples.par_chunks(chunk(samples)).map(part).unzip();
+    (Interpreted::from_parts(parts, nothing, begin), traces.into_iter().flatten().collect())
 }
 
 fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps: usize, trace: &mut [f64]) {

@@ -12,4 +12,5 @@ pub mod placement;
 pub mod program;
 pub mod pruned;
 pub mod quantised;
+pub mod source_counts;
 pub mod spikes;

@@ -329,6 +329,21 @@ pub struct Note {
     pub entity: String,
     /// What was done to it.
     pub message: String,
+    /// When it is of rounded weights, how they were rounded.
+    pub rounded: Option<Rounded>,
+}
+
+/// What rounding did to the weights of a projection.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rounded {
+    /// Whether the weights were real numbers, not mantissas.
+    pub real: bool,
+    /// Weights that were changed.
+    pub changed: u64,
+    /// All weights.
+    pub weights: u64,
+    /// The greatest change, as a share of the greatest weight.
+    pub worst_share: f64,
 }
 
 /// The periodic reset of a network.
@@ -501,6 +516,13 @@ impl Quantised {
         }
         self.pruned = pruned;
         Ok(self)
+    }
+
+    /// The same network as the result of a search over integers, whose rounding was chosen.
+    #[must_use]
+    pub fn with_chosen_rounding(mut self) -> Self {
+        self.parts.notes.iter_mut().for_each(|note| note.rounded = None);
+        self
     }
 
     /// What was left out, when the network was pruned.

@@ -18,6 +18,7 @@ use rayon::prelude::*;
 
 use crate::base::id::{ChannelId, CompartmentId};
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
+use crate::ir::source_counts::SourceCounts;
 use crate::ir::spikes::Engine;
 use crate::machine::count::spike_counts::SpikeCounts;
 use crate::machine::count::tally;
@@ -103,7 +104,12 @@ impl<'i> Machine<'i> {
 
     /// What all steps did since this was last asked, over any number of samples.
     pub fn take_activity(&mut self) -> Activity {
-        self.counts.take_activity(self.image, &mut self.shards, self.arch)
+        self.take_counts().0
+    }
+
+    /// The same, with the spikes of each source and what left its field by compartment.
+    pub fn take_counts(&mut self) -> (Activity, SourceCounts) {
+        self.counts.take(self.image, &mut self.shards, self.arch)
     }
 
     /// Compartment updates of the sample so far that were left out because the compartment was at rest.

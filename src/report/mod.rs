@@ -7,6 +7,7 @@ pub mod agree;
 pub mod bench;
 pub mod charts;
 pub mod convert;
+pub mod detail;
 pub mod energy;
 pub mod inspect;
 pub mod map;

@@ -7,6 +7,7 @@ use crate::drive::decision::Rule;
 use crate::drive::{Outcome, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
 use crate::ir::quantised::Quantised;
+use crate::report::detail::Detail;
 use crate::report::map::pruned_json;
 
 /// Everything that the report says.
@@ -34,7 +35,9 @@ pub struct RunReport<'a> {
     pub early_exit: Option<Rule>,
     /// Seconds spent simulating.
     pub wall_s: f64,
-    /// Files that probes were written to.
+    /// By population, input and core, and what to warn of.
+    pub detail: &'a Detail,
+    /// Files that were written.
     pub files: &'a [String],
 }
 
@@ -45,7 +48,7 @@ pub fn nothing(engine: &str) -> Value {
         "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
         "samples": 0, "timesteps": 0, "predicted": [], "labels": null, "accuracy": null, "output_counts": [],
         "digest": null, "activity": null, "skipped": null, "overflow": null, "decided_at": [], "wall_s": null,
-        "us_per_timestep": null,
+        "us_per_timestep": null, "populations": [], "inputs": [], "cores": [], "warnings": [],
     })
 }
 
@@ -140,7 +143,7 @@ impl RunReport<'_> {
     #[must_use]
     pub fn json(&self) -> Value {
         let totals = self.totals();
-        json!({
+        let mut object = json!({
             "schema": "nsim.run/1",
             "model": self.network.parts().name,
             "target": self.target,
@@ -177,7 +180,9 @@ impl RunReport<'_> {
             "notes": self.network.parts().notes.iter()
                 .map(|note| format!("{}: {}", note.entity, note.message)).collect::<Vec<_>>(),
             "files": self.files,
-        })
+        });
+        self.detail.add_to(&mut object);
+        object
     }
 
     /// One row a sample.
@@ -254,29 +259,12 @@ impl RunReport<'_> {
             out += &format!("{:<24} {}\n", "messages", per_step(activity.messages()));
             out += &format!("{:<24} {}\n", "hops", per_step(activity.hops().links()));
         }
-        out += &format!("\noutput spikes {}\n", digest(self.outcomes));
+        out += &format!("\n{}", self.detail.populations_text(steps));
+        out += &format!("output spikes {}\n", digest(self.outcomes));
         out += &format!("{:.3} s, {:.3} us a timestep\n", self.wall_s, self.us_per_timestep());
         for file in self.files {
             out += &format!("wrote {file}\n");
         }
         out
-    }
-
-    /// What the user should be warned of, if anything left its field.
-    #[must_use]
-    pub fn warning(&self) -> Option<String> {
-        let (overflow, sample) = self.overflow();
-        let (step, compartment) = overflow.first?;
-        let (population, index) = self.network.population_of(compartment);
-        let index = self.network.index_shown(population, index);
-        Some(format!(
-            "values left their fields: {} accumulators and {} currents wrapped, {} voltages clipped; first at '{}' compartment \
-             {index}, sample {}, step {step}",
-            overflow.q_wrapped,
-            overflow.u_wrapped,
-            overflow.v_clipped,
-            self.network.populations()[population].name,
-            sample.unwrap_or(0),
-        ))
     }
 }

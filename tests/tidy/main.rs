@@ -179,7 +179,7 @@ fn no_file_depends_on_itself() {
 }
 
 /// What the interpreter may import: types that hold data, the engine's interface, and `rng`, which defines random synapses.
-const GOLDEN_IMPORTS: [&str; 20] = [
+const GOLDEN_IMPORTS: [&str; 21] = [
     "base::fixed::Decay",
     "base::id::ChannelId",
     "base::id::CompartmentId",
@@ -199,6 +199,7 @@ const GOLDEN_IMPORTS: [&str; 20] = [
     "ir::quantised::Reset",
     "ir::quantised::SpikeSource",
     "ir::quantised::Units",
+    "ir::source_counts::LeftField",
     "ir::spikes::Engine",
 ];
 /// Functions of the rooms below that the interpreter may call: they return stored data and decide nothing.

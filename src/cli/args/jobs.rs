@@ -286,7 +286,7 @@ fn converted(network: &Network) -> Result<compile::Front, Error> {
         found.end.class_agreement,
         found.end.coincidence
     );
-    Ok(found.conversion.integers(&graph)?.into())
+    Ok(found.conversion.integers(&graph)?.with_chosen_rounding().into())
 }
 
 /// A network in integers, without what `--prune` leaves out.

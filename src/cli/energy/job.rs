@@ -8,6 +8,7 @@ use crate::desc::published::workload::Accounting;
 use crate::desc::target::Target;
 use crate::drive::Outcome;
 use crate::drive::decision::Rule;
+use crate::report::detail::Detail;
 use crate::report::energy::compared::{Comparison, Packing, PerDecision, per_sample, ratios};
 use crate::report::energy::table::{EnergyReport, Saved, constant_entries};
 
@@ -131,6 +132,7 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
         comparison,
         baselines,
         early_exit: job.early_exit,
+        detail: Detail::default(),
         constants: constant_entries(&job.target.constants()[job.case.preset]),
         notes,
     }

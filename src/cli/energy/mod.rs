@@ -123,6 +123,8 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         early_exit: args.early_exit.map(|rule| saved(rule, &case, &run.outcomes)),
     });
     energy.notes.extend(others.notes);
+    energy.detail = workload.detail(&run);
+    output::warn_all(&energy.detail.warnings);
     if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
         io::write::text(path, context.force, &svg)?;
     }

@@ -8,12 +8,16 @@ use crate::cli::output;
 use crate::compile::Compiled;
 use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use crate::desc::target::Target;
+use crate::drive::cores::core_rows;
 use crate::drive::decision::EarlyExit;
 use crate::drive::inputs;
+use crate::drive::populations::ByPopulation;
 use crate::drive::priced::{Metered, SampleRun, steps_per_sample};
 use crate::drive::samples::Run;
+use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::error::Error;
 use crate::ir::spikes::{Copies, Sample, Stimulus};
+use crate::report::detail::Detail;
 
 /// A mapped network of one or several copies, and what it is shown.
 #[derive(Debug)]
@@ -92,6 +96,18 @@ impl<'j> Workload<'j> {
     #[must_use]
     pub fn steps_per_sample(&self) -> Option<u32> {
         steps_per_sample(&self.samples())
+    }
+
+    /// A run by population, input and core, all copies together, and what to warn of.
+    #[must_use]
+    pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
+        let (network, program) = (&self.compiled.one, &self.compiled.program);
+        let sums = ByPopulation::of_copies(network, &run.counts, self.copies);
+        let samples = self.samples();
+        let finished =
+            Finished { network, ran: Ran::Program(program), sums: &sums, samples: &samples, outcomes: &run.outcomes };
+        let warnings = warnings(finished);
+        Detail { cores: core_rows(program, &run.activity, Some(&run.meter)), sums, warnings }
     }
 
     /// Runs all samples.

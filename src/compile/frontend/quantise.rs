@@ -27,7 +27,7 @@ use crate::desc::neurons::{Conversion, ParameterField};
 use crate::desc::tensor::Tensor;
 use crate::ir::graph::{self, Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
 use crate::ir::quantised::{
-    Connectivity, Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
+    Connectivity, Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, SynapseFormat, Units,
 };
 use crate::neuron;
 
@@ -128,7 +128,7 @@ impl Stage<'_> {
     }
 
     fn note(&mut self, entity: &str, message: impl Into<String>) {
-        self.notes.push(Note { entity: entity.to_string(), message: message.into() });
+        self.notes.push(Note { entity: entity.to_string(), message: message.into(), rounded: None });
     }
 
     fn real_neurons(&self, population: &graph::Population) -> Diagnostic {
@@ -341,15 +341,18 @@ impl Stage<'_> {
             (None, Some(scale)) => Some(scale.value),
             (None, None) => None,
         };
-        let mut rounding = Rounding { stage: self, projection, format, factor, changed: 0, most: 0.0, seen: 0 };
+        let mut rounding =
+            Rounding { stage: self, projection, format, factor, changed: 0, most: 0.0, greatest: 0.0, seen: 0 };
         let sources = rounding.stage.graph.population(source).shape.len();
         let targets = rounding.stage.graph.population(target).shape.len();
         let connectivity = rounding.connectivity(sources, targets)?;
-        let Rounding { changed, most, seen, .. } = rounding;
+        let Rounding { changed, most, greatest, seen, .. } = rounding;
         if changed > 0 {
             let step = format.sign.step(format.bits);
             let message = format!("{changed} of {seen} weights rounded to multiples of {step}, by at most {most:.3}");
-            self.note(&projection.name, message);
+            let rounded =
+                Some(Rounded { real: factor.is_some(), changed, weights: seen, worst_share: most / greatest });
+            self.notes.push(Note { entity: projection.name.clone(), message, rounded });
         }
         Ok(Projection {
             name: projection.name.clone(),
@@ -370,6 +373,8 @@ struct Rounding<'a, 'b> {
     factor: Option<f64>,
     changed: u64,
     most: f64,
+    /// The greatest magnitude, in mantissas.
+    greatest: f64,
     seen: u64,
 }
 
@@ -403,6 +408,7 @@ impl Rounding<'_, '_> {
                 .help("raise weight_exp and halve the weights, choose another sign mode, or scale weights and threshold together"));
         }
         self.seen += 1;
+        self.greatest = self.greatest.max(exact.abs());
         let change = (rounded - exact).abs();
         if change > 0.0 {
             self.changed += 1;

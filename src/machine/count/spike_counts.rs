@@ -12,6 +12,7 @@
 
 use crate::base::id::Id;
 use crate::ir::activity::Activity;
+use crate::ir::source_counts::{LeftField, SourceCounts};
 use crate::machine::layout::image::Image;
 use crate::machine::update::state::ShardState;
 
@@ -56,8 +57,8 @@ impl SpikeCounts {
         image.residual.events(arch, &self.channels, lanes)
     }
 
-    /// What all steps did since this was last asked.
-    pub fn take_activity(&mut self, image: &Image, shards: &mut [ShardState], arch: pulp::Arch) -> Activity {
+    /// What all steps did since this was last asked, by core and by source.
+    pub fn take(&mut self, image: &Image, shards: &mut [ShardState], arch: pulp::Arch) -> (Activity, SourceCounts) {
         self.residual_before -= self.residual(image, shards, arch);
         let mut fired: Vec<u32> = self.channels.iter_mut().map(std::mem::take).collect();
         fired.resize(image.sources(), 0);
@@ -66,6 +67,7 @@ impl SpikeCounts {
                 fired[self.channels.len() + name.index()] += std::mem::take(count);
             }
         }
+        let by_source = self.by_source(&fired, image, shards);
         for &(source, _) in &self.late {
             fired[source as usize] -= 1;
         }
@@ -82,7 +84,25 @@ impl SpikeCounts {
         }
         let mut activity = Activity::new(image.program().cores().len());
         activity.add_sum(&sum, std::mem::take(&mut self.steps));
-        activity
+        (activity, by_source)
+    }
+
+    /// Spikes by source, which `fired` has channels first, and what left its field.
+    fn by_source(&self, fired: &[u32], image: &Image, shards: &mut [ShardState]) -> SourceCounts {
+        let (channels, compartments) = fired.split_at(self.channels.len());
+        let wide = |counts: &[u32]| counts.iter().map(|&count| u64::from(count)).collect::<Vec<_>>();
+        let mut counts = SourceCounts {
+            channels: wide(channels).into(),
+            compartments: wide(compartments).into(),
+            ..SourceCounts::default()
+        };
+        for (state, shard) in shards.iter_mut().zip(&image.shards) {
+            let left = std::mem::take(&mut state.left_fields);
+            for (name, left) in shard.names.iter().zip(left).filter(|(_, left)| *left != LeftField::default()) {
+                counts.add_left_field(*name, left);
+            }
+        }
+        counts
     }
 
     /// Bytes of memory that it holds.

@@ -9,6 +9,7 @@ use std::ops::Range;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::activity::Overflow;
+use crate::ir::source_counts::LeftField;
 use crate::ir::spikes::{GradedSpike, Spike};
 use crate::machine::bits::{UNCHECKED, ones, write_ones};
 use crate::machine::deliver::accumulate::Accumulate;
@@ -17,7 +18,7 @@ use crate::machine::layout::image::{Image, SumWidth};
 use crate::machine::layout::shard::{BlockFields, CoreBlock, Shard, VectorRun};
 use crate::machine::layout::store::Aligned;
 use crate::machine::update::kernel::{self, LANES, Portable, Sum, Vectors};
-use crate::neuron::{Registers, update};
+use crate::neuron::{Effect, Registers, update};
 
 /// Parameters of one step.
 #[derive(Debug, Clone, Copy)]
@@ -140,6 +141,8 @@ pub(crate) struct CompartmentState {
     pub events_now: u64,
     /// What left its field.
     pub overflow: Overflow,
+    /// The same by lane since it was last taken; empty while nothing has.
+    pub left_fields: Vec<LeftField>,
     /// Compartments visited.
     pub visited: u64,
 }
@@ -179,6 +182,7 @@ impl ShardState {
             whole: vec![0; shard.vector_runs.len()],
             events_now: 0,
             overflow: Overflow::default(),
+            left_fields: Vec::new(),
             visited: 0,
         };
         let mut lists = shard.fan_outs().filter_map(|fan_out| fan_out.lists.as_ref());
@@ -440,6 +444,23 @@ impl CompartmentState {
         }
     }
 
+    /// Counts values that left their fields, which is rare.
+    #[cold]
+    fn note_overflow(&mut self, effect: Effect, step: u32, lane: usize, shard: &Shard) {
+        let (q_wrapped, u_wrapped) = (u64::from(effect.q_wrapped), u64::from(effect.u_wrapped));
+        let clipped = u64::from(effect.v_clipped);
+        self.overflow.q_wrapped += q_wrapped;
+        self.overflow.u_wrapped += u_wrapped;
+        self.overflow.v_clipped += clipped;
+        self.overflow.note(step, shard.names[lane]);
+        if self.left_fields.is_empty() {
+            self.left_fields.resize(shard.lanes, LeftField::default());
+        }
+        let left = &mut self.left_fields[lane];
+        left.wrapped += q_wrapped + u_wrapped;
+        left.clipped += clipped;
+    }
+
     /// Updates some lanes of a core block one by one.
     fn scalar<S: Sum>(
         &mut self,
@@ -471,10 +492,7 @@ impl CompartmentState {
             effects.busy |= new != Registers::default();
             effects.spiked |= u64::from(effect.spiked) << offset;
             if effect.q_wrapped | effect.u_wrapped | effect.v_clipped {
-                self.overflow.q_wrapped += u64::from(effect.q_wrapped);
-                self.overflow.u_wrapped += u64::from(effect.u_wrapped);
-                self.overflow.v_clipped += u64::from(effect.v_clipped);
-                self.overflow.note(input.step, shard.names[lane]);
+                self.note_overflow(effect, input.step, lane, shard);
             }
         }
         effects

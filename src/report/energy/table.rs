@@ -17,7 +17,11 @@ use crate::desc::published::baseline::Mode;
 use crate::desc::published::workload::Accounting;
 use crate::desc::target::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
+use crate::report::detail::Detail;
 use crate::report::text::{Column, count, csv_of, or_empty, wrapped};
+
+/// Cores that the text lists.
+const SLOWEST_SHOWN: usize = 6;
 
 /// What ending samples when they are decided would save of the run: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -80,7 +84,7 @@ pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
         "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
         "mode": mode.name(), "convention": convention.name(), "fits": false, "reasons": [], "seed": null, "rows": [],
         "cores_powered": null, "cores_used": null, "breakdown_pj_per_timestep": null, "per_timestep_uj": null,
-        "early_exit": null, "constants": [],
+        "early_exit": null, "constants": [], "populations": [], "inputs": [], "cores": [], "warnings": [],
     })
 }
 
@@ -119,6 +123,8 @@ pub struct EnergyReport {
     pub early_exit: Option<Saved>,
     /// The constants of the preset.
     pub constants: Vec<ConstantEntry>,
+    /// By population, input and core, and what to warn of.
+    pub detail: Detail,
     /// What is not known and why, for people; also on stderr when the output is for programs.
     pub notes: Vec<String>,
 }
@@ -141,7 +147,7 @@ impl EnergyReport {
         let times = self.estimate.time_us.map(|times| {
             times.iter().map(|&(name, us)| (name.replace(' ', "_"), json!(us))).collect::<serde_json::Map<_, _>>()
         });
-        json!({
+        let mut object = json!({
             "schema": "nsim.energy/1",
             "model": self.model,
             "target": self.target,
@@ -176,7 +182,9 @@ impl EnergyReport {
             "early_exit": self.early_exit,
             "constants": self.constants,
             "notes": self.notes,
-        })
+        });
+        self.detail.add_to(&mut object);
+        object
     }
 
     /// The rows as comma-separated values with a header; unknown figures are empty.
@@ -352,6 +360,8 @@ impl EnergyReport {
         let _ = writeln!(out, "{}\n", table.trim_fmt());
         out.push_str(&self.ranges());
         out.push_str(&self.breakdown());
+        out.push_str(&self.detail.populations_text(self.timesteps));
+        out.push_str(&self.detail.slowest_text(SLOWEST_SHOWN));
         out.push_str(&self.comparison.text(name));
         if let Some(saved) = self.early_exit {
             let _ = writeln!(

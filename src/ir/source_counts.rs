@@ -1,0 +1,70 @@
+//! How often each source of spikes fired over a run, and how often values left their fields, by compartment.
+//!
+//! Made by an engine, read by those who sum over populations. Merging is addition, so neither the order of samples nor
+//! threads can change a sum.
+
+use crate::base::id::{ChannelId, CompartmentId, Id, IdVec};
+
+/// How often the values of a compartment left their fields.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LeftField {
+    /// Accumulators and currents that wrapped.
+    pub wrapped: u64,
+    /// Voltages that were clipped.
+    pub clipped: u64,
+}
+
+/// Spikes by source and overflow by compartment, of a run or a part of it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct SourceCounts {
+    /// Spikes of each channel.
+    pub channels: IdVec<ChannelId, u64>,
+    /// Spikes of each compartment.
+    pub compartments: IdVec<CompartmentId, u64>,
+    /// What left its field; empty where nothing did.
+    pub left_fields: IdVec<CompartmentId, LeftField>,
+}
+
+impl SourceCounts {
+    /// No spikes of so many channels and compartments.
+    #[must_use]
+    pub fn new(channels: usize, compartments: usize) -> Self {
+        SourceCounts {
+            channels: vec![0; channels].into(),
+            compartments: vec![0; compartments].into(),
+            left_fields: IdVec::new(),
+        }
+    }
+
+    /// Adds values of a compartment that left their fields.
+    ///
+    /// # Panics
+    /// When the compartment is not of this network.
+    pub fn add_left_field(&mut self, compartment: CompartmentId, more: LeftField) {
+        if self.left_fields.is_empty() {
+            self.left_fields = vec![LeftField::default(); self.compartments.len()].into();
+        }
+        let sum = &mut self.left_fields.as_mut_slice()[compartment.index()];
+        sum.wrapped += more.wrapped;
+        sum.clipped += more.clipped;
+    }
+
+    /// Adds another part of the run.
+    ///
+    /// # Panics
+    /// When it is of a network of another size.
+    pub fn merge(&mut self, other: &SourceCounts) {
+        assert_eq!(self.channels.len(), other.channels.len(), "counts of another network");
+        assert_eq!(self.compartments.len(), other.compartments.len(), "counts of another network");
+        self.channels.iter_mut().zip(&other.channels).for_each(|(sum, more)| *sum += more);
+        self.compartments.iter_mut().zip(&other.compartments).for_each(|(sum, more)| *sum += more);
+        let left = other.left_fields.enumerate().filter(|(_, left)| **left != LeftField::default());
+        left.for_each(|(compartment, left)| self.add_left_field(compartment, *left));
+    }
+
+    /// What left its field at a compartment.
+    #[must_use]
+    pub fn left_field(&self, compartment: CompartmentId) -> LeftField {
+        self.left_fields.get(compartment).copied().unwrap_or_default()
+    }
+}

@@ -1,0 +1,103 @@
+//! A run by population, input and core, and what its user is warned of, as text and JSON.
+
+use serde_json::{Value, json};
+
+use super::text::table_of;
+use crate::drive::cores::CoreRow;
+use crate::drive::populations::{ByPopulation, PopulationCounts};
+use crate::drive::warnings::Warning;
+
+/// What a run did in its parts.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Detail {
+    /// By population and input.
+    pub sums: ByPopulation,
+    /// By core; empty for engines without cores.
+    pub cores: Vec<CoreRow>,
+    /// What to look at.
+    pub warnings: Vec<Warning>,
+}
+
+impl Detail {
+    /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object.
+    pub fn add_to(&self, object: &mut Value) {
+        let populations = self.sums.populations.iter().map(|row| {
+            json!({
+                "name": row.name, "compartments": row.compartments, "spikes": row.spikes, "silent": row.silent,
+                "clipped": row.clipped, "wrapped": row.wrapped,
+            })
+        });
+        let inputs = self.sums.inputs.iter();
+        object["populations"] = populations.collect();
+        object["inputs"] =
+            inputs.map(|row| json!({ "name": row.name, "channels": row.channels, "spikes": row.spikes })).collect();
+        object["cores"] = self.cores.iter().map(core_json).collect();
+        object["warnings"] = json!(self.warnings);
+    }
+
+    /// A table of the populations, for so many timesteps.
+    #[must_use]
+    pub fn populations_text(&self, timesteps: u64) -> String {
+        if self.sums.populations.is_empty() {
+            return String::new();
+        }
+        let columns = ["population", "compartments", "spikes", "each a step", "silent", "clipped", "wrapped"];
+        let mut table = super::text::table(columns);
+        for row in &self.sums.populations {
+            let PopulationCounts { name, compartments, spikes, silent, clipped, wrapped } = row;
+            let rate = *spikes as f64 / (compartments * timesteps).max(1) as f64;
+            let quiet = if *compartments > 0 && *spikes == 0 { "all".to_string() } else { silent.to_string() };
+            let cells = [compartments.to_string(), spikes.to_string(), format!("{rate:.4}"), quiet];
+            table.add_row([name.clone()].into_iter().chain(cells).chain([clipped.to_string(), wrapped.to_string()]));
+        }
+        super::text::right_from(&mut table, 1);
+        format!("{}\n\n", table.trim_fmt())
+    }
+
+    /// A table of the cores that were the slowest in most steps, at most this many.
+    #[must_use]
+    pub fn slowest_text(&self, most: usize) -> String {
+        let spent = |row: &CoreRow| row.spent.map_or(0, |spent| spent.slowest_steps);
+        let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| row.spent.is_some()).collect();
+        rows.sort_by_key(|row| std::cmp::Reverse(spent(row)));
+        rows.truncate(most);
+        if rows.is_empty() {
+            return String::new();
+        }
+        let table = table_of(
+            rows,
+            &[
+                ("core", |row| row.core.0.to_string()),
+                ("chip", |row| row.chip.to_string()),
+                ("slowest in steps", |row| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
+                ("busy us", |row| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
+                ("energy nJ", |row| {
+                    format!("{:.1}", row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))
+                }),
+                ("spikes", |row| row.counts.spikes.to_string()),
+                ("synaptic events", |row| row.counts.synaptic_events().to_string()),
+            ],
+            0,
+        );
+        let shown =
+            if self.cores.len() > most { format!(", {most} of {} cores", self.cores.len()) } else { String::new() };
+        format!("Cores by the steps in which they were the slowest{shown}:\n{}\n\n", table.trim_fmt())
+    }
+}
+
+fn core_json(row: &CoreRow) -> Value {
+    let mut object = json!({
+        "core": row.core.0, "chip": row.chip, "spikes": row.counts.spikes,
+        "synaptic_events": row.counts.synaptic_events(), "messages_out": row.counts.messages_out,
+        "messages_in": row.counts.messages_in,
+    });
+    if let Some(spent) = row.spent {
+        let picojoules = |femtojoules: u128| femtojoules as f64 / 1e3;
+        let parts = spent.energy.parts().into_iter().filter(|(name, _)| *name != "hop");
+        object["energy_pj"] = json!(picojoules(spent.energy.total().0));
+        object["energy_parts_pj"] = parts.map(|(name, part)| (name.to_string(), json!(picojoules(part.0)))).collect();
+        object["busy_us"] = json!(spent.busy.0 as f64 / 1e6);
+        object["slowest_steps"] = json!(spent.slowest_steps);
+    }
+    object
+}

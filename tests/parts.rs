@@ -1,0 +1,153 @@
+//! The parts of a run add up to its totals, exactly: populations, inputs and cores of random networks, on the machine with 1, 2
+//! and 8 threads and on the golden interpreter.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::random;
+use nsim::base::units::{Femtojoules, Picoseconds};
+use nsim::compile::{Compiled, Options, compile};
+use nsim::cost::model::{core_time, energy};
+use nsim::cost::{CostTable, Deployment, MeterSettings, Transport};
+use nsim::desc::resource::Resource;
+use nsim::desc::target::Target;
+use nsim::drive::cores::core_rows;
+use nsim::drive::populations::ByPopulation;
+use nsim::drive::priced::{Metered, SampleRun};
+use nsim::drive::samples::{Running, golden};
+use nsim::drive::{Keep, Outcome};
+use nsim::io::target::load_target;
+use nsim::ir::activity::{Overflow, Totals};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::spikes::{Copies, Sample};
+use rayon::ThreadPoolBuilder;
+
+/// A chip whose cores hold few compartments and many kinds of them.
+fn small_cores() -> Target {
+    let chip = load_target("loihi1-chip").unwrap();
+    let mut limits = chip.limits().clone();
+    let kinds = [Resource::CompartmentProfiles, Resource::ThresholdProfiles, Resource::SynapseFormats];
+    kinds.into_iter().for_each(|kind| limits[kind] = 1024);
+    (limits[Resource::Accumulators], limits[Resource::Compartments]) = (1 << 16, 5);
+    chip.with_limits(limits)
+}
+
+fn totals(outcomes: &[Outcome]) -> (Totals, Overflow) {
+    let (mut totals, mut overflow) = (Totals::default(), Overflow::default());
+    for outcome in outcomes {
+        totals += outcome.totals;
+        overflow.q_wrapped += outcome.overflow.q_wrapped;
+        overflow.u_wrapped += outcome.overflow.u_wrapped;
+        overflow.v_clipped += outcome.overflow.v_clipped;
+    }
+    (totals, overflow)
+}
+
+/// Rows of populations and inputs add up to the totals of the samples.
+fn assert_adds_up(rows: &ByPopulation, network: &Quantised, outcomes: &[Outcome], what: &str) {
+    let (totals, overflow) = totals(outcomes);
+    let sum = |f: fn(&nsim::drive::populations::PopulationCounts) -> u64| rows.populations.iter().map(f).sum::<u64>();
+    assert_eq!(sum(|row| row.spikes), totals.spikes, "{what}: spikes");
+    assert_eq!(sum(|row| row.clipped), overflow.v_clipped, "{what}: clipped");
+    assert_eq!(sum(|row| row.wrapped), overflow.q_wrapped + overflow.u_wrapped, "{what}: wrapped");
+    assert_eq!(sum(|row| row.compartments), u64::from(network.compartments()), "{what}: compartments");
+    assert_eq!(rows.inputs.iter().map(|row| row.spikes).sum::<u64>(), totals.spikes_in, "{what}: input spikes");
+    for row in &rows.populations {
+        assert!(row.silent <= row.compartments && row.compartments - row.silent <= row.spikes, "{what}: {row:?}");
+    }
+}
+
+#[test]
+fn populations_and_cores_sum_to_the_totals() {
+    let target = small_cores();
+    let pools: Vec<_> = [1, 2, 8].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap()).into();
+    let (mut wrapped, mut clipped, mut spikes) = (0, 0, 0);
+    for seed in 0..200 {
+        let network = random::network(seed);
+        let given: Vec<Sample> = (0..5).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
+        let samples: Vec<&Sample> = given.iter().collect();
+        let compiled = compile(network.clone(), &target, &Options { place: false, ..Options::default() }).unwrap();
+        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+        let expected = pools[1].install(|| golden(&network, &samples, &keep, &|| ()));
+        let rows = ByPopulation::new(&network, &expected.counts);
+        assert_adds_up(&rows, &network, &expected.outcomes, &format!("network {seed}, golden"));
+        wrapped += rows.populations.iter().map(|row| row.wrapped).sum::<u64>();
+        clipped += rows.populations.iter().map(|row| row.clipped).sum::<u64>();
+        spikes += rows.populations.iter().map(|row| row.spikes).sum::<u64>();
+        for pool in &pools {
+            let what = format!("network {seed}, {} threads", pool.current_num_threads());
+            pool.install(|| compare(&compiled, &target, &samples, &rows, &what));
+        }
+    }
+    assert!(wrapped > 100 && clipped > 100 && spikes > 10_000, "{wrapped} wrapped, {clipped} clipped, {spikes} spikes");
+}
+
+/// A metered run on the machine.
+fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: &ByPopulation, what: &str) {
+    let program = &compiled.program;
+    let table = CostTable::new(&target.constants()[0]).unwrap();
+    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), compiled.options.copies);
+    let timing = deployment.timing(Transport::Analytic);
+    let metered = Metered::new(compiled);
+    let settings = MeterSettings {
+        tables: vec![table],
+        routes: metered.routes.clone(),
+        timing,
+        timestep: Picoseconds::from_milliseconds(1.0),
+        distribution: None,
+        by_step: None,
+    };
+    let sweep = SampleRun { samples, early_exit: None, skip: true, progress: &|| () };
+    let run = metered.run(settings, sweep).unwrap();
+    let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);
+    assert_eq!(&rows, expected, "{what}: as the golden interpreter counts");
+
+    let table = &run.meter.tables()[0];
+    let cores = core_rows(program, &run.activity, Some(&run.meter));
+    let sum = |f: fn(&nsim::ir::activity::CoreCounts) -> u64| cores.iter().map(|row| f(&row.counts)).sum::<u64>();
+    let totals = run.activity.totals();
+    let spikes: u64 = rows.populations.iter().map(|row| row.spikes).sum();
+    assert_eq!((sum(|core| core.spikes), spikes), (totals.spikes, totals.spikes), "{what}: spikes");
+    assert_eq!(sum(nsim::ir::activity::CoreCounts::synaptic_events), totals.synaptic_events, "{what}: events");
+    assert_eq!(sum(|core| core.messages_in), run.activity.messages(), "{what}: messages");
+    let whole = energy(&run.activity, table, program.cores().len() as u64);
+    let spent: Femtojoules = cores.iter().map(|row| row.spent.unwrap().energy.total()).sum();
+    assert_eq!(spent.0 + whole.hop.0, whole.total().0, "{what}: energy");
+    assert_eq!(run.meter.lanes()[0].whole.energy, energy(&run.activity, table, 0).total(), "{what}: energy of steps");
+    let slowest: u64 = cores.iter().map(|row| row.spent.unwrap().slowest_steps).sum();
+    assert_eq!(slowest, run.activity.steps(), "{what}: each step has a slowest core");
+    for row in &cores {
+        assert_eq!(row.spent.unwrap().busy, core_time(&row.counts, table), "{what}: {}", row.core);
+    }
+}
+
+/// Copies see the same samples, and a row is of all of them, whether all of them run or one does for all.
+#[test]
+fn copies_count_together() {
+    let network = random::network(3);
+    let sample = random::sample(&network, 3);
+    let samples = [&sample, &sample];
+    let target = small_cores();
+    let rows = |copies: u32| {
+        let options = Options { copies, place: false, ..Options::default() };
+        let compiled = compile(network.clone(), &target, &options).unwrap();
+        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+        let shown = Copies { copies, channels: network.channels() };
+        let running = Running { keep: &keep, copies: shown, skip: true, per_step: false, progress: &|| () };
+        let run = nsim::drive::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
+        let rows = ByPopulation::new(&compiled.one, &run.counts);
+        compare(&compiled, &target, &samples, &rows, &format!("{copies} copies"));
+        rows
+    };
+    let (one, three) = (rows(1), rows(3));
+    assert_eq!(one.populations.len(), three.populations.len());
+    for (one, three) in one.populations.iter().zip(&three.populations) {
+        assert_eq!(
+            (one.spikes * 3, one.silent * 3, one.compartments * 3),
+            (three.spikes, three.silent, three.compartments)
+        );
+    }
+    assert!(one.inputs.iter().zip(&three.inputs).all(|(one, three)| one.spikes * 3 == three.spikes));
+}
