@@ -141,10 +141,10 @@ pub struct Held {
     pub far: usize,
 }
 
-/// How well predictions held of first-hand figures whose works were left out; `None` without any.
+/// How well predictions held of first-hand figures, with their works left out or by all evidence; `None` without any.
 #[must_use]
-pub fn held(rows: &[PublishedRow]) -> Option<Held> {
-    let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out && row.first_hand).collect();
+pub fn held(rows: &[PublishedRow], left_out: bool) -> Option<Held> {
+    let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out == left_out && row.first_hand).collect();
     let error = |time: bool| {
         let own = counted.iter().filter(|row| (row.quantity.kind() == FigureKind::Time) == time);
         median(own.map(|row| (row.ratio() - 1.0).abs()).collect())

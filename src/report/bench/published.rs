@@ -97,8 +97,15 @@ impl PublishedReport<'_> {
             table_of(self.of_kind(false), &COLUMNS, 2),
             table_of(self.of_kind(true), &COLUMNS, 2)
         );
-        if let Some(held) = held(self.rows) {
+        if let Some(held) = held(self.rows, true) {
             out += &format!("\n{}\n", summary(&held));
+        }
+        if let Some(Held { energy_error, time_error, far, .. }) = held(self.rows, false) {
+            out += &format!(
+                "by all evidence, its own included: {} and {}; {far} are off by more than 2.5 times\n",
+                error(energy_error),
+                error(time_error)
+            );
         }
         for row in self.of_kind(true) {
             if let Some(cause) = row.cause.as_ref().filter(|_| !(0.4..=2.5).contains(&row.ratio())) {
@@ -133,9 +140,12 @@ impl PublishedReport<'_> {
     }
 }
 
+fn error(error: Option<f64>) -> String {
+    error.map_or("none".to_string(), percent)
+}
+
 /// How well the predictions held, in a line or two.
 fn summary(held: &Held) -> String {
-    let error = |error: Option<f64>| error.map_or("none".to_string(), percent);
     format!(
         "{} figures of {} works, each without its own work: median error {} of energies and powers, {} of times;\n{} lie in \
          their intervals, whose median width is a factor of {:.2}; {} are off by more than 2.5 times",
