@@ -9,6 +9,10 @@
 //!   2), 64 @ 3 x 20, 64 @ 1 x 18 (3 x 3), then 100, 50, 10, 1.
 //! - `dvs-gesture`: SANA-FE `snn/dvs.yaml`: 32 x 32, 16 @ 15 x 15, 32 @ 13 x 13, 64 @ 11 x 11, 11 @ 9 x 9, 11.
 //! - `lenet`: LeCun et al. 1998: 28 x 28, 6 @ 28 x 28, pooled, 16 @ 10 x 10, pooled, 120, 84, 10.
+//! - `cifar-conv`: 4 @ 32 x 32, convolutions to 64 @ 15 x 15 (3 x 3, stride 2), 72 @ 13 x 13 (3 x 3), 256 @ 6 x 6 (3 x 3,
+//!   stride 2), 256 @ 6 x 6 and 64 @ 6 x 6 (1 x 1), then 100: of the size of networks that nengo-loihi put on chips.
+//! - `conv-33x100`: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x 49, 36 @ 7 x 24 and 64 @ 3 x 11, one more to
+//!   64 @ 1 x 9, then 200, 100, 50, 10, 1.
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
 //! - `conv-10m`: 2 @ 512 x 512, convolutions 3 x 3 to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32 @ 256 x 256, 64 @ 128 x
 //!   128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x 16, 11: 11,012,107 compartments, whose 2.2
@@ -64,6 +68,8 @@ pub fn cases() -> Vec<SuiteCase> {
         SuiteCase { copies: 32, ..case("vtsnn-slip-x32", slip) },
         case("lenet", lenet),
         case("dvs-gesture", gesture),
+        case("cifar-conv", cifar),
+        case("conv-33x100", wide_image),
         case("mlp-3x1024", perceptron),
         case("random-1k", |name| recurrent(name, 1_000)),
         case("small-world-1k", |name| small_world(name, 32)),
@@ -189,6 +195,26 @@ fn gesture(name: &'static str) -> Result<BenchNetwork, BuildError> {
         layers.convolve(channels, 3, 1, 0)?;
     }
     layers.dense(11)?;
+    bench(layers.net, "nahuku-32")
+}
+
+fn cifar(name: &'static str) -> Result<BenchNetwork, BuildError> {
+    let mut layers = Layers::new(name, (4, 32, 32));
+    for (channels, kernel, stride) in [(64, 3, 2), (72, 3, 1), (256, 3, 2), (256, 1, 1), (64, 1, 1)] {
+        layers.convolve(channels, kernel, stride, 0)?;
+    }
+    layers.dense(100)?;
+    bench(layers.net, "nahuku-32")
+}
+
+fn wide_image(name: &'static str) -> Result<BenchNetwork, BuildError> {
+    let mut layers = Layers::new(name, (3, 33, 100));
+    for (channels, stride) in [(24, 2), (36, 2), (64, 2), (64, 1)] {
+        layers.convolve(channels, 3, stride, 0)?;
+    }
+    for units in [200, 100, 50, 10, 1] {
+        layers.dense(units)?;
+    }
     bench(layers.net, "nahuku-32")
 }
 

@@ -1,7 +1,11 @@
 //! Whether a network is mapped synapse by synapse or by its kernels.
 
+use std::borrow::Cow;
+
 use crate::base::diagnostic::Diagnostic;
 use crate::compile::partition::lattice::layers;
+use crate::desc::resource::{Limits, OutputAxons};
+use crate::desc::target::Target;
 use crate::ir::quantised::Quantised;
 
 /// Synapses, of all copies, above which a network of layers is mapped by its kernels: the tables of twice as many take two
@@ -26,6 +30,19 @@ impl Form {
         match synapses > MOST_WRITTEN && layers(one).is_some() {
             true => Form::Symbolic,
             false => Form::Written,
+        }
+    }
+
+    /// The target as mappings of this form are counted on it: boxes have an output axon for each compartment, because
+    /// geometry does not tell which positions of a box share a table.
+    #[must_use]
+    pub fn counted_on(self, target: &Target) -> Cow<'_, Target> {
+        match self {
+            Form::Written => Cow::Borrowed(target),
+            Form::Symbolic => {
+                let limits = Limits { output_axons: OutputAxons::PerCompartment, ..target.limits().clone() };
+                Cow::Owned(target.clone().with_limits(limits))
+            }
         }
     }
 

@@ -56,6 +56,7 @@ pub fn map(
     rates: &Rates,
     form: Form,
 ) -> Result<Mapping, CompileError> {
+    let target = &*form.counted_on(target);
     let partitioned = front.partition(target, options, rates, form)?;
     let placed = partitioned.place(target, options)?;
     let unchecked = placed.emit(target, options)?;
@@ -74,6 +75,7 @@ pub fn load(
     file: &MappingFile,
     form: Form,
 ) -> Result<Mapping, CompileError> {
+    let target = &*form.counted_on(target);
     let placed = front.place_as(target, options, file, form)?;
     let unchecked = placed.emit(target, options)?;
     unchecked.check(target)

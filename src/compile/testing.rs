@@ -6,7 +6,7 @@ use crate::base::diagnostic::SourceText;
 use crate::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
-use crate::desc::resource::{Limits, Packing, PerResource, Resource};
+use crate::desc::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
 use crate::desc::target::{Chip, Target, TargetFile};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::quantised::{
@@ -30,6 +30,7 @@ pub fn limits() -> Limits {
         pools: Vec::new(),
         axon_out_slots: 1,
         axon_out_slots_off_chip: 2,
+        output_axons: OutputAxons::PerPosition { atoms: 32, more_slots: 1 },
         synapses_per_entry: 64,
         packing: Packing::Nengo,
     }

@@ -19,7 +19,7 @@ use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
 use crate::compile::{CompileError, Compiled, Options, Reason, compile};
 use crate::desc::network::{Semantics, ThresholdTest};
-use crate::desc::resource::{Limits, Packing, PerResource, Pool, Resource};
+use crate::desc::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{Partition, seats};
 use crate::ir::program::{AxonTarget, Parts, Program, Stored, Synapse};
@@ -508,6 +508,28 @@ fn a_kernel_is_stored_once() {
 }
 
 #[test]
+fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
+    // 16 x 14 positions of 8 channels, which are pooled 2 x 2 channel by channel: the channels of a position go to one core.
+    let roomy = limits().with(Resource::Compartments, 512);
+    let apart = Limits { output_axons: OutputAxons::PerCompartment, ..roomy.clone() };
+    let slots =
+        |compiled: &Compiled| -> u64 { compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).sum() };
+    let (together, alone) = (compiled(layers(), roomy.clone()), compiled(layers(), apart));
+    assert!(slots(&together) * 3 < slots(&alone), "{} and {}", slots(&together), slots(&alone));
+    for limits in [roomy, Limits { output_axons: OutputAxons::PerPosition { atoms: 4, more_slots: 3 }, ..limits() }] {
+        for network in (0..30).map(random_network).chain([layers()]) {
+            let Ok(found) = compile(network, &target(2, 2, limits.clone()), &Options::default()) else { continue };
+            let most = found.partition.usage().iter().map(|used| used[Resource::AxonsOut]).max().unwrap_or(0) as u32;
+            let at = |most: u32| verify(&found.program, &target(2, 2, limits.clone().with(Resource::AxonsOut, most)));
+            assert_eq!(at(most), Ok(()));
+            assert!(
+                most == 0 || matches!(at(most - 1), Err(Violation::Excess { need, .. }) if need == u64::from(most))
+            );
+        }
+    }
+}
+
+#[test]
 fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
     let roomy = limits().with(Resource::Compartments, 512);
     let most =
@@ -523,7 +545,7 @@ fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
     for &id in &same.partition.members()[CoreId(0)] {
         let (population, index) = network.population_of(id);
         let Units::Compartments { neurons, .. } = &network.populations()[population].units else { unreachable!() };
-        let newcomer = Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 };
+        let newcomer = Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: 0 };
         if filling.add(&newcomer).is_err() {
             break;
         }

@@ -25,6 +25,22 @@ pub enum Packing {
     Nxtf,
 }
 
+/// What an output axon is counted for. A population axon of a core serves the sources at one position (its atoms).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub enum OutputAxons {
+    /// For each compartment and destination core.
+    #[default]
+    PerCompartment,
+    /// For each destination core and position whose compartments on the core send to population axons only, and to the same
+    /// ones; for each compartment and destination core otherwise.
+    PerPosition {
+        /// Atoms that a population axon of the slots of a discrete one has at most (pop16); its base is a multiple of 4.
+        atoms: u16,
+        /// Slots that an output axon to any other population axon (pop32) takes more.
+        more_slots: u32,
+    },
+}
+
 /// What messages and reports say of a resource.
 struct Description {
     name: &'static str,
@@ -63,8 +79,14 @@ macro_rules! resources {
 
         impl Limits {
             /// The names of all limits, as files write them.
-            pub const NAMES: [&str; Resource::COUNT + 4] =
-                [$(stringify!($name),)* "axon_out_slots", "axon_out_slots_off_chip", "synapses_per_entry", "packing"];
+            pub const NAMES: [&str; Resource::COUNT + 5] = [
+                $(stringify!($name),)*
+                "axon_out_slots",
+                "axon_out_slots_off_chip",
+                "output_axons",
+                "synapses_per_entry",
+                "packing",
+            ];
         }
 
         /// Limits as a file writes them.
@@ -74,6 +96,8 @@ macro_rules! resources {
             $(#[serde(default = "not_given")] $name: u32,)*
             axon_out_slots: u32,
             axon_out_slots_off_chip: u32,
+            #[serde(default)]
+            output_axons: OutputAxons,
             synapses_per_entry: u32,
             packing: Packing,
             #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -89,6 +113,8 @@ macro_rules! resources {
             pub axon_out_slots: Option<u32>,
             /// Slots that it takes when its target is on another chip.
             pub axon_out_slots_off_chip: Option<u32>,
+            /// What an output axon is counted for.
+            pub output_axons: Option<OutputAxons>,
             /// Synapses of one entry of a list.
             pub synapses_per_entry: Option<u32>,
             /// How words are counted.
@@ -105,6 +131,7 @@ macro_rules! resources {
                 limits.axon_out_slots = self.axon_out_slots.unwrap_or(limits.axon_out_slots);
                 limits.axon_out_slots_off_chip =
                     self.axon_out_slots_off_chip.unwrap_or(limits.axon_out_slots_off_chip);
+                limits.output_axons = self.output_axons.unwrap_or(limits.output_axons);
                 limits.synapses_per_entry = self.synapses_per_entry.unwrap_or(limits.synapses_per_entry);
                 limits.packing = self.packing.unwrap_or(limits.packing);
                 limits
@@ -117,6 +144,7 @@ macro_rules! resources {
                     $((stringify!($name), self.$name.is_some()),)*
                     ("axon_out_slots", self.axon_out_slots.is_some()),
                     ("axon_out_slots_off_chip", self.axon_out_slots_off_chip.is_some()),
+                    ("output_axons", self.output_axons.is_some()),
                     ("synapses_per_entry", self.synapses_per_entry.is_some()),
                     ("packing", self.packing.is_some()),
                 ];
@@ -132,11 +160,13 @@ macro_rules! resources {
 
         impl From<Limits> for LimitsInFile {
             fn from(limits: Limits) -> Self {
-                let Limits { axon_out_slots, axon_out_slots_off_chip, synapses_per_entry, packing, .. } = limits;
+                let Limits { axon_out_slots, axon_out_slots_off_chip, output_axons, synapses_per_entry, packing, .. } =
+                    limits;
                 LimitsInFile {
                     $($name: limits.most[Resource::$resource],)*
                     axon_out_slots,
                     axon_out_slots_off_chip,
+                    output_axons,
                     synapses_per_entry,
                     packing,
                     pools: limits.pools.into_iter().map(Arc::unwrap_or_clone).collect(),
@@ -147,7 +177,7 @@ macro_rules! resources {
 }
 
 const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core is on \
-    another chip): reduce the fan-out, or send it through a relay population beside its targets";
+    another chip): reduce the fan-out, or let `--relays` add compartments that carry spikes on";
 const WORDS_ADVICE: &str =
     "use fewer synapses, fewer weight bits, or no delays, or split the fan-in over intermediate populations";
 
@@ -158,7 +188,8 @@ resources! {
     /// Input axons.
     AxonsIn, axons_in: "map.axons-in", Some("axons in"), "input axons of its core",
         "every compartment that reaches a core takes one input axon there: pool more before this population, or \
-         split the fan-in over intermediate populations";
+         split the fan-in over intermediate populations; relays are no remedy, because a binary spike cannot carry a \
+         sum";
     /// Output axon slots.
     AxonsOut, axons_out: "map.axons-out", Some("axons out"), "output axon slots of its core", FAN_OUT_ADVICE;
     /// The most output axons of one compartment.
@@ -335,6 +366,8 @@ pub struct Limits {
     pub axon_out_slots: u32,
     /// Slots that it takes when its target is on another chip.
     pub axon_out_slots_off_chip: u32,
+    /// What an output axon is counted for.
+    pub output_axons: OutputAxons,
     /// Synapses of one entry of a list.
     pub synapses_per_entry: u32,
     /// How words are counted.
@@ -404,9 +437,17 @@ impl TryFrom<LimitsInFile> for Limits {
         if let Some(resource) = lacking {
             return Err(format!("missing field `{}`: give its limit, or a pool that it draws on", resource.name()));
         }
-        let LimitsInFile { axon_out_slots, axon_out_slots_off_chip, synapses_per_entry, packing, pools, .. } = file;
+        let LimitsInFile {
+            axon_out_slots,
+            axon_out_slots_off_chip,
+            output_axons,
+            synapses_per_entry,
+            packing,
+            pools,
+            ..
+        } = file;
         let pools = pools.into_iter().map(Arc::new).collect();
-        Ok(Limits { most, pools, axon_out_slots, axon_out_slots_off_chip, synapses_per_entry, packing })
+        Ok(Limits { most, pools, axon_out_slots, axon_out_slots_off_chip, output_axons, synapses_per_entry, packing })
     }
 }
 

@@ -29,11 +29,11 @@ use crate::base::fixed::Delay;
 use crate::base::id::{CoreId, Id};
 use crate::compile::resources::axon_sharing::{BASE_END, BASE_STEP, MOST_ATOMS, most_axons};
 use crate::compile::resources::packing::{self, Compression, Group, SKIP_BITS, Widths};
-use crate::desc::resource::{Capacity, Limits, PerResource, Resource};
+use crate::desc::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
 use crate::desc::target::Target;
 use crate::ir::partition::CoreUsage;
 use crate::ir::placement::Mesh;
-use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Program, Stored, Synapse};
+use crate::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse};
 use crate::ir::quantised::Neuron;
 
 /// A rule that is broken.
@@ -178,8 +178,16 @@ fn verify_messages(
     }
 }
 
+/// Whether a population axon is a pop32 axon: more atoms than a pop16 axon has, or a base that it cannot have.
+fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
+    match limits.output_axons {
+        OutputAxons::PerCompartment => false,
+        OutputAxons::PerPosition { atoms, .. } => axon.atoms > atoms || axon.base % BASE_STEP != 0,
+    }
+}
+
 /// Whether each list belongs to a table; checks population axons.
-fn verify_populations(core: CoreId, inputs: &Stored) -> Result<Vec<bool>, Violation> {
+fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<Vec<bool>, Violation> {
     let wrong = |what| Err(Violation::Population { place: core.to_string(), what });
     let mut in_table = vec![false; inputs.lists.len()];
     if inputs.populations.is_empty() {
@@ -195,10 +203,20 @@ fn verify_populations(core: CoreId, inputs: &Stored) -> Result<Vec<bool>, Violat
     if atoms > MOST_ATOMS {
         return wrong("a population axon has more atoms than a message can tell");
     }
-    if inputs.populations.len() as u64 > u64::from(most_axons(atoms)) {
+    let is_short = |axon: &&PopulationAxon| !is_long(axon, limits);
+    let short = inputs.populations.iter().filter(is_short).count() as u64;
+    let (most_short, most) = match limits.output_axons {
+        OutputAxons::PerCompartment => (most_axons(atoms).into(), u64::MAX),
+        OutputAxons::PerPosition { .. } => (1 << 10, 1 << 12),
+    };
+    if short > most_short || inputs.populations.len() as u64 > most {
         return wrong("there are more population axons than a message can tell beside their atoms");
     }
-    if inputs.populations.iter().any(|axon| axon.base % BASE_STEP != 0 || axon.base >= BASE_END) {
+    if inputs
+        .populations
+        .iter()
+        .any(|axon| !is_long(axon, limits) && axon.base % BASE_STEP != 0 || axon.base >= BASE_END)
+    {
         return wrong("a population axon has a base that cannot be stored");
     }
     for &(table, atoms) in &tables {
@@ -257,14 +275,7 @@ fn verify_core(
         verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
     }
     let mut usage = verify_tables(core, image, limits)?;
-    let slots = |message: &AxonTarget| {
-        if program.cores()[message.core].site.chip == image.site.chip {
-            u64::from(limits.axon_out_slots)
-        } else {
-            u64::from(limits.axon_out_slots_off_chip)
-        }
-    };
-    usage[Resource::AxonsOut] = image.axons_out.items().iter().map(slots).sum();
+    usage[Resource::AxonsOut] = output_slots(program, image, populations, limits);
     usage[Resource::AxonsOutPerCompartment] = image.axons_out.iter().map(|list| list.len() as u64).max().unwrap_or(0);
     match usage.excesses(limits).next() {
         Some((capacity, need, limit)) => Err(Violation::Excess { core, capacity, need, limit }),
@@ -272,12 +283,42 @@ fn verify_core(
     }
 }
 
+/// Output axon slots of a core, from the messages of its compartments. By position, compartments whose messages all go to
+/// population axons have one list of them where they go to the same ones.
+fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits: &Limits) -> u64 {
+    let by_position = match limits.output_axons {
+        OutputAxons::PerPosition { more_slots, .. } if populations => Some(more_slots),
+        OutputAxons::PerPosition { .. } | OutputAxons::PerCompartment => None,
+    };
+    let population = |message: &AxonTarget| match program.cores()[message.core].inputs.axon(message.axon.into()) {
+        InputAxon::Member { axon, .. } => Some(axon),
+        InputAxon::Discrete { .. } => None,
+    };
+    let slots = |message: &AxonTarget| {
+        let target = &program.cores()[message.core];
+        let on_chip = target.site.chip == image.site.chip;
+        let plain = if on_chip { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
+        let axon = by_position.zip(population(message));
+        let is_long = |axon: u16| is_long(&target.inputs.populations[usize::from(axon)], limits);
+        plain + axon.filter(|&(_, axon)| is_long(axon)).map_or(0, |(more, _)| more)
+    };
+    let (mut sum, mut shared) = (0, BTreeSet::new());
+    for messages in image.axons_out.iter() {
+        let of_populations = messages.iter().map(|message| Some((message.core, population(message)?)));
+        let list: Option<Vec<(CoreId, u16)>> = by_position.and_then(|_| of_populations.collect());
+        if list.is_none_or(|list| shared.insert(list)) {
+            sum += messages.iter().map(|message| u64::from(slots(message))).sum::<u64>();
+        }
+    }
+    sum
+}
+
 /// Checks the rules for a core's own tables; returns what they use, output axons left out.
 ///
 /// # Errors
 /// The first [`Violation`].
 pub(super) fn verify_tables(core: CoreId, image: &CoreImage, limits: &Limits) -> Result<CoreUsage, Violation> {
-    let in_table = verify_populations(core, &image.inputs)?;
+    let in_table = verify_populations(core, &image.inputs, limits)?;
     let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     let widths = Widths::for_core(image.compartments.len() as u32, longest, limits.packing);
     verify_formats(core, image, widths)?;

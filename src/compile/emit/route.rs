@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id};
-use crate::compile::resources::axon_sharing::Places;
+use crate::compile::resources::axon_sharing::{EqualPlace, Places};
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::counter::stored;
 use crate::compile::resources::exact::{StoredLists, group_of, longest_delays};
@@ -234,16 +234,16 @@ fn write_lists(
     let all: Vec<&[Key]> = by_core::lists(keys).collect();
     let (mut populations, mut members) = (Vec::new(), vec![None; all.len()]);
     for (alike, places) in shared {
-        let (base, of_first) = alike.places.first()?;
-        let (table, atoms) = (writer.lists.len() as u32, of_first.last()?.0 + 1);
-        let mut of_atoms = of_first.iter().peekable();
+        let first = alike.places.first()?;
+        let (table, atoms) = (writer.lists.len() as u32, alike.atoms());
+        let mut of_atoms = first.lists.iter().peekable();
         for atom in 0..atoms {
             match of_atoms.next_if(|(of, _)| *of == atom) {
-                Some((_, number)) => writer.list(all[*number as usize], *base)?,
+                Some((_, number)) => writer.list(all[*number as usize], first.base)?,
                 None => writer.lists.end(),
             }
         }
-        for (base, lists) in &alike.places[..places as usize] {
+        for EqualPlace { base, lists, .. } in &alike.places[..places as usize] {
             let axon = u16::try_from(populations.len()).ok()?;
             populations.push(PopulationAxon { table, atoms, base: *base });
             lists.iter().for_each(|&(atom, number)| members[number as usize] = Some(InputAxon::Member { axon, atom }));

@@ -113,6 +113,7 @@ enum Kept {
 /// # Errors
 /// [`CompileError`].
 pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Mapping> {
+    let target = &*form.counted_on(target);
     if options.objective == Objective::Cores {
         return compile::map(front, target, options, rates, form);
     }
@@ -149,6 +150,7 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form
 /// # Errors
 /// [`CompileError`] of the first candidate, when none fits.
 pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Vec<Found>> {
+    let target = &*form.counted_on(target);
     Ok(Search { form, front, target, options, rates }.all()?.into_iter().map(|made| made.found).collect())
 }
 

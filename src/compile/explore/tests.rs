@@ -14,13 +14,18 @@ use crate::compile::partition::boxes::Boxes;
 use crate::compile::partition::lattice;
 use crate::compile::partition::members::row_of_chips;
 use crate::compile::resources::fan_in::first_source;
-use crate::compile::testing::{Builder, format, limits, neurons, plain_format, target};
+use crate::compile::testing::{Builder, format, neurons, plain_format, target};
 use crate::compile::*;
 use crate::desc::mapping::{MappedLayer, OnChip};
-use crate::desc::resource::{Limits, Packing, Resource};
+use crate::desc::resource::{Limits, OutputAxons, Packing, Resource};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{CoreUsage, Partition};
 use crate::ir::quantised::{Connectivity, Quantised, SynapseFormat};
+
+/// Limits with which both forms count alike.
+fn limits() -> Limits {
+    Limits { output_axons: OutputAxons::PerCompartment, ..testing::limits() }
+}
 
 /// A symbolic mapping of a network of any size.
 fn symbolic(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {

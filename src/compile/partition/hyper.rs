@@ -507,6 +507,7 @@ mod tests {
     use super::*;
     use crate::compile::resources::exact::usage;
     use crate::compile::testing::{Builder, limits, random_network, target};
+    use crate::desc::resource::{Limits, OutputAxons};
     use crate::ir::partition::seats;
 
     /// Compares the loads of a network on three cores with exact counts; words only where they are a bound.
@@ -514,7 +515,9 @@ mod tests {
         let mut members: Vec<Vec<CompartmentId>> = vec![Vec::new(); 3];
         (0..network.compartments()).for_each(|id| members[id as usize * 7 % 3].push(CompartmentId(id)));
         members.retain(|held| !held.is_empty());
-        let (members, board): (IdVec<CoreId, _>, _) = (members.into(), target(1, 1, limits()));
+        // Populations over space do not move, so their output axons are counted one by one.
+        let limits = Limits { output_axons: OutputAxons::PerCompartment, ..limits() };
+        let (members, board): (IdVec<CoreId, _>, _) = (members.into(), target(1, 1, limits));
         let graph = Hypergraph::new(network, &Rates::assumed(0.1), &vec![false; network.compartments() as usize]);
         let state = State::new(&graph, &members, &board, 100);
         let seats = seats(network.compartments(), &members).unwrap();

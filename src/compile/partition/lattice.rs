@@ -66,7 +66,7 @@ impl Lattice {
 
     /// Indices of the compartments of every box, in slot order.
     pub fn members(self, layer: &Layer) -> impl Iterator<Item = Vec<u32>> + use<'_> {
-        self.order().map(move |at| tiles::cell(layer.shape, self.size, at, layer.own_only))
+        self.order().map(move |at| tiles::cell(layer.shape, self.size, at, layer.by_channel))
     }
 }
 

@@ -176,8 +176,10 @@ fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partiti
     let Found { members, fan_out } = found;
     let seats = seats(network.compartments(), &members)?;
     let usage = match fan_out {
-        Some(fan_out) => usage_with_fan_out(network, &members, &seats, &fan_out, target.limits()),
-        None => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
+        Some(fan_out) if fan_out.together.is_empty() => {
+            usage_with_fan_out(network, &members, &seats, &fan_out, target.limits())
+        }
+        _ => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
     };
     Partition::new(network.compartments(), members, usage, target.limits())
 }

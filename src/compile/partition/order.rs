@@ -19,10 +19,13 @@ use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::error::CompileError;
 use crate::compile::partition::members::{Members, row_of_chips};
 use crate::compile::reason::Reason;
+use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::fan_in::FanIn;
-use crate::compile::resources::fan_out::{FanOut, cores_of, network_fan_out, slots_of_core};
+use crate::compile::resources::fan_out::{
+    ALONE, FanOut, MembersOfCores, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core,
+};
 use crate::compile::resources::incremental::{Filling, Newcomer};
-use crate::desc::resource::{Capacity, Resource};
+use crate::desc::resource::{Capacity, OutputAxons, Resource};
 use crate::desc::target::Target;
 use crate::ir::quantised::{Quantised, Units};
 
@@ -158,6 +161,20 @@ pub struct Found {
     pub fan_out: Option<FanOut>,
 }
 
+/// What compartments are expected to send ([`FanOut`]).
+#[derive(Debug)]
+struct Estimate {
+    slots: Vec<u32>,
+    /// Empty where no compartment shares output axons.
+    together: Vec<u64>,
+}
+
+impl Estimate {
+    fn nothing(network: &Quantised) -> Self {
+        Estimate { slots: vec![0; network.compartments() as usize], together: Vec::new() }
+    }
+}
+
 /// Fills cores with one network's compartments.
 #[derive(Debug)]
 pub struct Filler<'a> {
@@ -197,15 +214,34 @@ impl<'a> Filler<'a> {
     /// # Errors
     /// As [`Filler::fewest_cores`].
     pub fn once(&self, order: &[Segment], keep_whole: bool) -> Result<Members, CompileError> {
-        self.fill(order, &vec![0; self.network.compartments() as usize], keep_whole)
+        self.fill(order, &Estimate::nothing(self.network), keep_whole)
     }
 
     /// The fan-out of these members on such chips.
     #[must_use]
     pub fn fan_out(&self, members: &Members, chips: Chips) -> FanOut {
         let core_of = cores_of(self.network.compartments(), members);
-        let chips = chips.of_cores(members.len(), self.target);
-        network_fan_out(self.network, &core_of, &chips, self.target.limits())
+        let (chips, limits) = (chips.of_cores(members.len(), self.target), self.target.limits());
+        let places = Places::for_network(self.network);
+        let shared = by_position(&places, limits).then(|| self.members_of_axons(members));
+        let shared = shared.as_ref().map(|members| SharedPlaces { places: &places, members });
+        network_fan_out(self.network, &core_of, &chips, limits, shared.as_ref())
+    }
+
+    /// The places that are members of population axons on each core.
+    fn members_of_axons(&self, members: &Members) -> MembersOfCores {
+        let newcomer = |&id: &CompartmentId| {
+            let (population, index) = self.network.population_of(id);
+            let Units::Compartments { neurons, .. } = &self.network.populations()[population].units else {
+                return None;
+            };
+            Some(Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE })
+        };
+        let filling = || Filling::new(self.network, &self.fan_in, self.target.limits());
+        let of_core = |filling: &mut Filling<'_>, held: &Vec<CompartmentId>| {
+            filling.members_of_axons(held.iter().filter_map(newcomer))
+        };
+        members.as_slice().par_iter().map_init(filling, of_core).collect::<Vec<_>>().into()
     }
 
     /// Fills until output axons fit too.
@@ -214,7 +250,7 @@ impl<'a> Filler<'a> {
     /// As [`Filler::fewest_cores`].
     pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Found, CompileError> {
         let limits = self.target.limits();
-        let mut estimate = vec![0u32; self.network.compartments() as usize];
+        let mut estimate = Estimate::nothing(self.network);
         for round in 0.. {
             let members = self.fill(order, &estimate, keep_whole)?;
             let fan_out = self.fan_out(&members, chips);
@@ -242,15 +278,20 @@ impl<'a> Filler<'a> {
             if !again {
                 return Ok(Found { members, fan_out: Some(fan_out) });
             }
-            self.raise(&mut estimate, &fan_out.slots, round);
+            self.raise(&mut estimate.slots, &fan_out, round);
+            estimate.together = fan_out.together;
         }
         unreachable!("the last round gives reasons or members")
     }
 
     /// Raises each estimate to what was sent and a margin, though never above what every synapse on a core of its own sends.
-    fn raise(&self, estimate: &mut [u32], slots: &[u32], round: u32) {
+    fn raise(&self, estimate: &mut [u32], FanOut { slots, together, .. }: &FanOut, round: u32) {
         let limits = self.target.limits();
-        let dearest = u64::from(limits.axon_out_slots.max(limits.axon_out_slots_off_chip));
+        let more = match limits.output_axons {
+            OutputAxons::PerPosition { more_slots, .. } if !together.is_empty() => more_slots,
+            OutputAxons::PerPosition { .. } | OutputAxons::PerCompartment => 0,
+        };
+        let dearest = u64::from(limits.axon_out_slots.max(limits.axon_out_slots_off_chip) + more);
         for (population, description) in self.network.populations().enumerate() {
             let Some(first) = description.first_compartment() else { continue };
             for index in 0..description.shape.len() {
@@ -266,7 +307,7 @@ impl<'a> Filler<'a> {
     }
 
     /// Fills cores in order, with these estimates of output axon slots.
-    fn fill(&self, order: &[Segment], estimate: &[u32], keep_whole: bool) -> Result<Members, CompileError> {
+    fn fill(&self, order: &[Segment], estimate: &Estimate, keep_whole: bool) -> Result<Members, CompileError> {
         let limits = self.target.limits();
         let filling = || Filling::new(self.network, &self.fan_in, limits);
         let (members, misfits) = match parts(order) {
@@ -296,7 +337,7 @@ impl<'a> Filler<'a> {
         &self,
         filling: &mut Filling,
         order: &[Segment],
-        estimate: &[u32],
+        estimate: &Estimate,
         keep_whole: bool,
     ) -> (Members, Misfits) {
         filling.next_core();
@@ -310,7 +351,9 @@ impl<'a> Filler<'a> {
             let newcomer = |at: u32| {
                 let index = indices.get(at);
                 let id = CompartmentId(first.0 + index);
-                Newcomer { id, population, index, neuron: neurons.get(index), slots_out: estimate[id.index()] }
+                let slots_out = estimate.slots[id.index()];
+                let together = estimate.together.get(id.index()).copied().unwrap_or(ALONE);
+                Newcomer { id, population, index, neuron: neurons.get(index), slots_out, together }
             };
             let size = indices.len();
             if keep_whole && matches!(indices, Indices::Tile(_)) {

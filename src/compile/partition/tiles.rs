@@ -10,7 +10,10 @@
 //! are not tried, with lists of their own or shared ([`crate::compile::resources::axon_sharing`]), whichever are fewer.
 //!
 //! Slots of a tile are ordered position by position, channels together, so that the targets of a spike are consecutive;
-//! channel by channel where each channel only receives its own (pooling, depthwise convolution).
+//! channel by channel where each channel only receives its own (pooling, depthwise convolution). Where a base may be any
+//! slot ([`OutputAxons::PerPosition`]), both orders are counted and the one of fewer words is taken: channel by channel a
+//! neighbour's lists are one slot further on, so all positions of a tile are within the reach of a base and share one
+//! table, whose lists have runs; position by position lists are dense, but a table is stored once for every 256 slots.
 
 use std::collections::BTreeSet;
 
@@ -18,11 +21,12 @@ use crate::base::id::{CompartmentId, PopulationId};
 use crate::compile::partition::order::{Indices, Segment};
 use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::closed_form::{Incoming, Layer, middle, middle_of, part};
+use crate::compile::resources::fan_out::ALONE;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::resources::packing::MOST_SLOTS;
 use crate::compile::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
-use crate::desc::resource::{Limits, Resource};
+use crate::desc::resource::{Limits, OutputAxons, Resource};
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Quantised, Units};
 
@@ -100,7 +104,7 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                 let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
                 // Sources, input axons at least, and bits of weights at least.
                 let (mut sources, mut axons, mut bits, mut cores) = (0, 0, 0, tiles);
-                for (&Incoming { window, format, from, .. }, (rows, columns)) in
+                for (&Incoming { window, format, from, placed, .. }, (rows, columns)) in
                     layer.incoming.iter().zip(of_rows.iter().zip(of_columns))
                 {
                     let weight_bits = formats.get(format).bits.get();
@@ -111,10 +115,15 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                         * under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
                     let (all, distinct) = ((rows.0, columns.0), (rows.1, columns.1));
                     sources += channels * places;
-                    // As many targets on the same chip as on another are assumed.
+                    // As many targets on the same chip as on another are assumed, and all channels of a position on a core.
                     let slots = u64::from(limits.axon_out_slots) + u64::from(limits.axon_out_slots_off_chip);
-                    let senders =
-                        (tiles * channels * places * slots).div_ceil(2 * u64::from(limits[Resource::AxonsOut].max(1)));
+                    let slots = match limits.output_axons {
+                        OutputAxons::PerPosition { atoms, more_slots } if placed.is_some() => {
+                            slots + if channels > atoms.into() { 2 * u64::from(more_slots) } else { 0 }
+                        }
+                        _ => channels * slots,
+                    };
+                    let senders = (tiles * places * slots).div_ceil(2 * u64::from(limits[Resource::AxonsOut].max(1)));
                     let anyway = from.map(|from| u64::from(from.div_ceil(limits[Resource::Compartments].max(1))));
                     cores += anyway.map_or(0, |anyway| senders.saturating_sub(anyway));
                     axons += places;
@@ -147,24 +156,36 @@ pub fn tiles(
     let description = &network.populations()[population];
     let formats = Formats::for_network(network);
     let layer = Layer::for_population(network, population, &formats, &Places::for_network(network))?;
-    let (shape, own_only) = (layer.shape, layer.own_only);
+    let shape = layer.shape;
+    let mut orders = vec![layer];
+    if !orders[0].by_channel && matches!(limits.output_axons, OutputAxons::PerPosition { .. }) {
+        orders.push(Layer { by_channel: true, ..orders[0].clone() });
+    }
     let Units::Compartments { first, neurons, .. } = &description.units else { return None };
-    let fits = |filling: &mut Filling, indices: &[u32]| {
+    let mut fits = |indices: &[u32]| {
         filling.next_core();
         let fits = filling.add_whole(indices.iter().map(|&index| {
             let id = CompartmentId(first.0 + index);
-            Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0 }
+            Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE }
         }));
         filling.next_core();
         fits.is_ok()
     };
-    let all = grids(&layer, &formats, limits, most.min(limits[Resource::Compartments]).min(MOST_SLOTS));
+    let all = grids(&orders[0], &formats, limits, most.min(limits[Resource::Compartments]).min(MOST_SLOTS));
+    let mut by_channel = false;
     let found = first_that_fits(&all, TRIALS, |grid| {
         // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
-        let counted = layer.joined || !layer.middle(grid.size, &formats, limits).exceeds(limits);
-        counted && fits(filling, &cell(shape, grid.size, middle(shape, grid.size), own_only))
+        let words = |layer: &Layer| {
+            let middle = layer.middle(grid.size, &formats, limits);
+            (layer.joined || !middle.exceeds(limits)).then_some(middle.usage[Resource::SynapseWords])
+        };
+        let mut ways: Vec<(u64, bool)> =
+            orders.iter().filter_map(|layer| Some((words(layer)?, layer.by_channel))).collect();
+        ways.sort_unstable();
+        let fitting = ways.into_iter().find(|(_, way)| fits(&cell(shape, grid.size, middle(shape, grid.size), *way)));
+        fitting.map(|(_, way)| by_channel = way).is_some()
     });
-    found.map(|grid| segments(population, shape, grid.size, own_only))
+    found.map(|grid| segments(population, shape, grid.size, by_channel))
 }
 
 /// The first of these grids that fits, among those tried.
@@ -195,10 +216,10 @@ pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) 
 
 /// Indices of one tile, in slot order.
 #[must_use]
-pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), own_only: bool) -> Vec<u32> {
+pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), by_channel: bool) -> Vec<u32> {
     let (c, y, x) = (part(shape.0, size.0, at.0), part(shape.1, size.1, at.1), part(shape.2, size.2, at.2));
     let index = |c: u32, y: u32, x: u32| (c * shape.1 + y) * shape.2 + x;
-    if own_only {
+    if by_channel {
         return c
             .flat_map(|c| y.clone().flat_map(move |y| (0..shape.2).map(move |x| (c, y, x))))
             .filter(|(_, _, column)| x.contains(column))
@@ -224,9 +245,9 @@ pub fn to_and_fro((channels, rows, columns): (u32, u32, u32)) -> impl Iterator<I
 }
 
 /// All tiles, in the order of [`to_and_fro`].
-fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u32), own_only: bool) -> Vec<Segment> {
+fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u32), by_channel: bool) -> Vec<Segment> {
     let along = (shape.0.div_ceil(size.0), shape.1.div_ceil(size.1), shape.2.div_ceil(size.2));
-    let tile = |at| Segment { population, indices: Indices::Tile(cell(shape, size, at, own_only)) };
+    let tile = |at| Segment { population, indices: Indices::Tile(cell(shape, size, at, by_channel)) };
     to_and_fro(along).map(tile).collect()
 }
 
@@ -237,8 +258,8 @@ mod tests {
     #[test]
     fn tiles_hold_every_compartment_once() {
         for (shape, size) in [((3, 5, 7), (3, 2, 3)), ((4, 4, 4), (1, 4, 4)), ((5, 6, 7), (2, 6, 4))] {
-            for own_only in [false, true] {
-                let segments = segments(PopulationId(0), shape, size, own_only);
+            for by_channel in [false, true] {
+                let segments = segments(PopulationId(0), shape, size, by_channel);
                 let mut all: Vec<u32> = segments
                     .into_iter()
                     .flat_map(|segment| match segment.indices {

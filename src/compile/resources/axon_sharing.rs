@@ -7,15 +7,23 @@
 //! list for each atom, which several population axons may have in common) and a base that is added to all slots. The
 //! message of a spike carries the atom.
 //!
-//! What the hardware allows (pop16 axons; nengo-loihi `hardware/builder.py`, `block.py` and `builder/validate.py`):
+//! What the hardware allows (nengo-loihi `hardware/builder.py`, `block.py`, `builder/split_blocks.py` and
+//! `builder/validate.py`), by how a target counts output axons ([`OutputAxons`]):
 //!
-//! - an atom has at most 9 bits (Intel's NxSDK had only five of them when nengo-loihi was written); of the 15 bits that axon
-//!   and atom share, those of the atom beyond five are taken from the ten of the axon ([`most_axons`]);
-//! - a base is a multiple of 4 below 256. Places that begin farther on keep whole 256s in the slots of their lists, so that
-//!   they share with others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`);
-//! - a compartment belongs to one population, so its atom is the same on every core: it is the channel;
-//! - the output axon takes the slot of a discrete one. pop32 axons take two slots, reach bases up to 255 and 32 atoms, and
-//!   are not used.
+//! | | pop16 | pop32 |
+//! |---|---|---|
+//! | numbers of axons on a core | 10 bits | 12 bits |
+//! | atoms | 32 | 512 (inferred) |
+//! | base | multiples of 4 below 256 | below 256 |
+//! | slots of an output axon | those of a discrete one | one more |
+//!
+//! - Counted for each position, a population axon is pop16 where its atoms and its base allow it, pop32 otherwise
+//!   ([`is_long`]).
+//! - Counted for each compartment, all are pop16 in the widest form of nengo-loihi's emulator: an atom has up to 9 bits,
+//!   those beyond five are taken from the ten of the axon's number ([`most_axons`]).
+//! - Places that begin farther on than a base reaches keep whole 256s in the slots of their lists, so that they share with
+//!   others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`).
+//! - A compartment belongs to one population, so its atom is the same on every core: it is the channel.
 //!
 //! How a table is stored: the lists of its atoms follow each other at equal distances. NxTF (`nxsdk_modules_ncl/dnn`) pads
 //! lists to the longest; here places whose lists differ in words do not share, so there is nothing to pad but atoms that
@@ -34,7 +42,7 @@ use std::collections::HashMap;
 use crate::base::id::PopulationId;
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::fan_in::first_source;
-use crate::desc::resource::{Limits, Resource};
+use crate::desc::resource::{Limits, OutputAxons, Resource};
 use crate::ir::quantised::{Connectivity, Quantised};
 
 /// Bits of an atom at most.
@@ -43,25 +51,50 @@ const MOST_ATOM_BITS: u32 = 9;
 const FREE_ATOM_BITS: u32 = 5;
 /// Bits of the number of a population axon whose atoms need no more than [`FREE_ATOM_BITS`].
 const AXON_BITS: u32 = 10;
-/// Bases are multiples of this.
+/// Bits of the number of a pop32 axon.
+const LONG_AXON_BITS: u32 = 12;
+/// Bases of pop16 axons are multiples of this.
 pub const BASE_STEP: u16 = 4;
 /// Bases are below this.
 pub const BASE_END: u16 = 256;
 /// The most atoms.
 pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
 
-/// Population axons that a core can number when its tables have so many atoms, at most [`MOST_ATOMS`].
+/// pop16 axons that a core can number when its tables have so many atoms, at most [`MOST_ATOMS`].
 #[must_use]
 pub fn most_axons(atoms: u16) -> u32 {
     let bits = u16::BITS - atoms.saturating_sub(1).leading_zeros();
     1 << (AXON_BITS - bits.clamp(FREE_ATOM_BITS, MOST_ATOM_BITS) + FREE_ATOM_BITS)
 }
 
+/// Population axons that a core can number: of so many atoms at most, and all together.
+#[must_use]
+pub fn numbers(most_atoms: u16, limits: &Limits) -> (u32, u32) {
+    match limits.output_axons {
+        OutputAxons::PerCompartment => (most_axons(most_atoms), most_axons(most_atoms)),
+        OutputAxons::PerPosition { .. } => (1 << AXON_BITS, 1 << LONG_AXON_BITS),
+    }
+}
+
+/// Whether a population axon is a pop32 axon.
+#[inline]
+#[must_use]
+pub fn is_long(atoms: u16, base: u16, limits: &Limits) -> bool {
+    match limits.output_axons {
+        OutputAxons::PerCompartment => false,
+        OutputAxons::PerPosition { atoms: of_short, .. } => atoms > of_short || base % BASE_STEP != 0,
+    }
+}
+
 /// The base of a place whose lists begin at this slot.
 #[inline]
 #[must_use]
-pub fn base_of(first_slot: u16) -> u16 {
-    first_slot % BASE_END / BASE_STEP * BASE_STEP
+pub fn base_of(first_slot: u16, limits: &Limits) -> u16 {
+    let base = first_slot % BASE_END;
+    match limits.output_axons {
+        OutputAxons::PerCompartment => base / BASE_STEP * BASE_STEP,
+        OutputAxons::PerPosition { .. } => base,
+    }
 }
 
 /// A population whose sources have places.
@@ -169,31 +202,56 @@ impl Class {
 /// How many places of each class share its table.
 #[must_use]
 pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
-    let mut left = most_axons(classes.iter().map(|class| class.atoms).max().unwrap_or(1));
+    let most_atoms = classes.iter().map(|class| class.atoms).max().unwrap_or(1);
+    let (mut short, mut left) = numbers(most_atoms, limits);
+    // Those that may be short count as such, whatever their bases.
+    let may_be_short = |class: &Class| !is_long(class.atoms, 0, limits);
     let mut order: Vec<usize> = (0..classes.len()).collect();
     // Classes that are equal in all respects can take each other's part, so counts do not depend on the order they came in.
     order.sort_by_key(|&at| std::cmp::Reverse((classes[at].saving(classes[at].places), classes[at])));
     let mut sharing = vec![0; classes.len()];
     for at in order {
-        let places = classes[at].places.min(left);
+        let places = classes[at].places.min(if may_be_short(&classes[at]) { left.min(short) } else { left });
         if classes[at].pays(places, limits) {
             sharing[at] = places;
             left -= places;
+            if may_be_short(&classes[at]) {
+                short -= places;
+            }
         }
     }
     sharing
 }
 
+/// A place on a core.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EqualPlace {
+    /// Its number.
+    pub place: u32,
+    /// Its base.
+    pub base: u16,
+    /// Atom and number of each of its lists, by atom.
+    pub lists: Vec<(u16, u32)>,
+}
+
 /// Places of a core whose lists are the same, counted from their bases.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EqualPlaces {
-    /// Of each place: its base, and atom and number of each of its lists, by atom.
-    pub places: Vec<(u16, Vec<(u16, u32)>)>,
+    /// Each place, ascending.
+    pub places: Vec<EqualPlace>,
+}
+
+impl EqualPlaces {
+    /// The highest atom and one.
+    #[must_use]
+    pub fn atoms(&self) -> u16 {
+        self.places.first().and_then(|place| place.lists.last()).map_or(0, |&(atom, _)| atom + 1)
+    }
 }
 
 /// Classes of a core's lists, given by their synapses; in the order of their first places.
 #[must_use]
-pub fn equal_places(keys: &[Key], places: &Places) -> Vec<EqualPlaces> {
+pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<EqualPlaces> {
     let lists: Vec<&[Key]> = by_core::lists(keys).collect();
     let placed = lists.iter().zip(0u32..).filter_map(|(list, number)| {
         let (place, atom) = places.of_source(list[0].source())?;
@@ -205,7 +263,7 @@ pub fn equal_places(keys: &[Key], places: &Places) -> Vec<EqualPlaces> {
     for of_place in placed.chunk_by(|a, b| a.0 == b.0) {
         let of = |&(_, _, number): &(u32, u16, u32)| lists[number as usize];
         let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();
-        let base = base_of(first_slot.unwrap_or(0));
+        let base = base_of(first_slot.unwrap_or(0), limits);
         // Two lists are told apart by their atoms, so concatenations of different lists differ.
         let key =
             of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.relative_to(placed.1, base))).collect();
@@ -214,7 +272,7 @@ pub fn equal_places(keys: &[Key], places: &Places) -> Vec<EqualPlaces> {
             classes.len() - 1
         });
         let lists = of_place.iter().map(|&(_, atom, number)| (atom, number)).collect();
-        classes[class].places.push((base, lists));
+        classes[class].places.push(EqualPlace { place: of_place[0].0, base, lists });
     }
     classes
 }
@@ -234,7 +292,13 @@ mod tests {
             [1, 2, 32, 33, 64, 65, 256, 257, 512].map(most_axons),
             [1024, 1024, 1024, 512, 512, 256, 128, 64, 64]
         );
-        assert_eq!([0, 3, 4, 7, 252, 255, 256, 1023].map(base_of), [0, 0, 4, 4, 252, 252, 0, 252]);
+        let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits() };
+        let bases = |limits: &Limits| [0, 3, 4, 7, 252, 255, 256, 1023].map(|slot| base_of(slot, limits));
+        assert_eq!(bases(&by_compartment), [0, 0, 4, 4, 252, 252, 0, 252]);
+        assert_eq!(bases(&limits()), [0, 3, 4, 7, 252, 255, 0, 255]);
+        assert_eq!([(32, 4), (33, 4), (32, 5)].map(|(a, b)| is_long(a, b, &limits())), [false, true, true]);
+        assert!(!is_long(512, 3, &by_compartment));
+        assert_eq!((numbers(512, &limits()), numbers(512, &by_compartment)), ((1024, 4096), (64, 64)));
     }
 
     #[test]
@@ -249,7 +313,13 @@ mod tests {
         assert_eq!(sharing(&[Class { places: 1, lists: 1, atoms: 1, words: 2, list_words: (2, 2) }], &limits), [0]);
         // 512 atoms leave 64 numbers: the class that saves more takes 60 of them.
         let wide = Class { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
-        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &limits), [4, 60]);
+        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &limits), [10, 60]);
+        let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits.clone() };
+        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &by_compartment), [4, 60]);
+        // 1,024 numbers of short axons, 4,096 of all.
+        let many = [Class { places: 1020, ..CLASS }, Class { places: 5, ..CLASS }, Class { places: 4000, ..wide }];
+        assert_eq!(sharing(&many, &limits), [96, 0, 4000]);
+        assert_eq!(sharing(&[many[0], many[1], wide], &limits), [1020, 4, 60]);
     }
 
     #[test]

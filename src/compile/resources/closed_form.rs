@@ -51,8 +51,8 @@ pub struct Layer {
     pub shape: (u32, u32, u32),
     /// What reaches it, in the order of the file.
     pub incoming: Vec<Incoming>,
-    /// Whether each channel sees its own channel only: compartments stand channel by channel then.
-    pub own_only: bool,
+    /// Whether compartments stand channel by channel; they do where each channel sees its own channel only.
+    pub by_channel: bool,
     /// Whether two projections come from one population: its lists are then both together, which is not counted here.
     pub joined: bool,
 }
@@ -96,8 +96,8 @@ impl Layer {
         }
         let own =
             |incoming: &Incoming| incoming.window.groups == incoming.window.source.0 && incoming.window.groups > 1;
-        let own_only = !incoming.is_empty() && incoming.iter().all(own);
-        Some(Layer { shape, incoming, own_only, joined })
+        let by_channel = !incoming.is_empty() && incoming.iter().all(own);
+        Some(Layer { shape, incoming, by_channel, joined })
     }
 
     /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have this size.
@@ -228,7 +228,7 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                 let mut place = Place::default();
                 for &(reached, of_channels) in &channels.reached[i] {
                     slots.clear();
-                    if layer.own_only {
+                    if layer.by_channel {
                         let height = rows.size;
                         let row = |c: u32, y: u16| (c * height + u32::from(y)) * columns.size;
                         let starts = (0..reached).flat_map(|c| reached_rows.iter().map(move |&(y, _)| row(c, y)));
@@ -259,10 +259,10 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                 }
                 let first_slot = {
                     let at = u32::from(reached_rows[0].0) * columns.size + u32::from(reached_columns[0].0);
-                    if layer.own_only { at } else { at * channels.size }
+                    if layer.by_channel { at } else { at * channels.size }
                 };
                 let Some((atoms, positions)) = placed else { continue };
-                let behind = first_slot as u16 - axon_sharing::base_of(first_slot as u16);
+                let behind = first_slot as u16 - axon_sharing::base_of(first_slot as u16, limits);
                 if all_to_all {
                     // Every source has weights of its own; all channels of a position reach the box.
                     let place = place.part(positions);

@@ -6,10 +6,10 @@
 
 use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
-use crate::compile::resources::axon_sharing::{self, Class, EqualPlaces, Places};
+use crate::compile::resources::axon_sharing::{self, Class, EqualPlace, EqualPlaces, Places};
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::counter::{CoreTotals, LISTS, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
-use crate::compile::resources::fan_out::{self, FanOut};
+use crate::compile::resources::fan_out::{self, FanOut, MembersOfCores, SharedPlaces};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Group, Widths};
 use crate::desc::resource::Limits;
@@ -44,11 +44,15 @@ pub fn usage(
     chips: &IdVec<CoreId, u32>,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
+    let places = Places::for_network(network);
+    let (totals, shared) = totals(network, members, seats, limits, &places);
+    let shared = SharedPlaces { places: &places, members: &shared };
+    let shared = fan_out::by_position(&places, limits).then_some(&shared);
     let core_of = seats.iter().map(|seat| seat.core).collect();
-    usage_with_fan_out(network, members, seats, &fan_out::network_fan_out(network, &core_of, chips, limits), limits)
+    with_outputs(totals, members, &fan_out::network_fan_out(network, &core_of, chips, limits, shared), limits)
 }
 
-/// The use of each core, where the fan-out of compartments is known.
+/// The use of each core, where the fan-out of compartments is known and [`fan_out::by_position`] is not asked for.
 ///
 /// # Panics
 /// As [`usage`].
@@ -60,21 +64,47 @@ pub fn usage_with_fan_out(
     fan_out: &FanOut,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
+    let (totals, _) = totals(network, members, seats, limits, &Places::for_network(network));
+    with_outputs(totals, members, fan_out, limits)
+}
+
+fn with_outputs(
+    totals: Vec<CoreTotals>,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    fan_out: &FanOut,
+    limits: &Limits,
+) -> IdVec<CoreId, CoreUsage> {
+    let of_core = |(mut totals, held): (CoreTotals, &Vec<CompartmentId>)| {
+        totals.axons_out = fan_out::slots_of_core(held, fan_out);
+        totals.most_axons_out = held.iter().map(|id| fan_out.axons[id.index()]).max().unwrap_or(0);
+        totals.usage(limits)
+    };
+    totals.into_iter().zip(members).map(of_core).collect()
+}
+
+/// What is counted on each core but for its output axons, and which places are members of population axons on it.
+fn totals(
+    network: &Quantised,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    seats: &IdVec<CompartmentId, Seat>,
+    limits: &Limits,
+    places: &Places,
+) -> (Vec<CoreTotals>, MembersOfCores) {
     let longest = longest_delays(network, seats, members.len());
     let profiles = profiles(network, seats, members.len());
-    let (formats, places) = (Formats::for_network(network), Places::for_network(network));
+    let formats = Formats::for_network(network);
     let counted = by_core::by_core(network, &formats, seats, members.len(), |core, keys| {
         let held = &members[core];
         let mut totals = CoreTotals::new(held.len() as u32, longest[core]);
         let widths = Widths::for_core(totals.compartments, longest[core], limits.packing);
-        totals.lists = StoredLists::new(keys, &formats, widths, limits, &places).totals;
+        let lists = StoredLists::new(keys, &formats, widths, limits, places);
+        totals.lists = lists.totals;
         totals.synapses = keys.len() as u64;
         (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
-        totals.axons_out = fan_out::slots_of_core(held, fan_out);
-        totals.most_axons_out = held.iter().map(|id| fan_out.axons[id.index()]).max().unwrap_or(0);
-        totals.usage(limits)
+        (totals, lists.members(limits))
     });
-    counted.into()
+    let (totals, shared): (Vec<CoreTotals>, Vec<_>) = counted.into_iter().unzip();
+    (totals, shared.into())
 }
 
 /// The profiles of each core.
@@ -128,15 +158,15 @@ impl StoredLists {
         }
         let mut lists = StoredLists { totals: counter.totals(), ..Self::default() };
         if !places.is_empty() {
-            lists.equal = axon_sharing::equal_places(keys, places);
+            lists.equal = axon_sharing::equal_places(keys, places, limits);
             for (way, totals) in lists.totals.iter_mut().enumerate() {
                 let class = |equal: &EqualPlaces| {
-                    let lists = equal.places.first().map_or(&[][..], |(_, lists)| lists);
+                    let lists = equal.places.first().map_or(&[][..], |place| &place.lists);
                     let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][way]);
                     Class {
                         places: equal.places.len() as u32,
                         lists: lists.len() as u32,
-                        atoms: lists.last().map_or(0, |(atom, _)| atom + 1),
+                        atoms: equal.atoms(),
                         words: words().map(|words| words.discrete).sum(),
                         list_words: words()
                             .map(|words| words.in_table)
@@ -154,6 +184,18 @@ impl StoredLists {
     #[must_use]
     pub fn stores_runs(&self, limits: &Limits) -> bool {
         CoreTotals { lists: self.totals, ..CoreTotals::new(0, Delay::MIN) }.stores_runs(limits)
+    }
+
+    /// The places that are members of population axons, ascending, and whether it is a pop32 axon.
+    fn members(&self, limits: &Limits) -> Vec<(u32, bool)> {
+        let of_class = |(equal, sharing): (&EqualPlaces, u32)| {
+            let atoms = equal.atoms();
+            let long = |place: &EqualPlace| (place.place, axon_sharing::is_long(atoms, place.base, limits));
+            equal.places[..sharing as usize].iter().map(long).collect::<Vec<_>>()
+        };
+        let mut members: Vec<(u32, bool)> = self.shared(limits).flat_map(of_class).collect();
+        members.sort_unstable();
+        members
     }
 
     /// Classes of places, and how many places of each share its table, as the core stores them.

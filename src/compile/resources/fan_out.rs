@@ -2,12 +2,18 @@
 //!
 //! Input: a network, the core of each compartment and the chip of each core. Output: compartment by compartment, the
 //! number of distinct cores that its spikes reach and the output axon slots that these take.
+//!
+//! Where a target counts output axons by position ([`OutputAxons::PerPosition`]), also what is known of population axons is
+//! needed ([`SharedPlaces`]): the compartments of a core at one position whose spikes all go to population axons, and to
+//! the same cores, take the slots of one of them.
 
 use rayon::prelude::*;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::rng;
+use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::fan_in::{bundle, first_source};
-use crate::desc::resource::Limits;
+use crate::desc::resource::{Limits, OutputAxons};
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::{Connectivity, Quantised};
 
@@ -17,10 +23,34 @@ const PIECE: usize = 1 << 14;
 /// The fan-out of each compartment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FanOut {
-    /// Output axon slots by compartment.
+    /// Output axon slots by compartment, of each as if it shared none.
     pub slots: Vec<u32>,
     /// Output axons by compartment.
     pub axons: Vec<u32>,
+    /// By compartment, a number that those of a core have in common that share their output axons, [`ALONE`] for those that
+    /// share none; empty where no compartment does.
+    pub together: Vec<u64>,
+}
+
+/// Of a compartment that shares no output axon.
+pub const ALONE: u64 = 0;
+
+/// The places that are members of population axons on each core, ascending, and whether it is a pop32 axon.
+pub type MembersOfCores = IdVec<CoreId, Vec<(u32, bool)>>;
+
+/// What of population axons decides how many output axons there are.
+#[derive(Debug)]
+pub struct SharedPlaces<'a> {
+    /// The places of sources.
+    pub places: &'a Places,
+    /// Which are members of population axons.
+    pub members: &'a MembersOfCores,
+}
+
+/// Whether output axons depend on population axons.
+#[must_use]
+pub fn by_position(places: &Places, limits: &Limits) -> bool {
+    !places.is_empty() && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
 }
 
 /// The core of each compartment of a membership.
@@ -49,19 +79,46 @@ pub fn cores_of_populations(
     network.populations().as_slice().par_iter().map(of).collect::<Vec<_>>().into()
 }
 
-/// The fan-out of each compartment.
+/// The fan-out of each compartment; with the places of population axons where [`by_position`] says so.
 #[must_use]
 pub fn network_fan_out(
     network: &Quantised,
     core_of: &IdVec<CompartmentId, CoreId>,
     chips: &IdVec<CoreId, u32>,
     limits: &Limits,
+    shared: Option<&SharedPlaces<'_>>,
 ) -> FanOut {
-    let counted = by_source(network, core_of, chips.len(), false, |_, own, reached: &[CoreId]| {
-        (axon_slots(own, reached.iter().copied(), chips, limits), reached.len() as u32)
+    let counted = by_source(network, core_of, chips.len(), false, |source, own, reached: &[CoreId]| {
+        let slots = axon_slots(own, reached.iter().copied(), chips, limits);
+        let (more, together) = shared.map_or((0, ALONE), |shared| shared.of_source(source, reached, limits));
+        (slots + more, reached.len() as u32, together)
     });
-    let (slots, axons) = counted.into_iter().unzip();
-    FanOut { slots, axons }
+    let mut fan_out = FanOut { slots: Vec::new(), axons: Vec::new(), together: Vec::new() };
+    fan_out.slots = counted.iter().map(|of| of.0).collect();
+    fan_out.axons = counted.iter().map(|of| of.1).collect();
+    if shared.is_some() {
+        fan_out.together = counted.iter().map(|of| of.2).collect();
+    }
+    fan_out
+}
+
+impl SharedPlaces<'_> {
+    /// The slots that a source's messages to pop32 axons take more, and what it shares output axons by.
+    fn of_source(&self, source: u32, reached: &[CoreId], limits: &Limits) -> (u32, u64) {
+        let OutputAxons::PerPosition { more_slots, .. } = limits.output_axons else { return (0, ALONE) };
+        let Some((place, _)) = self.places.of_source(source).filter(|_| !reached.is_empty()) else { return (0, ALONE) };
+        let (mut more, mut everywhere, mut cores) = (0, true, 0u64);
+        for &core in reached {
+            let members = &self.members[core];
+            match members.binary_search_by_key(&place, |&(place, _)| place) {
+                Ok(at) => more += if members[at].1 { more_slots } else { 0 },
+                Err(_) => everywhere = false,
+            }
+            // Sums do not depend on the order in which cores are reached.
+            cores = cores.wrapping_add(rng::bits(0, u64::from(place), u64::from(core.0)));
+        }
+        (more, if everywhere { cores.max(ALONE + 1) } else { ALONE })
+    }
 }
 
 /// Output axon slots of a source on a core that reaches these cores.
@@ -186,5 +243,12 @@ pub fn by_source<T: Send>(
 /// Output axon slots of all compartments of a core together.
 #[must_use]
 pub fn slots_of_core(held: &[CompartmentId], fan_out: &FanOut) -> u64 {
-    held.iter().map(|id| u64::from(fan_out.slots[id.index()])).sum()
+    let slots = |id: &CompartmentId| u64::from(fan_out.slots[id.index()]);
+    if fan_out.together.is_empty() {
+        return held.iter().map(slots).sum();
+    }
+    let mut shared: Vec<(u64, u64)> = held.iter().map(|id| (fan_out.together[id.index()], slots(id))).collect();
+    shared.sort_unstable();
+    let groups = shared.chunk_by(|a, b| a.0 == b.0 && a.0 != ALONE);
+    groups.map(|group| group[0].1).sum()
 }

@@ -10,7 +10,7 @@
 //! hold its compartments without: while a tile is added row by row its lists differ, and only when it is whole are they
 //! the same. So compartments that came one by one are counted with lists of their own, which is never too little.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use crate::base::fixed::{Delay, WeightBits};
 use crate::base::id::{CompartmentId, PopulationId};
@@ -18,6 +18,7 @@ use crate::base::rng;
 use crate::compile::resources::axon_sharing::{self, Class, Places};
 use crate::compile::resources::counter::{CoreTotals, FormatCounts, LISTS, Profiles, stored};
 use crate::compile::resources::fan_in::FanIn;
+use crate::compile::resources::fan_out::ALONE;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{self, Compression, Group, MOST_SLOTS, Widths};
 use crate::desc::resource::{Limits, Resource};
@@ -37,6 +38,10 @@ pub struct Newcomer {
     pub neuron: Neuron,
     /// Estimate of its output axon slots.
     pub slots_out: u32,
+    /// What it shares them by with others of the core ([`FanOut::together`]).
+    ///
+    /// [`FanOut::together`]: crate::compile::resources::fan_out::FanOut::together
+    pub together: u64,
 }
 
 /// The input axons of a bundle of sources ([`crate::compile::resources::fan_in`]) so far, which are alike.
@@ -128,6 +133,8 @@ pub struct Filling<'a> {
     totals: CoreTotals,
     /// Estimate of output axon slots.
     slots_out: u64,
+    /// Of compartments that share output axons, those counted so far.
+    together: HashSet<u64>,
     places: Places,
     /// The first slot that each place reaches.
     begins: HashMap<u32, u16>,
@@ -159,6 +166,7 @@ impl<'a> Filling<'a> {
             widths: Widths::for_core(0, Delay::MIN, limits.packing),
             totals: CoreTotals::new(0, Delay::MIN),
             slots_out: 0,
+            together: HashSet::new(),
             places: Places::for_network(network),
             begins: HashMap::new(),
             shares: false,
@@ -175,6 +183,7 @@ impl<'a> Filling<'a> {
         self.widths = Widths::for_core(0, Delay::MIN, self.limits.packing);
         (self.totals, self.slots_out) = (CoreTotals::new(0, Delay::MIN), 0);
         self.begins.clear();
+        self.together.clear();
         self.shares = false;
         std::mem::take(&mut self.members)
     }
@@ -239,7 +248,9 @@ impl<'a> Filling<'a> {
             self.recount();
         }
         self.profiles.insert(&newcomer.neuron);
-        self.slots_out += u64::from(newcomer.slots_out);
+        if newcomer.together == ALONE || self.together.insert(newcomer.together) {
+            self.slots_out += u64::from(newcomer.slots_out);
+        }
         Ok(())
     }
 
@@ -264,7 +275,7 @@ impl<'a> Filling<'a> {
             *known = (self.axons.len() as u32, self.core);
             let placed = self.places.of_source(source).map(|(place, atom)| {
                 let first_slot = *self.begins.entry(place).or_insert(slot);
-                PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot), digest: 0 }
+                PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot, self.limits), digest: 0 }
             });
             self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
             self.totals.lists.iter_mut().for_each(|lists| lists.axons += u64::from(bundle));
@@ -356,8 +367,8 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// Classes of places whose lists are the same, without and with runs.
-    fn classes(&self) -> [Vec<Class>; 2] {
+    /// Classes of places whose lists are the same, without and with runs; and the places of each, with their bases.
+    fn classes(&self) -> ([Vec<Class>; 2], Vec<Vec<(u32, u16)>>) {
         let mut in_table = vec![[0u32; 2]; self.axons.len()];
         for entry in &self.entries {
             let group = entry.group(self.formats.get(entry.format).bits);
@@ -369,12 +380,16 @@ impl<'a> Filling<'a> {
         let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
         let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
         placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
-        let mut classes: [Vec<Class>; 2] = Default::default();
+        let (mut classes, mut of_classes): ([Vec<Class>; 2], Vec<Vec<(u32, u16)>>) = Default::default();
         let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
             let digests = of_place.iter().map(|(placed, _)| (placed.atom, placed.digest)).collect();
             let next = classes[0].len();
             let class = *known.entry(digests).or_insert(next);
+            if class == next {
+                of_classes.push(Vec::new());
+            }
+            of_classes[class].push((of_place[0].0.place, of_place[0].0.base));
             for (way, classes) in classes.iter_mut().enumerate() {
                 if class == next {
                     let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
@@ -389,7 +404,31 @@ impl<'a> Filling<'a> {
                 classes[class].places += 1;
             }
         }
-        classes
+        (classes, of_classes)
+    }
+
+    /// The places that are members of population axons on a core of these compartments, ascending, and whether it is a
+    /// pop32 axon.
+    pub fn members_of_axons(&mut self, newcomers: impl Iterator<Item = Newcomer>) -> Vec<(u32, bool)> {
+        self.next_core();
+        for newcomer in newcomers {
+            if self.put(&newcomer).is_err() {
+                break;
+            }
+        }
+        let (mut totals, (classes, places)) = (self.totals(), self.classes());
+        let sharing: Vec<Vec<u32>> =
+            totals.lists.iter_mut().zip(&classes).map(|(lists, classes)| lists.share(classes, self.limits)).collect();
+        let way = usize::from(totals.stores_runs(self.limits));
+        let of_class = |((class, places), &sharing): ((&Class, &Vec<(u32, u16)>), &u32)| {
+            let long = |&(place, base): &(u32, u16)| (place, axon_sharing::is_long(class.atoms, base, self.limits));
+            places[..sharing as usize].iter().map(long).collect::<Vec<_>>()
+        };
+        let mut members: Vec<(u32, bool)> =
+            classes[way].iter().zip(&places).zip(&sharing[way]).flat_map(of_class).collect();
+        members.sort_unstable();
+        self.next_core();
+        members
     }
 
     fn totals(&self) -> CoreTotals {
@@ -411,7 +450,7 @@ impl<'a> Filling<'a> {
     #[must_use]
     pub fn usage_shared(&self) -> CoreUsage {
         let mut totals = self.totals();
-        for (lists, classes) in totals.lists.iter_mut().zip(self.classes()) {
+        for (lists, classes) in totals.lists.iter_mut().zip(self.classes().0) {
             lists.share(&classes, self.limits);
         }
         totals.usage(self.limits)
@@ -457,7 +496,7 @@ mod tests {
                 let (population, index) = network.population_of(id);
                 let Units::Compartments { neurons, .. } = &network.populations()[population].units else { continue };
                 let neuron = neurons.get(index);
-                filling.add(&Newcomer { id, population, index, neuron, slots_out: 0 }).unwrap();
+                filling.add(&Newcomer { id, population, index, neuron, slots_out: 0, together: ALONE }).unwrap();
                 if held == order.len() || !shared && held % 13 == 0 {
                     assert_eq!(filling.usage_shared(), exact(&network, &order, held, &limits), "seed {seed}: {held}");
                     compared += 1;
