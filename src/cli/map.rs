@@ -27,6 +27,7 @@ EXAMPLES:
   nsim map --copies 32 -o packed.ron                32 copies; save the mapping
   nsim map --copies 32 --mapping packed.ron         check and use a saved mapping
   nsim map --prune static                           without what cannot change an output, which is listed
+  nsim map wide.ron --relays                        with compartments that carry spikes on where output axons are few
   nsim map --objective latency --profile recordings.npy   short timesteps at the firing rates of these recordings
   nsim map --pareto front.svg                       cores, energy and time of several mappings, with the Pareto front
   nsim map --copies 32 --svg board.svg              a picture of the chips in use
@@ -97,7 +98,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         output::print(context.format, || report::text(question, outcome), json, || Ok(report::csv(outcome)))?;
         return Ok(Answer::No);
     }
-    let front = jobs::front(&args.job, &network, &[])?;
+    let front = jobs::with_relays(&args.job, jobs::front(&args.job, &network, &[])?, &target)?;
     let form = Form::for_network(front.quantised(), options.copies);
     if !args.profile.is_empty() {
         Form::require_written("--profile", front.quantised(), options.copies)?;

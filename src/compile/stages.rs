@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CoreId, IdVec};
-use crate::compile::check::{equivalence, sampled, verify};
+use crate::compile::check::{equivalence, relays, sampled, verify};
 use crate::compile::emit::route::route;
 use crate::compile::emit::sample::{SampledCore, sample};
 use crate::compile::error::{CompileError, Result};
@@ -16,19 +16,24 @@ use crate::compile::frontend::copies::copies;
 use crate::compile::frontend::integers;
 use crate::compile::frontend::lower::lower;
 use crate::compile::frontend::prune::{Plan, prune};
+use crate::compile::frontend::relays::{Relayed, relayed};
 use crate::compile::mapping::{Checked, Mapping, Synapses};
 use crate::compile::mapping_file::{self, pruned::plan};
-use crate::compile::options::{DEFAULT_RATE, Options};
+use crate::compile::options::{DEFAULT_RATE, Options, Strategy};
 use crate::compile::partition::boxes::{self, Boxes};
 use crate::compile::partition::{self, partition, within_bounds};
 use crate::compile::place::{self, anneal};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
+use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::quantised::Quantised;
+
+/// Synapses of a network up to which it is tried without relays first: larger ones would be partitioned twice for long.
+const TRIED: u64 = 1 << 24;
 
 /// Measures stages.
 #[derive(Debug, Clone, Default)]
@@ -89,6 +94,40 @@ impl Front {
     pub fn prune(mut self, plan: &Plan) -> Result<Front> {
         self.one = self.clock.stage("prune", || prune(&self.one, plan)).map_err(CompileError::fault)?;
         Ok(self)
+    }
+
+    /// The network with relays where compartments have more targets than output axons, unless it maps without; proved to
+    /// spike alike. Populations then have notes that say how many relays, and how many steps later their spikes come.
+    ///
+    /// # Errors
+    /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned.
+    pub fn relay(mut self, target: &Target) -> Result<Front> {
+        if self.one.pruned().is_some() {
+            return Err(Diagnostic::new("map.relays", "a pruned network cannot be given relays").into());
+        }
+        let limits = target.limits();
+        let of_core = limits[Resource::AxonsOut] / limits.axon_out_slots_off_chip.max(1);
+        let most = limits[Resource::AxonsOutPerCompartment].min(of_core);
+        if self.one.synapses() <= TRIED && self.clone().fits_without_relays(target) {
+            return Ok(self);
+        }
+        let relayed = self.clock.stage("relays", || relayed(&self.one, most))?;
+        let Relayed { network, later, .. } = relayed;
+        let check = || relays::check(&self.one, &network, &later);
+        self.clock.stage("check relays", check).map_err(CompileError::fault)?;
+        self.one = network;
+        Ok(self)
+    }
+
+    /// Whether output axons are no reason against the network as it is.
+    fn fits_without_relays(self, target: &Target) -> bool {
+        let options = Options { strategy: Strategy::Sequential, effort_s: 0, ..Options::default() };
+        match self.partition(target, &options, &Rates::assumed(DEFAULT_RATE), Form::Written) {
+            Err(CompileError::DoesNotFit(reasons)) => !reasons.iter().any(|reason| {
+                reason.resource == Resource::AxonsOut || reason.resource == Resource::AxonsOutPerCompartment
+            }),
+            _ => true,
+        }
     }
 
     /// Compartments on logical cores, for sources of one copy that spike this often.

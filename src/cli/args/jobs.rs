@@ -34,6 +34,9 @@ pub struct JobArgs {
     /// A mapping saved by `nsim map -o`
     #[arg(long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
+    /// Add relay compartments where spikes reach more cores than a compartment or a core has output axons
+    #[arg(long)]
+    pub relays: bool,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub prune: PruneArgs,
@@ -44,7 +47,8 @@ impl JobArgs {
     #[must_use]
     pub fn for_model(model: &str) -> Self {
         let target = "nahuku-32".to_string();
-        JobArgs { model: model.to_string(), target, mapping: None, prune: PruneArgs { prune: Vec::new() } }
+        let prune = PruneArgs { prune: Vec::new() };
+        JobArgs { model: model.to_string(), target, mapping: None, relays: false, prune }
     }
 
     /// An error about the saved mapping, with its file and what to do.
@@ -305,6 +309,14 @@ pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compi
     })
 }
 
+/// The network with the relays that `--relays` asks for.
+///
+/// # Errors
+/// [`Error`] when delays leave no time for them.
+pub fn with_relays(args: &JobArgs, front: compile::Front, target: &Target) -> Result<compile::Front, Error> {
+    if args.relays { Ok(front.relay(target)?) } else { Ok(front) }
+}
+
 /// Compiles a network, onto the cores of a saved mapping when there is one.
 ///
 /// # Errors
@@ -318,7 +330,7 @@ pub fn compiled(
     probed: &[&str],
 ) -> Result<Result<Compiled, CompileError>, Error> {
     args.prune.not_with_mapping(mapping.is_some())?;
-    let front = front(args, network, probed)?;
+    let front = with_relays(args, front(args, network, probed)?, target)?;
     Ok(match mapping {
         Some(file) => {
             compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))

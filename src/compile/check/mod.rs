@@ -1,5 +1,6 @@
 //! Proof that a mapping keeps its limits and equals its network, by code that shares nothing with what made it.
 
 pub mod equivalence;
+pub mod relays;
 pub mod sampled;
 pub mod verify;

@@ -182,7 +182,7 @@ fn verify_messages(
 fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
     match limits.output_axons {
         OutputAxons::PerCompartment => false,
-        OutputAxons::PerPosition { atoms, .. } => axon.atoms > atoms || axon.base % BASE_STEP != 0,
+        OutputAxons::PerPosition { atoms, .. } => axon.atoms > atoms || !axon.base.is_multiple_of(BASE_STEP),
     }
 }
 
@@ -215,7 +215,7 @@ fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<
     if inputs
         .populations
         .iter()
-        .any(|axon| !is_long(axon, limits) && axon.base % BASE_STEP != 0 || axon.base >= BASE_END)
+        .any(|axon| !is_long(axon, limits) && !axon.base.is_multiple_of(BASE_STEP) || axon.base >= BASE_END)
     {
         return wrong("a population axon has a base that cannot be stored");
     }

@@ -6,6 +6,7 @@ pub mod exponents;
 pub mod lower;
 pub mod prune;
 pub mod quantise;
+pub mod relays;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::desc::network::Network;

@@ -82,7 +82,7 @@ pub fn numbers(most_atoms: u16, limits: &Limits) -> (u32, u32) {
 pub fn is_long(atoms: u16, base: u16, limits: &Limits) -> bool {
     match limits.output_axons {
         OutputAxons::PerCompartment => false,
-        OutputAxons::PerPosition { atoms: of_short, .. } => atoms > of_short || base % BASE_STEP != 0,
+        OutputAxons::PerPosition { atoms: of_short, .. } => atoms > of_short || !base.is_multiple_of(BASE_STEP),
     }
 }
 

@@ -110,6 +110,9 @@ impl Entry {
 /// A make-up of a group at some widths, and how it is stored without and with runs.
 type Packed = ((Widths, Group), [(Compression, u32); LISTS]);
 
+/// Places of a class, ascending, with their bases.
+type PlacesOfClass = Vec<(u32, u16)>;
+
 /// A core that is being filled.
 #[derive(Debug)]
 pub struct Filling<'a> {
@@ -368,7 +371,7 @@ impl<'a> Filling<'a> {
     }
 
     /// Classes of places whose lists are the same, without and with runs; and the places of each, with their bases.
-    fn classes(&self) -> ([Vec<Class>; 2], Vec<Vec<(u32, u16)>>) {
+    fn classes(&self) -> ([Vec<Class>; LISTS], Vec<PlacesOfClass>) {
         let mut in_table = vec![[0u32; 2]; self.axons.len()];
         for entry in &self.entries {
             let group = entry.group(self.formats.get(entry.format).bits);
@@ -380,7 +383,8 @@ impl<'a> Filling<'a> {
         let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
         let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
         placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
-        let (mut classes, mut of_classes): ([Vec<Class>; 2], Vec<Vec<(u32, u16)>>) = Default::default();
+        let mut classes: [Vec<Class>; LISTS] = Default::default();
+        let mut of_classes: Vec<PlacesOfClass> = Vec::new();
         let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
             let digests = of_place.iter().map(|(placed, _)| (placed.atom, placed.digest)).collect();
@@ -420,7 +424,7 @@ impl<'a> Filling<'a> {
         let sharing: Vec<Vec<u32>> =
             totals.lists.iter_mut().zip(&classes).map(|(lists, classes)| lists.share(classes, self.limits)).collect();
         let way = usize::from(totals.stores_runs(self.limits));
-        let of_class = |((class, places), &sharing): ((&Class, &Vec<(u32, u16)>), &u32)| {
+        let of_class = |((class, places), &sharing): ((&Class, &PlacesOfClass), &u32)| {
             let long = |&(place, base): &(u32, u16)| (place, axon_sharing::is_long(class.atoms, base, self.limits));
             places[..sharing as usize].iter().map(long).collect::<Vec<_>>()
         };
