@@ -105,7 +105,10 @@ pub fn map_all(
         Form::Symbolic => &BY_KERNELS[..],
     };
     let rates = &Rates::assumed(DEFAULT_RATE);
-    let front = || Front::from(bench.network.clone());
+    let front = || {
+        let front = Front::from(bench.network.clone());
+        if case.relays { front.relay(target) } else { Ok(front) }
+    };
     let expected = (form == Form::Written)
         .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
     for &(strategy, objective, places) in ways {
@@ -116,7 +119,8 @@ pub fn map_all(
         // One partition serves both ways of placing it, where a second copy of it is no matter of gigabytes.
         let partitioned = match (form, objective) {
             (Form::Written, Objective::Cores) => {
-                Some(front().partition(target, &options, rates, form).map_err(failed)?)
+                let partitioned = front().and_then(|front| front.partition(target, &options, rates, form));
+                Some(partitioned.map_err(failed)?)
             }
             _ => None,
         };
@@ -131,7 +135,7 @@ pub fn map_all(
                     let unchecked = partitioned.clone().place(target, &options).and_then(|p| p.emit(target, &options));
                     unchecked.and_then(|unchecked| unchecked.check(target))
                 }
-                None => explore::map(front(), target, &options, rates, form),
+                None => front().and_then(|front| explore::map(front, target, &options, rates, form)),
             };
             let mapping = mapping.map_err(failed)?;
             let seconds = gathered + begin.elapsed().as_secs_f64();
@@ -140,7 +144,8 @@ pub fn map_all(
             let traffic = mapping.traffic();
             let (energy_uj, step_us) = match &expected {
                 Some((meant, sample)) => {
-                    simulated(case, &mapping.into_compiled().map_err(failed)?, target, sample, meant)?
+                    let compiled = mapping.into_compiled().map_err(failed)?;
+                    simulated(case, (&compiled, bench.network.compartments()), target, sample, meant)?
                 }
                 None => {
                     let score = mapping.score(&traffic, target);
@@ -167,10 +172,10 @@ pub fn map_all(
     Ok(())
 }
 
-/// Mean energy and time of a step, once its spikes have been compared.
+/// Mean energy and time of a step, once the spikes of the network's own compartments have been compared.
 fn simulated(
     case: &SuiteCase,
-    compiled: &Compiled,
+    (compiled, own): (&Compiled, u32),
     target: &Target,
     sample: &Sample,
     meant: &[Vec<u32>],
@@ -190,7 +195,9 @@ fn simulated(
     for step in 0..STEPS {
         machine.step(sample.at(step));
         let copies = (0..case.copies).flat_map(|k| meant[step as usize].iter().map(move |id| id + k * of_copy));
-        if !machine.ascending_spikes().iter().map(|id| id.0).eq(copies) {
+        // Those of relays are not the network's.
+        let spikes = machine.ascending_spikes();
+        if !spikes.iter().map(|id| id.0).filter(|id| id % of_copy < own).eq(copies) {
             return Err(MappingFailure::Spikes(case.name, compiled.options.strategy.name(), step));
         }
         meter.add(machine.last_step(), 1, false);

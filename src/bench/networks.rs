@@ -202,6 +202,15 @@ impl Builder {
         Ok(())
     }
 
+    /// Gives the last projection this delay.
+    pub(super) fn delay_last(&mut self, delay: i64) -> Result<(), OutOfRange> {
+        let delay = Delay::new(delay)?;
+        if let Some(projection) = self.parts.projections.as_mut_slice().last_mut() {
+            projection.delay = delay;
+        }
+        Ok(())
+    }
+
     /// All to all with even weights in `low..=high`.
     pub(super) fn dense(
         &mut self,

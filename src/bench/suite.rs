@@ -21,6 +21,10 @@
 //! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
 //!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between
 //!   one in a hundred and one in ten, on a sheet instead of a ring).
+//! - `fly-140k`: as many compartments as the connectome of a fly (FlyWire, Dorkenwald et al. 2024) and some 14 million weighted
+//!   connections. Degrees have heavy tails: out-degrees are drawn from a Pareto distribution with exponent 1.6 from 40 to 10,000,
+//!   in-degrees fall as 1 / sqrt(j) and are 4,000 at most, because a core has 4,096 input axons. Delays are 18 steps, 1.8 ms of 0.1 ms
+//!   as in the model of Shiu et al. 2024. Mapped with relays.
 //! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 / sqrt(j), as hubs of preferential
 //!   attachment do (Barabasi & Albert 1999); no compartment takes more than 2,000, so that its input axons fit a core.
 
@@ -45,6 +49,8 @@ pub struct SuiteCase {
     pub copies: u32,
     /// Whether it is left out unless everything is asked for.
     pub large: bool,
+    /// Whether it is mapped with relays.
+    pub relays: bool,
     make: fn(&'static str) -> Result<BenchNetwork, BuildError>,
 }
 
@@ -61,7 +67,7 @@ impl SuiteCase {
 /// All networks, small ones first.
 #[must_use]
 pub fn cases() -> Vec<SuiteCase> {
-    let case = |name, make| SuiteCase { name, copies: 1, large: false, make };
+    let case = |name, make| SuiteCase { name, copies: 1, large: false, relays: false, make };
     vec![
         case("vtsnn-slip", slip),
         case("container-tactile", container),
@@ -85,6 +91,7 @@ pub fn cases() -> Vec<SuiteCase> {
         SuiteCase { large: true, ..case("small-world-1m", |name| small_world(name, 1_000)) },
         SuiteCase { large: true, ..case("scale-free-1m", |name| scale_free(name, 1_000_000)) },
         SuiteCase { large: true, ..case("conv-10m", convolutions) },
+        SuiteCase { large: true, relays: true, ..case("fly-140k", fly) },
     ]
 }
 
@@ -259,6 +266,7 @@ fn recurrent(name: &'static str, compartments: u32) -> Result<BenchNetwork, Buil
 fn listed(
     name: &'static str,
     compartments: u32,
+    delay: i64,
     targets_of: impl Fn(u32, &mut Vec<u32>),
 ) -> Result<BenchNetwork, BuildError> {
     let (mut net, _, neurons) = Builder::driven(name, compartments)?;
@@ -275,6 +283,7 @@ fn listed(
     let weights = (0..all.len() as u64).map(weight).collect();
     let synapses = Connectivity::Sparse { first: first.into(), targets: all.into(), weights };
     net.connect((neurons, neurons), 0, SignMode::Mixed, synapses)?;
+    net.delay_last(delay)?;
     bench(net, if compartments > 50_000 { "pohoiki-springs" } else { "nahuku-32" })
 }
 
@@ -289,7 +298,7 @@ fn small_world(name: &'static str, side: u32) -> Result<BenchNetwork, BuildError
         .filter(|&(y, x)| (y, x) != (0, 0) && y * y + x * x <= 10)
         .take(FAN_OUT as usize + 4)
         .collect();
-    listed(name, n, |source, targets| {
+    listed(name, n, 0, |source, targets| {
         let (y, x) = (i64::from(source / side), i64::from(source % side));
         for (k, &(dy, dx)) in near.iter().enumerate() {
             let draw = |n: u32, what| rng::below(u64::from(n), 7, u64::from(source), 2 * k as u64 + what) as u32;
@@ -305,7 +314,7 @@ fn small_world(name: &'static str, side: u32) -> Result<BenchNetwork, BuildError
 fn scale_free(name: &'static str, n: u32) -> Result<BenchNetwork, BuildError> {
     const MOST_IN: u32 = 2_000;
     let taken = std::cell::RefCell::new(vec![0u32; n as usize]);
-    listed(name, n, |source, targets| {
+    listed(name, n, 0, |source, targets| {
         let mut taken = taken.borrow_mut();
         for k in 0..u64::from(FAN_OUT) {
             // The square of an even number of [0, 1) falls below x with a probability of sqrt(x).
@@ -313,6 +322,27 @@ fn scale_free(name: &'static str, n: u32) -> Result<BenchNetwork, BuildError> {
             let mut target = (even * even * f64::from(n)) as u32;
             while taken[target as usize] >= MOST_IN {
                 target = (target + 1) % n;
+            }
+            taken[target as usize] += 1;
+            targets.push(target);
+        }
+    })
+}
+
+fn fly(name: &'static str) -> Result<BenchNetwork, BuildError> {
+    const COMPARTMENTS: u32 = 140_000;
+    const MOST_IN: u32 = 4_000;
+    let taken = std::cell::RefCell::new(vec![0u32; COMPARTMENTS as usize]);
+    listed(name, COMPARTMENTS, 18, |source, targets| {
+        let mut taken = taken.borrow_mut();
+        let fan_out = (40.0 * (1.0 - rng::unit(12, u64::from(source), 0)).powf(-1.0 / 1.6)).min(10_000.0) as u64;
+        for k in 0..fan_out {
+            let even = rng::unit(13, u64::from(source), k);
+            // Which compartments have many inputs says nothing of how many outputs they have.
+            let rank = (even * even * f64::from(COMPARTMENTS)) as u64;
+            let mut target = (rank * 99_991 % u64::from(COMPARTMENTS)) as u32;
+            while taken[target as usize] >= MOST_IN {
+                target = (target + 1) % COMPARTMENTS;
             }
             taken[target as usize] += 1;
             targets.push(target);
