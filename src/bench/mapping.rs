@@ -119,8 +119,11 @@ pub fn map_all(
         // One partition serves both ways of placing it, where a second copy of it is no matter of gigabytes.
         let partitioned = match (form, objective) {
             (Form::Written, Objective::Cores) => {
-                let partitioned = front().and_then(|front| front.partition(target, &options, rates, form));
-                Some(partitioned.map_err(failed)?)
+                match front().and_then(|front| front.partition(target, &options, rates, form)) {
+                    // Layers that only fit in tiles have no row in the order of the file.
+                    Err(CompileError::DoesNotFit(_)) if strategy == Strategy::Sequential => continue,
+                    partitioned => Some(partitioned.map_err(failed)?),
+                }
             }
             _ => None,
         };

@@ -19,7 +19,7 @@ use crate::compile::frontend::prune::{Plan, prune};
 use crate::compile::frontend::relays::{Relayed, relayed};
 use crate::compile::mapping::{Checked, Mapping, Synapses};
 use crate::compile::mapping_file::{self, pruned::plan};
-use crate::compile::options::{DEFAULT_RATE, Options, Strategy};
+use crate::compile::options::{DEFAULT_RATE, Options};
 use crate::compile::partition::boxes::{self, Boxes};
 use crate::compile::partition::{self, partition, within_bounds};
 use crate::compile::place::{self, anneal};
@@ -121,7 +121,7 @@ impl Front {
 
     /// Whether output axons are no reason against the network as it is.
     fn fits_without_relays(self, target: &Target) -> bool {
-        let options = Options { strategy: Strategy::Sequential, effort_s: 0, ..Options::default() };
+        let options = Options { effort_s: 0, ..Options::default() };
         match self.partition(target, &options, &Rates::assumed(DEFAULT_RATE), Form::Written) {
             Err(CompileError::DoesNotFit(reasons)) => !reasons.iter().any(|reason| {
                 reason.resource == Resource::AxonsOut || reason.resource == Resource::AxonsOutPerCompartment
