@@ -10,6 +10,7 @@ pub mod inputs;
 pub mod populations;
 pub mod priced;
 pub mod samples;
+pub mod steps;
 pub mod warnings;
 
 use decision::{Decision, EarlyExit};

@@ -1,4 +1,4 @@
-//! The parts of a run add up to its totals, exactly: populations, inputs and cores of random networks, on the machine with 1, 2
+//! The parts of a run add up to its totals, exactly: populations, inputs, cores and timesteps of random networks, on the machine with 1, 2
 //! and 8 threads and on the golden interpreter.
 
 // A test that cannot go on has failed.
@@ -7,17 +7,20 @@
 mod common;
 
 use common::random;
+use nsim::base::id::ChannelId;
 use nsim::base::units::{Femtojoules, Picoseconds};
 use nsim::compile::{Compiled, Options, compile};
 use nsim::cost::model::{core_time, energy};
-use nsim::cost::{CostTable, Deployment, MeterSettings, Transport};
+use nsim::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use nsim::desc::resource::Resource;
 use nsim::desc::target::Target;
 use nsim::drive::cores::core_rows;
 use nsim::drive::populations::ByPopulation;
 use nsim::drive::priced::{Metered, SampleRun};
-use nsim::drive::samples::{Running, golden};
+use nsim::drive::samples::{Run, Running, golden};
+use nsim::drive::steps::{CELLS, StepLayout, run_recorded};
 use nsim::drive::{Keep, Outcome};
+use nsim::io::recorded::steps::{StepFormat, StepWriter};
 use nsim::io::target::load_target;
 use nsim::ir::activity::{Overflow, Totals};
 use nsim::ir::quantised::Quantised;
@@ -150,4 +153,99 @@ fn copies_count_together() {
         );
     }
     assert!(one.inputs.iter().zip(&three.inputs).all(|(one, three)| one.spikes * 3 == three.spikes));
+}
+
+/// A metered run with a row for each step, and the file.
+fn recorded(
+    compiled: &Compiled,
+    target: &Target,
+    samples: &[&Sample],
+    format: StepFormat,
+) -> (Run<StepMeter>, StepLayout, Vec<u8>) {
+    let metered = Metered::new(compiled);
+    let (settings, deployment) = metered.offline(target).unwrap();
+    let layout = StepLayout::new(&compiled.one, deployment.cores_powered);
+    let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+    let running = Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| () };
+    let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+    let mut file = Vec::new();
+    let table = StepWriter::new(&mut file, format, layout.columns(), Some(rows)).unwrap();
+    let (run, written) = run_recorded(&metered, settings, (samples, running), &layout, table).unwrap();
+    written.unwrap();
+    (run, layout, file)
+}
+
+/// Rows add up to the run, column by column.
+fn assert_rows_add_up(compiled: &Compiled, target: &Target, samples: &[&Sample], what: &str) {
+    let (run, layout, file) = recorded(compiled, target, samples, StepFormat::Csv);
+    let mut reader = csv::Reader::from_reader(&file[..]);
+    let header: Vec<String> = reader.headers().unwrap().iter().map(str::to_string).collect();
+    assert_eq!(header[..2], ["sample", "timestep"], "{what}");
+    let mut sums = vec![0u64; header.len()];
+    let mut places =
+        samples.iter().zip(0u64..).flat_map(|(sample, n)| (0..u64::from(sample.steps())).map(move |t| (n, t)));
+    for record in reader.records() {
+        // Every figure is an integer of its finest unit: what is behind the point has a fixed number of digits.
+        let cells: Vec<u64> = record.unwrap().iter().map(|cell| cell.replace('.', "").parse().unwrap()).collect();
+        assert_eq!(places.next(), Some((cells[0], cells[1])), "{what}: rows are in run order");
+        sums.iter_mut().zip(cells).for_each(|(sum, cell)| *sum += cell);
+    }
+    assert_eq!(places.next(), None, "{what}: a row for each step");
+    let sum = |name: &str| sums[header.iter().position(|column| column == name).unwrap()];
+    let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);
+    for row in &rows.populations {
+        assert_eq!(sum(&format!("spikes.{}", row.name)), row.spikes, "{what}: {}", row.name);
+    }
+    for row in &rows.inputs {
+        assert_eq!(sum(&format!("spikes.{}", row.name)), row.spikes, "{what}: {}", row.name);
+    }
+    let activity = &run.activity;
+    assert_eq!(sum("synaptic_events"), activity.totals().synaptic_events, "{what}");
+    assert_eq!((sum("messages"), sum("hops")), (activity.messages(), activity.hops().links()), "{what}");
+    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), compiled.options.copies);
+    for (name, part) in energy(activity, &run.meter.tables()[0], deployment.cores_powered).parts() {
+        assert_eq!(u128::from(sum(&format!("energy_pj.{name}"))), part.0, "{what}: {name}");
+    }
+    let time: u64 = header.iter().zip(&sums).filter(|(name, _)| name.starts_with("time_us.")).map(|(_, sum)| sum).sum();
+    assert_eq!(u128::from(time), run.meter.lanes()[0].whole.time, "{what}: time");
+    let (_, _, array) = recorded(compiled, target, samples, StepFormat::Npy);
+    let width = 8 + 8 * layout.columns().len();
+    let steps: usize = samples.iter().map(|sample| sample.steps() as usize).sum();
+    assert_eq!((array.len() - steps * width) % 64, 0, "{what}: a record for each step");
+}
+
+#[test]
+fn rows_of_steps_sum_to_the_totals() {
+    let target = small_cores();
+    let pools: Vec<_> = [1, 8].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap()).into();
+    for seed in 0..60 {
+        let network = random::network(seed);
+        let given: Vec<Sample> = (0..4).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
+        let samples: Vec<&Sample> = given.iter().collect();
+        let copies = [1, 1, 3][seed as usize % 3];
+        let options = Options { copies, place: false, ..Options::default() };
+        let compiled = compile(network, &target, &options).unwrap();
+        let files = pools.iter().map(|pool| {
+            pool.install(|| {
+                assert_rows_add_up(&compiled, &target, &samples, &format!("network {seed}, {copies} copies"));
+                recorded(&compiled, &target, &samples, StepFormat::Csv).2
+            })
+        });
+        let files: Vec<Vec<u8>> = files.collect();
+        assert!(files[0] == files[1], "network {seed}: the number of threads changes no row");
+    }
+}
+
+/// A sample with more numbers than are kept writes its rows as they come.
+#[test]
+fn rows_of_a_long_sample_sum_to_its_totals() {
+    let network = random::network(5);
+    let steps = (CELLS / 16) as u32;
+    let events: Vec<_> = (0..network.channels()).map(|channel| (channel * 7_919 % steps, ChannelId(channel))).collect();
+    let late = [(steps - 1, ChannelId(0))];
+    let long = Sample::new(steps, &[&events[..], &late].concat(), None).unwrap();
+    let short = random::sample(&network, 5);
+    let target = small_cores();
+    let compiled = compile(network, &target, &Options { place: false, ..Options::default() }).unwrap();
+    assert_rows_add_up(&compiled, &target, &[&short, &long, &short], "a long sample between short ones");
 }

@@ -6,12 +6,14 @@ use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::base::id::ChannelId;
+use crate::base::names::fits_pattern;
 use crate::drive::samples::Traces;
 use crate::drive::{Outcome, Probe, Quantity};
 use crate::error::{Error, Result};
 use crate::io;
-use crate::io::trace::Trace;
-use crate::ir::quantised::Quantised;
+use crate::io::recorded::probes::Trace;
+use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::Sample;
 
 /// How probes are written.
@@ -31,8 +33,8 @@ pub enum ProbeFormat {
 /// What is recorded, and where it goes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ProbeArgs {
-    /// Record POPULATION.spikes, .u, .v or .v_register into -o
-    #[arg(long, value_name = "POP.WHAT", requires = "output")]
+    /// Record POPULATION.spikes, .u, .v or .v_register into -o; spikes when it says no more than a name, which may have * and ?
+    #[arg(long, value_name = "POP[.WHAT]", requires = "output")]
     pub probe: Vec<String>,
     /// How probes are written
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "npy")]
@@ -46,8 +48,51 @@ pub struct ProbeArgs {
 #[derive(Debug)]
 pub struct NamedProbe {
     name: String,
-    /// What it records.
-    pub probe: Probe,
+    source: Source,
+}
+
+/// What a probe reads.
+#[derive(Debug, Clone, Copy)]
+enum Source {
+    /// A register of compartments.
+    Engine(Probe),
+    /// Spikes of so many channels from this one on, which are the samples' own.
+    Input(ChannelId, u32),
+}
+
+impl NamedProbe {
+    /// What the engine records for it; none for an input.
+    #[must_use]
+    pub fn engine(&self) -> Option<Probe> {
+        match self.source {
+            Source::Engine(probe) => Some(probe),
+            Source::Input(..) => None,
+        }
+    }
+
+    fn count(&self) -> u32 {
+        match self.source {
+            Source::Engine(probe) => probe.count,
+            Source::Input(_, count) => count,
+        }
+    }
+
+    fn quantity(&self) -> Quantity {
+        self.engine().map_or(Quantity::Spikes, |probe| probe.quantity)
+    }
+}
+
+/// The spikes of channels in all samples, `[channels][steps]` each.
+fn input_numbers<'s>(samples: &'s [&Sample], first: ChannelId, count: u32) -> impl Iterator<Item = f64> + 's {
+    samples.iter().flat_map(move |sample| {
+        let steps = sample.steps() as usize;
+        let mut numbers = vec![0.0; count as usize * steps];
+        for step in 0..sample.steps() {
+            let own = sample.at(step).iter().filter_map(|channel| channel.0.checked_sub(first.0));
+            own.filter(|&index| index < count).for_each(|index| numbers[index as usize * steps + step as usize] = 1.0);
+        }
+        numbers
+    })
 }
 
 /// What probes recorded: the chip's registers, or real numbers.
@@ -83,10 +128,10 @@ impl Recorded<'_> {
 const MOST_PROBED: u64 = 1 << 30;
 
 impl ProbeArgs {
-    /// The populations that are named, which pruning leaves whole.
+    /// Patterns of the populations that are named, which pruning leaves whole.
     #[must_use]
     pub fn populations(&self) -> Vec<&str> {
-        self.probe.iter().filter_map(|text| Some(text.rsplit_once('.')?.0)).collect()
+        self.probe.iter().map(|text| parts(text).0).collect()
     }
 
     /// The probes of a network and the samples that they record.
@@ -95,7 +140,8 @@ impl ProbeArgs {
     /// [`Error::Usage`] for a probe that there is not, is given twice, or takes too much memory; `run.probe-pruned` and
     /// `run.probe-shape`.
     pub fn probes(&self, network: &Quantised, samples: &[&Sample]) -> Result<Vec<NamedProbe>> {
-        let probes = self.probe.iter().map(|text| probe(network, text)).collect::<Result<Vec<_>, _>>()?;
+        let found = self.probe.iter().map(|text| named_probes(network, text)).collect::<Result<Vec<_>, _>>()?;
+        let probes: Vec<NamedProbe> = found.into_iter().flatten().collect();
         check_room(&probes, samples)?;
         let twice = (1..probes.len()).find(|&index| probes[..index].iter().any(|p| p.name == probes[index].name));
         if let Some(index) = twice {
@@ -116,72 +162,100 @@ impl ProbeArgs {
         folder.join(format!("{}.{extension}", named.name))
     }
 
-    /// Writes what was recorded in steps of so many milliseconds; returns the files.
+    /// Writes what was recorded in steps of so many milliseconds, under temporary names; returns the files.
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn write(&self, probes: &[NamedProbe], recorded: Recorded<'_>, dt_ms: f64, force: bool) -> Result<Vec<String>> {
+    pub fn write(
+        &self,
+        probes: &[NamedProbe],
+        (recorded, given): (Recorded<'_>, &[&Sample]),
+        dt_ms: f64,
+        batch: &mut io::write::Batch,
+    ) -> Result<Vec<String>> {
         let mut files = Vec::new();
-        let mut batch = io::write::Batch::new(force);
-        for (index, named) in probes.iter().enumerate() {
-            let path = self.path(named);
-            let ((samples, length), count) = (recorded.size(index), named.probe.count as usize);
+        let mut of_engine = 0;
+        for named in probes {
+            let (path, count) = (self.path(named), named.count() as usize);
+            let (samples, length, numbers): (_, _, Box<dyn Iterator<Item = f64> + '_>) = match named.source {
+                Source::Engine(_) => {
+                    let (samples, length) = recorded.size(of_engine);
+                    of_engine += 1;
+                    (samples, length, recorded.numbers(of_engine - 1))
+                }
+                Source::Input(first, channels) => {
+                    let length = given.first().map_or(0, |sample| sample.steps() as usize * count);
+                    (given.len(), length, Box::new(input_numbers(given, first, channels)))
+                }
+            };
             let shape = [samples, count, length / count.max(1)];
-            let numbers = recorded.numbers(index);
             let (population, register) = named.name.rsplit_once('.').unwrap_or((&named.name, ""));
             let trace = Trace { population, register, shape, dt_s: dt_ms / 1e3 };
             match self.probe_format {
                 ProbeFormat::Npy => batch.add(&path, |out| {
                     let shape = shape.map(|axis| axis as u64);
-                    match (named.probe.quantity, recorded) {
+                    match (named.quantity(), recorded) {
                         (Quantity::Spikes, _) => io::npy::write(out, &shape, numbers.map(|number| number as u8)),
                         (_, Recorded::Integers(_)) => io::npy::write(out, &shape, numbers.map(|number| number as i32)),
                         (_, Recorded::Reals(_)) => io::npy::write(out, &shape, numbers),
                     }
                 })?,
-                ProbeFormat::Csv => trace.csv(&path, &mut batch, numbers)?,
-                ProbeFormat::Nir => trace.nir(&path, &mut batch, numbers)?,
+                ProbeFormat::Csv => trace.csv(&path, batch, numbers)?,
+                ProbeFormat::Nir => trace.nir(&path, batch, numbers)?,
                 #[cfg(feature = "parquet")]
-                ProbeFormat::Parquet => trace.parquet(&path, &mut batch, numbers)?,
+                ProbeFormat::Parquet => trace.parquet(&path, batch, numbers)?,
             }
             files.push(path.display().to_string());
         }
-        batch.commit()?;
         Ok(files)
     }
 }
 
-fn probe(network: &Quantised, text: &str) -> Result<NamedProbe> {
-    let wrong = |why: String| Error::Usage(format!("--probe {text}: {why}"));
-    let (population, what) =
-        text.rsplit_once('.').ok_or_else(|| wrong("write POPULATION.spikes, .u, .v or .v_register".into()))?;
-    let quantity = Quantity::ALL.iter().find(|(_, name)| *name == what).map(|(quantity, _)| *quantity);
-    let quantity = quantity.ok_or_else(|| wrong(format!("'{what}' is none of spikes, u, v, v_register")))?;
-    let id = network.population_named(population);
-    let found = id.map(|id| &network.populations()[id]);
-    if let Some(lost) = id.and_then(|id| Some(network.units_shown(id) - network.kept(id)?.len() as u32)) {
-        let message =
-            format!("--probe {text}: {lost} compartments of '{population}' were pruned and have no registers");
-        let help = "map again without --prune, or let this run prune (--prune): it leaves what is probed whole";
-        return Err(Diagnostic::new("run.probe-pruned", message).help(help).into());
+/// The pattern and the quantity of a probe; all of the text is a pattern unless it ends in a quantity.
+fn parts(text: &str) -> (&str, Option<Quantity>) {
+    let quantity = |what: &str| Quantity::ALL.iter().find(|(_, name)| *name == what).map(|(quantity, _)| *quantity);
+    match text.rsplit_once('.') {
+        Some((pattern, what)) if quantity(what).is_some() => (pattern, quantity(what)),
+        _ => (text, None),
     }
-    match found.and_then(|p| Some((p.first_compartment()?, p.shape.len()))) {
-        Some((first, count)) => Ok(NamedProbe { name: text.to_string(), probe: Probe { first, count, quantity } }),
-        None => {
-            let names: Vec<&str> = network
-                .populations()
-                .iter()
-                .filter(|p| p.first_compartment().is_some())
-                .map(|p| p.name.as_str())
-                .collect();
-            Err(wrong(format!("populations with compartments are: {}", names.join(", "))))
+}
+
+/// The probes that an argument asks for: one for each population that fits its pattern and has such a register.
+fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
+    let (pattern, asked) = parts(text);
+    let quantity = asked.unwrap_or(Quantity::Spikes);
+    let what = Quantity::ALL.iter().find(|(known, _)| *known == quantity).map_or("", |(_, name)| name);
+    let mut probes = Vec::new();
+    for (id, population) in network.populations().enumerate() {
+        if !fits_pattern(pattern, &population.name) {
+            continue;
         }
+        let count = population.shape.len();
+        let source = match (population.first_compartment(), population.first_channel()) {
+            (Some(first), _) => Source::Engine(Probe { first, count, quantity }),
+            (None, Some(first)) if quantity == Quantity::Spikes => Source::Input(first, count),
+            _ => continue,
+        };
+        if let Some(lost) = network.kept(id).map(|kept| network.units_shown(id) - kept.len() as u32) {
+            let name = &population.name;
+            let message = format!("--probe {text}: {lost} compartments of '{name}' were pruned and have no registers");
+            let help = "map again without --prune, or let this run prune (--prune): it leaves what is probed whole";
+            return Err(Diagnostic::new("run.probe-pruned", message).help(help).into());
+        }
+        probes.push(NamedProbe { name: format!("{}.{what}", population.name), source });
     }
+    if probes.is_empty() {
+        let has_it = |p: &&Population| quantity == Quantity::Spikes || p.first_compartment().is_some();
+        let names: Vec<&str> = network.populations().iter().filter(has_it).map(|p| p.name.as_str()).collect();
+        let hint = "write POPULATION, or POPULATION.spikes, .u, .v or .v_register";
+        return Err(Error::Usage(format!("--probe {text}: populations with {what} are: {}; {hint}", names.join(", "))));
+    }
+    Ok(probes)
 }
 
 fn check_room(probes: &[NamedProbe], samples: &[&Sample]) -> Result<()> {
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
-    let rows: u64 = probes.iter().map(|named| u64::from(named.probe.count)).sum();
+    let rows: u64 = probes.iter().map(|named| u64::from(named.count())).sum();
     if rows.saturating_mul(steps) > MOST_PROBED {
         return Err(Error::Usage(format!(
             "the probes would record {rows} compartments over {steps} steps, more than {MOST_PROBED} numbers; choose fewer --samples"

@@ -1,16 +1,20 @@
 //! `nsim run`: simulates a network and says what came out.
 
+use std::path::PathBuf;
+
 use crate::base::id::Id;
 use crate::cli::args::input::{InputArgs, check_pruned, select};
 use crate::cli::args::jobs::{self, Job, Prepared, Wanted};
+use crate::cli::args::steps::{self, recorded};
 use crate::cli::args::values::{Switch, one_of_named};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::probes::{ProbeArgs, Recorded};
+use crate::cli::probes::{NamedProbe, ProbeArgs, Recorded};
 use crate::drive::cores::core_rows;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::populations::ByPopulation;
-use crate::drive::samples::{self, Interpreted, Progress, Running, Traces, fast, golden};
+use crate::drive::priced::Metered;
+use crate::drive::samples::{self, Interpreted, Progress, Run, Running, Traces, fast, golden};
 use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::drive::{Keep, Outcome, Quantity, inputs};
 use crate::error::Error;
@@ -53,6 +57,7 @@ EXAMPLES:
   nsim run --input 'scene:noise?samples=5&seed=7&rate=0.02'
   nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
   nsim run --early-exit certain                        end each sample once its decision cannot change
+  nsim run --steps steps.csv                           a row a timestep: where spikes, time and energy go
   nsim run --engine golden --format json
   nsim run srm.ron --input s.npy --probe hidden.u -o traces     potentials of spike response neurons, as float64";
 
@@ -78,6 +83,10 @@ pub struct Args {
     early_exit: Option<Rule>,
     #[command(flatten)]
     probes: ProbeArgs,
+    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part, under the
+    /// target's first constants
+    #[arg(long, value_name = "FILE.csv|FILE.npy")]
+    steps: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -89,6 +98,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let message = "--probe records every step of a sample, --early-exit leaves some off: use one of them";
         return Err(Error::Usage(message.to_string()));
     }
+    args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
     let wanted = EngineChoice::wanted(args.engine);
     let job = match jobs::prepare_probed(&args.job, wanted, Some(1), &args.probes.populations())? {
         Prepared::Ready(job) => job,
@@ -104,13 +114,18 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let first = output.first_compartment().unwrap_or_else(|| Id::new(0));
     let keep = Keep {
         output: (first, output.shape.len()),
-        probes: probes.iter().map(|p| p.probe).collect(),
+        probes: probes.iter().filter_map(NamedProbe::engine).collect(),
         early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
     };
+    let mut batch = io::write::Batch::new(context.force);
     let Done { engine, outcomes, traces, activity, counts, skipped_updates, wall_s } =
-        output::with_progress(context, samples.len(), "samples", |done| ran(args, &job, &samples, &keep, done))?;
+        output::with_progress(context, samples.len(), "samples", |done| {
+            ran(args, &job, &samples, &keep, &mut batch, done)
+        })?;
     let recorded = traces.as_deref().map_or(Recorded::Integers(&outcomes), Recorded::Reals);
-    let files = args.probes.write(&probes, recorded, network.parts().timestep_ms, context.force)?;
+    let mut files = args.probes.write(&probes, (recorded, &samples), network.parts().timestep_ms, &mut batch)?;
+    batch.commit()?;
+    files.extend(args.steps.iter().map(|path| path.display().to_string()));
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let sums = ByPopulation::new(network, &counts);
     let engine_ran = match &job {
@@ -156,21 +171,45 @@ struct Done {
     wall_s: f64,
 }
 
+impl<M> From<Run<M>> for Done {
+    fn from(run: Run<M>) -> Self {
+        Done {
+            engine: "fast",
+            outcomes: run.outcomes,
+            traces: None,
+            activity: Some(run.activity),
+            counts: run.counts,
+            skipped_updates: run.skipped_updates,
+            wall_s: run.wall_s,
+        }
+    }
+}
+
 /// Runs the samples on the engine that the job is ready for.
-fn ran(args: &Args, job: &Job, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Result<Done, Error> {
+fn ran(
+    args: &Args,
+    job: &Job,
+    samples: &[&Sample],
+    keep: &Keep,
+    batch: &mut io::write::Batch,
+    progress: Progress<'_>,
+) -> Result<Done, Error> {
+    if args.steps.is_some() && job.mapped().is_none() {
+        let message = "--steps says what cores do: it needs --engine fast";
+        return Err(Error::Usage(message.to_string()));
+    }
     Ok(match job {
-        Job::Mapped(compiled, ..) => {
+        Job::Mapped(compiled, target, _) => {
             let skip = args.skip == Switch::On;
             let running = Running { keep, copies: Copies::ONE, skip, per_step: false, progress };
-            let run = fast(&compiled.program, samples, running, || ())?;
-            Done {
-                engine: "fast",
-                outcomes: run.outcomes,
-                traces: None,
-                activity: Some(run.activity),
-                counts: run.counts,
-                skipped_updates: run.skipped_updates,
-                wall_s: run.wall_s,
+            match &args.steps {
+                Some(path) => {
+                    let metered = Metered::new(compiled);
+                    let (settings, deployment) = metered.offline(target)?;
+                    let priced = (settings, deployment.cores_powered);
+                    recorded((path, batch), &compiled.one, &metered, priced, samples, running)?.into()
+                }
+                None => fast(&compiled.program, samples, running, || ())?.into(),
             }
         }
         Job::Quantised(quantised, _) => {

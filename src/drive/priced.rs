@@ -17,6 +17,7 @@ use crate::desc::published::baseline::Mode;
 use crate::desc::target::Target;
 use crate::ir::activity::{Activity, CoreCounts, StepActivity};
 use crate::ir::groups::CoreGroups;
+use crate::ir::program::Program;
 use crate::ir::spikes::{Copies, Sample};
 
 impl Meter for StepMeter {
@@ -74,6 +75,52 @@ impl<'c> Metered<'c> {
         Metered { compiled, groups, routes: Arc::new(routes) }
     }
 
+    /// What steps are metered under when they run as fast as the chip can, with the cores that the mapping uses and the target's
+    /// first constants; and that deployment.
+    ///
+    /// # Errors
+    /// A constant that no integer holds.
+    pub fn offline(&self, target: &Target) -> Result<(MeterSettings, Deployment)> {
+        let Compiled { placement, options, one, .. } = self.compiled;
+        let deployment = Deployment::from_placement("packed", placement, target.chip(), options.copies);
+        let settings = MeterSettings {
+            tables: vec![CostTable::new(&target.constants()[0])?],
+            routes: self.routes.clone(),
+            timing: deployment.timing(Transport::default()),
+            timestep: Picoseconds::from_milliseconds(one.parts().timestep_ms),
+            distribution: None,
+            by_step: None,
+        };
+        Ok((settings, deployment))
+    }
+
+    /// Copies that are run, which do what all do.
+    pub(super) fn copies_run(&self) -> u32 {
+        self.groups.as_ref().map_or(self.compiled.options.copies, CoreGroups::copies)
+    }
+
+    /// Copies that there are.
+    pub(super) fn copies(&self) -> u32 {
+        self.compiled.options.copies
+    }
+
+    /// The cores that are run.
+    fn program(&self) -> &Program {
+        self.groups.as_ref().map_or(&self.compiled.program, |groups| &groups.program)
+    }
+
+    /// Runs samples on these, all copies seeing them, with a meter for each sample.
+    pub(super) fn run_with<M: Meter>(
+        &self,
+        samples: &[&Sample],
+        running: Running<'_>,
+        new_meter: impl Fn() -> M + Sync,
+    ) -> Result<Run<M>> {
+        // Copies share no input channels: each sees the whole sample.
+        let copies = Copies { copies: self.copies_run(), channels: self.compiled.one.channels() };
+        fast(self.program(), samples, Running { copies, per_step: true, ..running }, new_meter)
+    }
+
     /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those of the first; counts by source,
     /// what was skipped, and an outcome's totals and what left its field, are those of the cores that were run.
     ///
@@ -81,20 +128,18 @@ impl<'c> Metered<'c> {
     /// As [`fast`].
     pub fn run(&self, settings: MeterSettings, sweep: SampleRun<'_>) -> Result<Run<StepMeter>> {
         let SampleRun { samples, early_exit, skip, progress } = sweep;
-        let copies = self.compiled.options.copies;
-        let (program, run_copies) = match &self.groups {
-            Some(groups) => (&groups.program, groups.copies()),
-            None => (&self.compiled.program, copies),
-        };
-        let keep = Keep { output: program.output(), probes: Vec::new(), early_exit };
-        // Copies share no input channels: each sees the whole sample.
-        let shown = Copies { copies: run_copies, channels: self.compiled.one.channels() };
-        let running = Running { keep: &keep, copies: shown, skip, per_step: true, progress };
+        let keep = Keep { output: self.program().output(), probes: Vec::new(), early_exit };
+        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress };
         let settings = Arc::new(settings);
-        let run = fast(program, samples, running, || StepMeter::new(settings.clone()))?;
-        let Some(groups) = &self.groups else { return Ok(run) };
+        let run = self.run_with(samples, running, || StepMeter::new(settings.clone()))?;
+        Ok(self.of_all_copies(run))
+    }
+
+    /// What all cores did, from what those did that were run.
+    pub(super) fn of_all_copies(&self, run: Run<StepMeter>) -> Run<StepMeter> {
+        let Some(groups) = &self.groups else { return run };
         // Every copy does the same.
-        let spikes_in = run.activity.spikes_in() / u64::from(run_copies) * u64::from(copies);
+        let spikes_in = run.activity.spikes_in() / u64::from(groups.copies()) * u64::from(self.copies());
         let mut cores = vec![CoreCounts::default(); self.compiled.program.cores().len()];
         for group in &groups.groups {
             let of_kind = groups.kinds[group.kind].cores.clone().map(CoreId);
@@ -113,7 +158,7 @@ impl<'c> Metered<'c> {
             }
         }
         let activity = run.activity.on_cores(cores.into(), run.meter.hops(), spikes_in);
-        Ok(Run { activity, meter: run.meter.with_slowest_steps(slowest), ..run })
+        Run { activity, meter: run.meter.with_slowest_steps(slowest), ..run }
     }
 }
 
@@ -142,19 +187,11 @@ pub struct Priced {
 /// A constant that no integer holds; as [`fast`].
 pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> Result<Priced> {
     let copies = compiled.options.copies;
-    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
-    let tables = vec![CostTable::new(&target.constants()[0])?];
     let timestep_ms = compiled.one.parts().timestep_ms;
-    let price = step_price(&tables[0], &deployment, copies, Mode::Offline);
     let metered = Metered::new(compiled);
-    let settings = MeterSettings {
-        tables,
-        routes: metered.routes.clone(),
-        timing: deployment.timing(Transport::default()),
-        timestep: Picoseconds::from_milliseconds(timestep_ms),
-        distribution: Some((0, price)),
-        by_step: None,
-    };
+    let (settings, deployment) = metered.offline(target)?;
+    let price = step_price(&settings.tables[0], &deployment, copies, Mode::Offline);
+    let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
     let run = metered.run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| () })?;
     let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);

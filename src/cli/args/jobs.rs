@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
+use crate::base::names::fits_pattern;
 use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
@@ -201,8 +202,8 @@ pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, 
     prepare_probed(args, wanted, Some(copies), &[])
 }
 
-/// The same, with as many copies as a saved mapping has, or 1, unless it is said, and with the populations of these names whole however
-/// much is pruned.
+/// The same, with as many copies as a saved mapping has, or 1, unless it is said, and with the populations that fit these patterns whole
+/// however much is pruned.
 ///
 /// # Errors
 /// As [`prepare`].
@@ -299,7 +300,10 @@ fn converted(network: &Network) -> Result<compile::Front, Error> {
 /// [`Error`] when the network or what it is pruned for cannot be used.
 pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
     let front = converted(network)?;
-    let probed: Vec<PopulationId> = probed.iter().filter_map(|name| front.quantised().population_named(name)).collect();
+    let is_probed = |name: &str| probed.iter().any(|pattern| fits_pattern(pattern, name));
+    let populations = front.quantised().populations().enumerate();
+    let probed: Vec<PopulationId> =
+        populations.filter(|(_, population)| is_probed(&population.name)).map(|(id, _)| id).collect();
     Ok(match args.prune.plan(front.quantised(), &probed)? {
         Some(plan) => {
             Form::require_written("--prune", front.quantised(), 1)?;

@@ -4,4 +4,5 @@ pub mod conversion;
 pub mod input;
 pub mod jobs;
 pub mod prune;
+pub mod steps;
 pub mod values;

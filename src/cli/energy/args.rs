@@ -24,6 +24,7 @@ EXAMPLES:
   nsim energy --constants davies2018 --baseline   the other preset, and no baseline
   nsim energy --transport analytic                no queues: the longest route and the busiest link
   nsim energy --host none                         the chips alone, without what hands spikes over
+  nsim energy --steps steps.csv                   a row a timestep: where spikes, time and energy go
   nsim energy --svg energy.svg                    a chart of where the energy goes
   nsim energy --copies 1 --export-sanafe DIR      the same program for SANA-FE
   nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
@@ -71,6 +72,9 @@ pub struct EnergyArgs {
     /// A chart of where the energy goes
     #[arg(long, value_name = "FILE.svg")]
     pub svg: Option<PathBuf>,
+    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part
+    #[arg(long, value_name = "FILE.csv|FILE.npy")]
+    pub steps: Option<PathBuf>,
     /// The mapped program, its chip and the first sample as files for SANA-FE
     #[arg(long, value_name = "DIR")]
     pub export_sanafe: Option<PathBuf>,

@@ -17,6 +17,7 @@ use self::options::{DeploymentArg, DeploymentSource, HostArg, baselines, tables,
 use self::other_hardware::OneCopy;
 use self::workload::Workload;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::args::steps;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
@@ -40,6 +41,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let asked = baselines(args.baseline.as_deref())?;
     let taken = output::check_files(None, &args.svg, context)?;
     io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;
+    args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
     let (mode, convention) = (args.mode, args.convention);
     let shipped = io::published::scenario::shipped_for(&args.job.model)?;
     let source = DeploymentSource::load(&args.deployment, &args.job.model, shipped.as_ref())?;
@@ -78,7 +80,13 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
     let rule = args.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
-    let run = workload.simulate(metered, Some(watched), args.skip == Switch::On, context)?;
+    let (watched, skip) = (Some(watched), args.skip == Switch::On);
+    let run = match &args.steps {
+        Some(steps) => {
+            workload.simulate_recorded((metered, deployment.cores_powered), watched, skip, steps, context)?
+        }
+        None => workload.simulate(metered, watched, skip, context)?,
+    };
     let case = Case::new(&run.activity, &run.meter, &deployment, compiled.one.parts().timestep_ms);
     let steps_per_sample = workload.steps_per_sample();
     let alone = match asked.cpu && copies > 1 {

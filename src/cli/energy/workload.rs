@@ -1,8 +1,11 @@
 //! The samples of `nsim energy` on the mapped program, metered step by step.
 
+use std::path::Path;
+
 use crate::base::units::Picoseconds;
 use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
 use crate::cli::args::jobs::Job;
+use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::compile::Compiled;
@@ -10,12 +13,13 @@ use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use crate::desc::target::Target;
 use crate::drive::cores::core_rows;
 use crate::drive::decision::EarlyExit;
-use crate::drive::inputs;
 use crate::drive::populations::ByPopulation;
 use crate::drive::priced::{Metered, SampleRun, steps_per_sample};
-use crate::drive::samples::Run;
+use crate::drive::samples::{Run, Running};
 use crate::drive::warnings::{Finished, Ran, warnings};
+use crate::drive::{Keep, inputs};
 use crate::error::Error;
+use crate::io;
 use crate::ir::spikes::{Copies, Sample, Stimulus};
 use crate::report::detail::Detail;
 
@@ -125,6 +129,30 @@ impl<'j> Workload<'j> {
         let run = output::with_progress(context, samples.len(), "samples", |progress| {
             self.metered.run(settings, SampleRun { samples: &samples, early_exit, skip, progress })
         })?;
+        Ok(run)
+    }
+
+    /// The same with a row for each timestep in a file, which so many powered cores pay for.
+    ///
+    /// # Errors
+    /// As [`Workload::simulate`]; when the file cannot be written.
+    pub fn simulate_recorded(
+        &self,
+        (settings, cores_powered): (MeterSettings, u64),
+        early_exit: Option<EarlyExit>,
+        skip: bool,
+        steps: &Path,
+        context: Context,
+    ) -> Result<Run<StepMeter>, Error> {
+        let samples = self.samples();
+        let keep = Keep { output: self.compiled.program.output(), probes: Vec::new(), early_exit };
+        let mut batch = io::write::Batch::new(context.force);
+        let run = output::with_progress(context, samples.len(), "samples", |progress| {
+            let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress };
+            let (network, priced) = (&self.compiled.one, (settings, cores_powered));
+            recorded((steps, &mut batch), network, &self.metered, priced, &samples, running)
+        })?;
+        batch.commit()?;
         Ok(run)
     }
 }

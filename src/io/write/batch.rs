@@ -71,11 +71,15 @@ impl Batch {
         Batch { force, parts: Vec::new() }
     }
 
-    /// Writes a file of the batch under a temporary name, through `fill`.
+    /// Writes a file of the batch under a temporary name, through `fill`; returns what that returns.
     ///
     /// # Errors
     /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
-    pub fn add(&mut self, path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
+    pub fn add<T>(
+        &mut self,
+        path: &Path,
+        fill: impl FnOnce(&mut (dyn Write + Send)) -> std::io::Result<T>,
+    ) -> Result<T> {
         check_free(path, self.force)?;
         let fail = |error: std::io::Error| failed(path, &error);
         // The file behind a symbolic link is replaced, not the link.
@@ -84,11 +88,11 @@ impl Batch {
             _ => path.to_path_buf(),
         };
         let mut out = BufWriter::new(Temporary::new(&disk::folder_of(&real)).map_err(fail)?);
-        fill(&mut out).map_err(fail)?;
+        let filled = fill(&mut out).map_err(fail)?;
         let temporary = out.into_inner().map_err(|error| fail(error.into_error()))?;
         temporary.sync().map_err(fail)?;
         self.parts.push((real, temporary));
-        Ok(())
+        Ok(filled)
     }
 
     /// Gives the files their names, the last one last, and brings the names to the disk.

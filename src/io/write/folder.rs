@@ -90,7 +90,7 @@ impl Folder {
     pub fn member(&self, name: &str, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
         let path = self.path.join(name);
         let mut batch = Batch::new(self.replace);
-        batch.add(&path, fill)?;
+        batch.add(&path, |out| fill(out))?;
         batch.name_all()?;
         if let Ok(mut touched) = self.touched.lock() {
             touched.insert(disk::folder_of(&path));

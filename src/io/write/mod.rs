@@ -42,7 +42,7 @@ pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::
         return done.map_err(|error| failed(Path::new("<stdout>"), &error));
     }
     let mut batch = Batch::new(force);
-    batch.add(path, fill)?;
+    batch.add(path, |out| fill(out))?;
     batch.commit()
 }
 

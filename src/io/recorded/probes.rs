@@ -2,14 +2,14 @@
 //!
 //! Input: numbers `[samples][compartments][steps]` of one register of one population. Output: CSV with a row for each
 //! spike or each number, NIR data (spikes as events, other registers on a grid of time), or Parquet with CSV's columns (with
-//! the feature `parquet`). NumPy arrays are written in [`super::npy`].
+//! the feature `parquet`). NumPy arrays are written in [`crate::io::npy`].
 
 use std::path::Path;
 
-use super::foreign::hdf5;
-use super::spikes::events::nir_data;
-use super::write;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::foreign::hdf5;
+use crate::io::spikes::events::nir_data;
+use crate::io::write;
 
 /// The most numbers of a NIR file, which is made in memory.
 const MOST_GRIDDED: usize = 1 << 26;

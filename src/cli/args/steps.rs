@@ -1,0 +1,58 @@
+//! `--steps`: a file with a row for each timestep of a run.
+
+use std::path::Path;
+
+use crate::cost::{MeterSettings, StepMeter};
+use crate::drive::priced::Metered;
+use crate::drive::samples::{Run, Running};
+use crate::drive::steps::{StepLayout, run_recorded};
+use crate::error::Error;
+use crate::io::recorded::steps::{StepFormat, StepWriter};
+use crate::io::text::is_standard_stream;
+use crate::io::write::{Batch, check_free};
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
+
+/// Checks the file before the run.
+///
+/// # Errors
+/// [`Error::Usage`] for a name of another form, and for stdout, which carries the result; `write.*`.
+pub fn check(path: &Path, force: bool) -> Result<(), Error> {
+    form(path)?;
+    Ok(check_free(path, force)?)
+}
+
+fn form(path: &Path) -> Result<StepFormat, Error> {
+    let known = StepFormat::from_name(path).filter(|_| !is_standard_stream(path));
+    known.ok_or_else(|| Error::Usage(format!("--steps {}: name a file .csv or .npy", path.display())))
+}
+
+/// Runs samples and writes a row for each of their timesteps, under a temporary name.
+///
+/// # Errors
+/// [`Error::Usage`] for an array of samples that end early; as [`run_recorded`]; when the file cannot be written.
+pub fn recorded(
+    (path, batch): (&Path, &mut Batch),
+    network: &Quantised,
+    metered: &Metered<'_>,
+    (settings, cores_powered): (MeterSettings, u64),
+    samples: &[&Sample],
+    running: Running<'_>,
+) -> Result<Run<StepMeter>, Error> {
+    let format = form(path)?;
+    let ends_early = running.keep.early_exit.as_ref().is_some_and(|exit| exit.ends);
+    if ends_early && format == StepFormat::Npy {
+        let message = "with --early-exit nobody knows the number of rows of an array beforehand: name the file .csv";
+        return Err(Error::Usage(format!("--steps {}: {message}", path.display())));
+    }
+    let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+    let layout = StepLayout::new(network, cores_powered);
+    let run = batch.add(path, |out| {
+        let table = StepWriter::new(out, format, layout.columns(), (!ends_early).then_some(rows))?;
+        match run_recorded(metered, settings, (samples, running), &layout, table) {
+            Ok((run, written)) => written.map(|()| Ok(run)),
+            Err(problem) => Ok(Err(problem)),
+        }
+    })?;
+    Ok(run?)
+}

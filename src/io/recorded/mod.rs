@@ -1,0 +1,4 @@
+//! What a run recorded, as files: registers that were probed, and a row for each timestep.
+
+pub mod probes;
+pub mod steps;
