@@ -166,6 +166,58 @@ fn results_say_what_each_population_and_core_did_and_what_to_change() {
     assert_eq!(sum(&reference["populations"], "spikes"), reference["activity"]["spikes"].as_u64().unwrap());
 }
 
+#[test]
+fn probes_take_patterns_and_inputs_and_steps_go_to_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let input = ["--input", "scene:noise?samples=2&steps=30&seed=1&rate=0.3"];
+    let (traces, table) = (folder.path().join("traces"), folder.path().join("steps.csv"));
+    let files = ["-o", traces.to_str().unwrap(), "--steps", table.to_str().unwrap()];
+    let probes = ["--probe", "?n*", "--probe", "*.v", "--probe", "hid*.spikes"];
+    let run = object(&[&["run", &model][..], &input, &files, &probes].concat(), 0);
+    assert_eq!(run["files"].as_array().unwrap().len(), 5, "{}", run["files"]);
+    let names = ["in.spikes", "hidden.v", "out.v", "hidden.spikes"].map(|name| traces.join(format!("{name}.npy")));
+    assert!(names.iter().all(|name| name.exists()));
+    // The array of the input's spikes holds as many as went in.
+    let bytes = std::fs::read(&names[0]).unwrap();
+    let ones = bytes[bytes.len() - 2 * 3 * 30..].iter().filter(|&&byte| byte == 1).count() as u64;
+    assert_eq!(ones, run["activity"]["spikes_in"].as_u64().unwrap());
+    let rows = std::fs::read_to_string(&table).unwrap();
+    assert!(
+        rows.starts_with("sample,timestep,spikes.in,spikes.hidden,spikes.out,synaptic_events,messages,hops,time_us.")
+    );
+    assert_eq!(rows.lines().count(), 61);
+    for wrong in [
+        &["--probe", "x*", "-o", "t"][..],
+        &["--probe", "in.v", "-o", "t"],
+        &["--steps", "s.txt"],
+        &["--steps", "s.csv", "--engine", "golden"],
+        &["--steps", "s.npy", "--early-exit", "1"],
+    ] {
+        let (code, _, stderr) = said(&[&["run", &model][..], &input, wrong].concat());
+        assert_eq!(code, 2, "{wrong:?}: {stderr}");
+    }
+}
+
+#[test]
+fn agreement_says_what_each_layer_loses_and_draws_where_spikes_part() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = folder.path().join("first.svg");
+    let model = write(folder.path(), "srm.ron", SRM);
+    let input = ["--input", "scene:noise?samples=4&rate=0.2", "--seed", "3", "--plot", picture.to_str().unwrap()];
+    let agree = object(&[&["agree", &model][..], &input].concat(), 0);
+    let layers: Vec<&str> = agree["lost"].as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap()).collect();
+    assert_eq!(layers, ["hidden", "out"]);
+    for row in agree["lost"].as_array().unwrap() {
+        let added: f64 = row["causes"].as_object().unwrap().values().map(|added| added.as_f64().unwrap()).sum();
+        assert!((added - row["disagreement"].as_f64().unwrap()).abs() < 1e-4, "causes add up: {row}");
+    }
+    let svg = std::fs::read_to_string(&picture).unwrap();
+    assert!(svg.contains("parts in step") && svg.matches("<polyline").count() == 3, "{svg}");
+    let (_, text, _) = said(&["agree", &model, "--input", "scene:noise?samples=4&rate=0.2", "--seed", "3"]);
+    assert!(text.contains("'hidden' loses "), "{text}");
+}
+
 const SRM: &str = "Network(name: \"srm\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [6]),
     Srm(name: \"hidden\", shape: [5], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10),
     Srm(name: \"out\", shape: [2], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10)],

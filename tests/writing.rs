@@ -28,7 +28,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 34] = [
+const WRITING: [Case; 38] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --svg m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -45,6 +45,9 @@ const WRITING: [Case; 34] = [
     case("run i/GEN.ron --input scene:noise?samples=1&steps=9 --probe o.spikes --probe o.v -o p", "a", "b"),
     case("run i/GEN.ron --input i/e.csv --probe o.u --probe-format csv -o p --format json", "a", "b"),
     case("run i/GEN.ron --input i/e.npy --probe o.v --probe o.u --probe-format nir -o p", "a", "b"),
+    case("run i/GEN.ron --input i/labels.ron --steps s.npy --probe i* --probe *.v -o p", "a", "b"),
+    case("run i/GEN.ron --input scene:noise?samples=2&steps=9 --steps s.csv --format json", "a", "b"),
+    case("energy i/GEN.ron --baseline --input scene:noise?samples=1&steps=9 --steps s.csv", "a", "b"),
     case("train i/t.ron --set seed=GEN --log l.csv -o m.ron", "1", "2"),
     case("train i/t.ron --set seed=1 --checkpoint GEN.st -o m.ron --format json", "1", "2"),
     case("train i/t.ron --seed GEN --log - -o m.ron", "1", "2"),
@@ -54,6 +57,7 @@ const WRITING: [Case; 34] = [
     case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --export-sanafe s", "a", "b"),
     case("energy --calibrate i/GEN-table.ron --input scene:noise?samples=1&steps=9 -o c.ron", "a", "b"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --svg g.svg", "a", "b"),
+    case("agree i/GEN.ron --input i/e.npy --against i/b.ron --plot g.svg", "a", "r"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --update page.md --force", "a", "b"),
     case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 -o m.ron", "r", "q"),
     case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 --update page.md --force --format json", "r", "q"),

@@ -51,6 +51,28 @@ impl Share {
     }
 }
 
+/// What a layer loses to the causes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerLoss {
+    /// The population.
+    pub name: String,
+    /// Spikes of the trained network and of the machine.
+    pub spikes: (u64, u64),
+    /// 1 minus the coincidence of the machine's layer with the trained one's.
+    pub disagreement: f64,
+    /// What each cause adds to that, the mean of climbing forward and reversed, in the order of the forward ladder.
+    pub causes: Vec<(Cause, f64)>,
+}
+
+impl LayerLoss {
+    /// The cause that adds most.
+    #[must_use]
+    pub fn worst(&self) -> Option<(Cause, f64)> {
+        let adds = self.causes.iter().copied().filter(|(_, added)| *added > 0.0);
+        adds.reduce(|most, next| if next.1 > most.1 { next } else { most })
+    }
+}
+
 /// The whole attribution.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attribution {
@@ -58,6 +80,8 @@ pub struct Attribution {
     pub disagreement: f64,
     /// A row for each cause, in the order of the forward ladder.
     pub shares: Vec<Share>,
+    /// What each layer loses, in the order of the ladder's layers.
+    pub layers: Vec<LayerLoss>,
 }
 
 /// How far a rung is from the trained network, in all and layer by layer.
@@ -132,7 +156,29 @@ pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attrib
     let backward: Vec<Cause> = causes.iter().rev().copied().collect();
     let mut rungs = climb(causes);
     rungs.extend(climb(&backward));
-    let distances = distances(ladder, trained, &rungs, output, samples);
+    let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
+    let found = measured((ladder, trained), &to, output, samples);
+    let of_ladder = ladder.layers();
+    let layers = of_ladder.iter().enumerate().map(|(layer, Layer { name, .. })| {
+        let lost = |place: Option<usize>| place.map_or(0.0, |place| 1.0 - found[place].layers[layer].coincidence());
+        let added = |first: usize, place: usize| {
+            lost(Some(first + place)) - lost(place.checked_sub(1).map(|below| first + below))
+        };
+        let each = causes.iter().enumerate().map(|(place, &cause)| {
+            let (up, down) = (added(0, place), added(causes.len(), causes.len() - 1 - place));
+            (cause, (up + down) / 2.0)
+        });
+        let machine = causes.len().checked_sub(1);
+        let tally = machine.map(|last| found[last].layers[layer]).unwrap_or_default();
+        LayerLoss {
+            name: name.clone(),
+            spikes: (tally.spikes_a, tally.spikes_b),
+            disagreement: lost(machine).max(0.0),
+            causes: each.collect(),
+        }
+    });
+    let layers: Vec<LayerLoss> = layers.collect();
+    let distances: Vec<Distance> = found.iter().map(|measured| measured.distance).collect();
     let (forward, reversed) = distances.split_at(causes.len());
     let added = |ladder: &[Distance], place: usize| {
         let below = if place == 0 { 0.0 } else { 1.0 - ladder[place - 1].coincidence };
@@ -144,5 +190,5 @@ pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attrib
         let share = if disagreement.abs() < 1e-12 { 0.0 } else { (up + down) / 2.0 / disagreement };
         Share { cause, rung: forward[place], forward: up, reversed: down, share }
     };
-    Attribution { disagreement, shares: causes.iter().enumerate().map(share).collect() }
+    Attribution { disagreement, shares: causes.iter().enumerate().map(share).collect(), layers }
 }

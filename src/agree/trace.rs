@@ -94,6 +94,43 @@ pub struct Divergence {
     pub potential_b: Option<f64>,
 }
 
+/// Both potentials around a divergence, in thresholds, from so many steps before it to so many after.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Around {
+    /// The first step, in the first network's time.
+    pub from: u32,
+    /// Potentials of the first network from there on.
+    pub a: Vec<f64>,
+    /// Those of the second, moved by the shift.
+    pub b: Vec<f64>,
+    /// Steps in which the first spiked.
+    pub spikes_a: Vec<u32>,
+    /// Steps in which the second did, in the first's time.
+    pub spikes_b: Vec<u32>,
+}
+
+/// Steps before and after a divergence that are kept.
+const AROUND: u32 = 25;
+
+impl Around {
+    /// What two traces hold around a step, of those in `steps` that both have.
+    fn new((a, b): (&Trace, &Trace), compartment: u32, at: u32, steps: std::ops::Range<u32>, shift: i32) -> Self {
+        let (from, to) = (at.saturating_sub(AROUND).max(steps.start), (at + AROUND + 1).min(steps.end));
+        let moved = |step: u32| step.saturating_add_signed(shift);
+        let spikes = |trace: &Trace, place: &dyn Fn(u32) -> u32| {
+            let train = &trace.trains[compartment as usize];
+            (from..to).filter(|&step| train.binary_search(&place(step)).is_ok()).collect()
+        };
+        Around {
+            from,
+            a: (from..to).filter_map(|step| a.potential(compartment, step)).collect(),
+            b: (from..to).filter_map(|step| b.potential(compartment, moved(step))).collect(),
+            spikes_a: spikes(a, &|step| step),
+            spikes_b: spikes(b, &moved),
+        }
+    }
+}
+
 /// A layer of the two networks over all samples so far.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Comparison {
@@ -101,6 +138,8 @@ pub struct Comparison {
     pub tally: TrainSums,
     /// The first sample, in it the first step, in it the lowest neuron in which they differ.
     pub first_divergence: Option<Divergence>,
+    /// Both potentials around it.
+    pub around: Option<Around>,
 }
 
 impl Comparison {
@@ -148,6 +187,7 @@ impl Comparison {
         {
             let compartment = layer.first + neuron;
             let there = timestep.saturating_add_signed(shift);
+            self.around = Some(Around::new((a, b), compartment, timestep, from..to, shift));
             let spikes = |trace: &Trace, step: u32| trace.trains[compartment as usize].binary_search(&step).is_ok();
             self.first_divergence = Some(Divergence {
                 sample,
@@ -223,6 +263,9 @@ mod tests {
         let divergence = comparison.first_divergence.unwrap();
         assert_eq!((divergence.sample, divergence.timestep, divergence.neuron), (3, 0, 0));
         assert!(divergence.a && !divergence.b);
+        let around = comparison.around.unwrap();
+        assert_eq!((around.from, around.a.len(), &around.spikes_a[..]), (0, 20, &[0, 4, 9][..]));
+        assert_eq!(around.spikes_b, [3, 8, 19]);
     }
 
     #[test]

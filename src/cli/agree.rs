@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::agree::attribution::attribute;
 use crate::agree::compare::{
-    Counterpart, Deployed, Side, compare, compare_networks, machine_trace, output_layer, real_trace,
+    Counterpart, Deployed, LayerRow, Side, compare, compare_networks, machine_trace, output_layer, real_trace,
 };
 use crate::agree::ladder::{Ladder, layers};
 use crate::cli::args::conversion::ConversionArgs;
@@ -15,11 +15,11 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::frontend::analytic::Fit;
 use crate::compile::frontend::real_and_integers;
-use crate::compile::{CompileError, Form, Options, compile};
+use crate::compile::{CompileError, Compiled, Form, Options, compile};
 use crate::convert::staged::is_real;
 use crate::desc::stimulus::{InputArg, InputSource};
 use crate::drive::inputs;
-use crate::drive::warnings::warnings_of;
+use crate::drive::warnings::{Warning, warnings_of};
 use crate::error::Error;
 use crate::io;
 use crate::io::spikes::read_source;
@@ -35,6 +35,7 @@ EXAMPLES:
   nsim agree model.ron --input s.npy --against golden --require-exact
   nsim agree model.ron --input in.npy --against hidden=h.npy --against out=o.npy --require-exact
   nsim agree srm.ron --against converted.ron             the trained network against a model file, on the same input
+  nsim agree srm.ron --against converted.ron --plot first.svg    both potentials around the first spike that differs
   nsim agree --require-class-agreement 0.99 --svg causes.svg";
 
 /// Compare a trained network with its deployed form: spikes, potentials, classes, and the causes of differences
@@ -67,6 +68,9 @@ pub struct Args {
     /// Write a bar chart of the causes
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
+    /// Draw both potentials around the first spike in which the two part
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
     /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to it
     #[arg(long, value_name = "FILE.md")]
     update: Option<PathBuf>,
@@ -86,7 +90,7 @@ pub struct Args {
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let taken = output::check_files(None, &args.svg, context)?;
+    let taken = output::check_files(None, args.svg.iter().chain(&args.plot), context)?;
     if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
         return Err(Error::Usage("--require-class-agreement is a share between 0 and 1".to_string()));
     }
@@ -124,7 +128,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let deployed =
         Deployed { graph: &graph, fits: &fits, ladder: &ladder, program, samples: &samples, steps: args.steps };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
-    output::warn_all(&warnings_of(&compiled.quantised, program, &samples)?);
+    output::warn_all(&deployed_warnings(&compiled, &samples)?);
     let attribution = match attributed {
         true => {
             let some = &samples[..samples.len().min(args.attribution_samples as usize)];
@@ -136,6 +140,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let svg = crate::report::agree::bars(&args.model, attribution);
         io::write::file(path, context.force, |out| out.write_all(svg.as_bytes()))?;
     }
+    draw(args, &graph.facts().name, &agreement.layers, context)?;
     let report = AgreeReport {
         model: &graph.facts().name,
         against: against.name(),
@@ -211,7 +216,8 @@ fn with_model(
     let agreement = output::with_progress(context, samples.len(), "samples", |done| {
         compare_networks((a, b), &output, samples, args.steps, done)
     })?;
-    output::warn_all(&warnings_of(&second, &deployed.program, samples)?);
+    output::warn_all(&deployed_warnings(&deployed, samples)?);
+    draw(args, &graph.facts().name, &agreement.layers, context)?;
     let report = AgreeReport {
         model: &graph.facts().name,
         against: "another model",
@@ -226,8 +232,29 @@ fn with_model(
         attribution: None,
         attribution_samples: 0,
     };
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
     Ok(answer(args, &report))
+}
+
+/// What to warn of in the deployed network. What its rounding costs, the comparison says itself.
+fn deployed_warnings(deployed: &Compiled, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
+    let mut warnings = warnings_of(&deployed.quantised, &deployed.program, samples)?;
+    warnings.retain(|warning| warning.code != "weights-rounded");
+    Ok(warnings)
+}
+
+/// Writes the picture of both potentials, where one is asked for and something parts.
+fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<(), Error> {
+    let Some(path) = &args.plot else { return Ok(()) };
+    match crate::report::agree::potentials(model, layers) {
+        Some(svg) => Ok(io::write::text(path, context.force, &svg)?),
+        None => {
+            tracing::warn!("no spike parts whose potentials are known: {} is not written", path.display());
+            Ok(())
+        }
+    }
 }
 
 fn named(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {

@@ -3,11 +3,12 @@
 use serde_json::{Value, json};
 
 use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of, wrapped};
-use crate::agree::attribution::{Attribution, Share};
+use crate::agree::attribution::{Attribution, LayerLoss, Share};
 use crate::agree::compare::LayerRow;
+use crate::agree::ladder::Cause;
 use crate::compile::frontend::analytic::Fit;
 use crate::convert::search::{ConversionScore, SearchResult};
-use crate::report::charts::plot::{self, Axis};
+use crate::report::charts::plot::{self, Axis, Series};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -169,6 +170,7 @@ impl AgreeReport<'_> {
             "layers": self.layers.iter().map(Self::layer_json).collect::<Vec<_>>(),
             "conversion": self.conversion_json(),
             "disagreement": self.attribution.map(|attribution| rounded(attribution.disagreement)),
+            "lost": self.attribution.map_or(&[][..], |a| &a.layers).iter().map(lost_json).collect::<Vec<_>>(),
             "attribution_samples": self.attribution.map(|_| self.attribution_samples),
             "attribution": self.attribution.map_or(&[][..], |a| &a.shares).iter().map(Self::share_json).collect::<Vec<_>>(),
         })
@@ -248,7 +250,8 @@ impl AgreeReport<'_> {
             attribution.disagreement,
             count(self.attribution_samples as u64, "sample")
         );
-        format!("\n{}{table}\n", wrapped(&intro))
+        let sentences: String = attribution.layers.iter().map(|layer| wrapped(&sentence(layer))).collect();
+        format!("\n{}{table}\n\n{sentences}", wrapped(&intro))
     }
 
     /// A section of a document, with a chart under `picture`.
@@ -344,6 +347,101 @@ impl AgreeReport<'_> {
         }
         out + &self.attribution_text()
     }
+}
+
+/// What a layer lost a cause to, and the change that would recover most of that.
+fn words(cause: Cause) -> (&'static str, &'static str) {
+    match cause {
+        Cause::Untruncated => ("kernels that were cut in training", "train with kernels that end where they are zero"),
+        Cause::Kernel => ("decays in place of its kernel", "train with Loihi neurons, whose decays are the hardware's"),
+        Cause::HardReset => (
+            "the hard reset and the refractory period",
+            "train with Loihi neurons, which reset as the hardware does, or lengthen `refractory`",
+        ),
+        Cause::Decays => ("decays in 4096ths", "take shorter time constants, or a longer timestep"),
+        Cause::Calibration => {
+            ("thresholds, gains and biases that the search chose", "search on more samples (--calibration-samples)")
+        }
+        Cause::Weights => (
+            "rounded weights, thresholds and biases",
+            "make their steps finer: a projection of its own for the largest weights",
+        ),
+        Cause::State => (
+            "integer currents and voltages",
+            "double weights and threshold (weight_exp and vth_mant), so that what rounds away weighs half as much",
+        ),
+    }
+}
+
+/// A loss of coincidence below this is not worth a change.
+const LITTLE: f64 = 0.005;
+
+fn advice(layer: &LayerLoss) -> Option<&'static str> {
+    layer.worst().filter(|_| layer.disagreement >= LITTLE).map(|(cause, _)| words(cause).1)
+}
+
+/// What a layer loses, to what most, and what would recover most of it.
+fn sentence(layer: &LayerLoss) -> String {
+    let LayerLoss { name, spikes, disagreement, .. } = layer;
+    if spikes.0 + spikes.1 == 0 {
+        return format!("'{name}' is silent in both: nothing to compare.");
+    }
+    let Some((cause, added)) = layer.worst().filter(|_| *disagreement >= LITTLE) else {
+        return format!("'{name}' loses next to nothing ({disagreement:.4} of its coincidence).");
+    };
+    let (what, change) = words(cause);
+    let most = match added > *disagreement {
+        true => format!("most to {what}, of whose {added:.3} other causes give some back"),
+        false => format!("{:.0} % of that to {what}", 100.0 * added / disagreement),
+    };
+    format!("'{name}' loses {disagreement:.3} of its coincidence, {most}: {change}.")
+}
+
+fn lost_json(layer: &LayerLoss) -> Value {
+    let causes = layer.causes.iter().map(|(cause, added)| (cause.name().to_string(), json!(rounded(*added))));
+    json!({
+        "name": layer.name,
+        "disagreement": rounded(layer.disagreement),
+        "causes": causes.collect::<serde_json::Map<_, _>>(),
+        "advice": advice(layer),
+    })
+}
+
+/// Both potentials around the first spike in which two networks part; none when they part nowhere, or have no potentials.
+#[must_use]
+pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
+    let parted = layers.iter().filter_map(|row| {
+        let (divergence, around) = (row.comparison.first_divergence?, row.comparison.around.as_ref()?);
+        (!around.a.is_empty() && !around.b.is_empty()).then_some((row, divergence, around))
+    });
+    let (row, divergence, around) = parted.min_by_key(|(_, divergence, _)| (divergence.sample, divergence.timestep))?;
+    let line = |name: &str, numbers: &[f64]| Series::Line {
+        name: name.to_string(),
+        points: (around.from..).map(f64::from).zip(numbers.iter().copied()).collect(),
+        band: Vec::new(),
+    };
+    let end = f64::from(around.from) + around.a.len().max(around.b.len()) as f64 - 1.0;
+    let spikes = |name: &str, steps: &[u32], height: f64| Series::Points {
+        name: name.to_string(),
+        points: steps.iter().map(|&step| (f64::from(step), height, String::new())).collect(),
+        joined: false,
+    };
+    let series = [
+        line("a", &around.a),
+        line("b", &around.b),
+        spikes("spikes of a", &around.spikes_a, 1.15),
+        spikes("spikes of b", &around.spikes_b, 1.25),
+        Series::Line {
+            name: "threshold".to_string(),
+            points: vec![(around.from.into(), 1.0), (end, 1.0)],
+            band: Vec::new(),
+        },
+    ];
+    let title = format!(
+        "{model}: '{}' neuron {}, sample {}, parts in step {}",
+        row.name, divergence.neuron, divergence.sample, divergence.timestep
+    );
+    Some(plot::chart(&title, &Axis::linear("timestep of a"), &Axis::linear("potential in thresholds"), &series))
 }
 
 /// A bar chart of the causes, forward and reversed.
