@@ -15,7 +15,7 @@ use nsim::base::rng;
 use nsim::bench::mapping::{MeasuredMapping, map_all};
 use nsim::bench::suite::cases;
 use nsim::compile::explore::traffic::traffic;
-use nsim::compile::{Compiled, Objective, Options, Strategy, compile, compile_saved, front};
+use nsim::compile::{Compiled, Effort, Objective, Options, Strategy, compile, compile_saved, front};
 use nsim::desc::resource::{Limits, Resource};
 use nsim::desc::target::Target;
 use nsim::io::mapping::load_mapping;
@@ -94,7 +94,7 @@ fn the_number_of_threads_changes_no_mapping() {
         let target = load_target(bench.target).unwrap();
         // Small cores make many of them, on several chips.
         let limits = Limits { axon_out_slots_off_chip: 1, ..target.limits().clone().with(Resource::Compartments, 10) };
-        let options = Options { effort_s: 1, ..Options::default() };
+        let options = Options { effort: Effort::Work(1), ..Options::default() };
         for target in [target.clone(), target.with_limits(limits)] {
             let one = with(1, &bench.network, &target, &options);
             for threads in [2, 8] {

@@ -9,4 +9,5 @@ pub mod folds;
 pub mod id;
 pub(crate) mod names;
 pub mod rng;
+pub mod shared;
 pub mod units;

@@ -11,7 +11,9 @@ use crate::base::units::Picoseconds;
 use crate::bench::networks::BenchNetwork;
 use crate::bench::suite::{STEPS, SuiteCase};
 use crate::compile::explore::traffic::Traffic;
-use crate::compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Objective, Options, Strategy, explore};
+use crate::compile::{
+    CompileError, Compiled, DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy, explore,
+};
 use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::meter::{MeterSettings, StepMeter};
@@ -113,7 +115,8 @@ pub fn map_all(
         .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
     for &(strategy, objective, places) in ways {
         let failed = |error| MappingFailure::Compile(case.name, strategy.name(), Box::new(error));
-        let options = Options { copies: case.copies, strategy, objective, effort_s, ..Options::default() };
+        let options =
+            Options { copies: case.copies, strategy, objective, effort: Effort::Work(effort_s), ..Options::default() };
         reset_peak();
         let begin = Instant::now();
         // One partition serves both ways of placing it, where a second copy of it is no matter of gigabytes.

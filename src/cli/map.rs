@@ -7,7 +7,7 @@ use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::explore::{self, remedy};
-use crate::compile::{self, CompileError, DEFAULT_RATE, Form, Objective, Options, Strategy};
+use crate::compile::{self, CompileError, DEFAULT_RATE, Effort, Form, Objective, Options, Strategy};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::drive::inputs;
@@ -33,6 +33,15 @@ EXAMPLES:
   nsim map --copies 32 --svg board.svg              a picture of the chips in use
   nsim map model.ron --format json                  for scripts";
 
+/// Seconds, at most a day, in milliseconds.
+fn milliseconds(typed: &str) -> Result<u32, String> {
+    let seconds: f64 = typed.parse().map_err(|_| "is not a number of seconds".to_string())?;
+    match (0.0..=86_400.0).contains(&seconds) {
+        true => Ok((seconds * 1e3).ceil() as u32),
+        false => Err("is not between 0 and 86400 seconds".to_string()),
+    }
+}
+
 /// What is typed after `nsim map`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
@@ -52,9 +61,10 @@ pub struct MapArgs {
     /// Keep cores in the order of the partition instead of placing those that communicate close together
     #[arg(long, conflicts_with = "mapping")]
     pub unplaced: bool,
-    /// Effort for a better partition and placement, in seconds of a reference machine: the result is the same on any machine
-    #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
-    pub time_budget: u32,
+    /// Seconds by the clock that mapping may take, such as 0.5; 0 for the quickest mapping there is [default: a fixed amount of
+    /// work, so that the result is the same on any machine]
+    #[arg(long, value_name = "S", value_parser = milliseconds)]
+    pub time_budget: Option<u32>,
     /// Seed of randomised strategies
     #[arg(long, default_value_t = 0, conflicts_with = "mapping")]
     pub seed: u64,
@@ -119,7 +129,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             if args.pareto.is_some() {
                 candidates = explore::candidates(&front, &target, &options, &rates, form).unwrap_or_default();
             }
-            let mapped = explore::map(front, &target, &options, &rates, form);
+            let mapped = jobs::mapped(front, &target, &options, &rates, form);
             if let Err(CompileError::DoesNotFit(_)) = &mapped
                 && form == Form::Written
             {
@@ -204,7 +214,10 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
         objective: args.objective,
         seed: mapping.map_or(args.seed, |file| file.seed),
         place: !args.unplaced,
-        effort_s: args.time_budget,
+        effort: match args.time_budget {
+            Some(budget_ms) => Effort::within_ms(budget_ms),
+            None => Options::default().effort,
+        },
     }
 }
 

@@ -57,6 +57,13 @@ struct Cli {
     /// Replace existing files
     #[arg(long, global = true)]
     force: bool,
+    /// Change a field of the model, the target or its constants, such as populations.hidden.vth_mant=60,
+    /// target.limits.axons_out=8192 or constants.injection_time=0.4
+    #[arg(long, global = true, value_name = "PATH=VALUE", action = clap::ArgAction::Append)]
+    set: Vec<String>,
+    /// Neither read nor write the cache of mappings
+    #[arg(long, global = true)]
+    no_cache: bool,
     /// Print more messages on stderr (-v, -vv)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
@@ -85,6 +92,7 @@ enum Command {
     /// Describe the content of a file
     Inspect(inspect::Args),
     Show(inspect::show::Args),
+    Cache(inspect::cache::Args),
     /// Print shell completions
     #[command(after_help = "EXAMPLES:\n  nsim completions bash > ~/.local/share/bash-completion/completions/nsim")]
     Completions {
@@ -108,6 +116,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Show(args) => inspect::show::run(args, context),
+        Command::Cache(args) => inspect::cache::run(args, context),
         Command::Completions { shell } => {
             let mut command = Cli::command();
             let mut script = Vec::new();
@@ -142,6 +151,15 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
         Err(error) => return diagnostics::usage(&error, asked),
     };
     log::start(cli.verbose, cli.quiet);
+    if cli.no_cache {
+        crate::io::write::cache::turn_off();
+    }
+    // Those of a training are fields of the training file.
+    if !matches!(cli.command, Command::Train(_))
+        && let Err(message) = crate::io::changes::set(&cli.set)
+    {
+        return diagnostics::report(&Error::Usage(message), cli.format);
+    }
     let answer = threads::start(cli.threads).and_then(|threads| {
         let progress = std::io::stderr().is_terminal() && !cli.quiet;
         dispatch(&cli.command, Context { format: cli.format, force: cli.force, progress, threads })

@@ -11,6 +11,7 @@ pub mod explore;
 pub mod form;
 pub mod frontend;
 pub mod groups;
+pub mod kept;
 pub mod mapping;
 pub mod mapping_file;
 pub mod options;
@@ -33,7 +34,7 @@ use crate::ir::firing_rates::Rates;
 pub use error::CompileError;
 pub use form::Form;
 pub use mapping::{Checked, Compiled, Mapping, Synapses};
-pub use options::{DEFAULT_EFFORT_S, DEFAULT_RATE, Objective, Options, Strategy};
+pub use options::{DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy};
 pub use reason::Reason;
 pub use stages::{Front, Partitioned, Placed, Unchecked};
 

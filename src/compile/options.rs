@@ -1,11 +1,13 @@
 //! What the caller decides about a mapping: copies, strategy, objective, seed, effort.
 
+use std::time::{Duration, Instant};
+
 use crate::base::names::named_variants;
 
 /// Spikes of a source in a step, when nothing is known: one in 100 steps.
 pub const DEFAULT_RATE: f64 = 0.01;
-/// The effort of a mapping unless another is given, in seconds.
-pub const DEFAULT_EFFORT_S: u32 = 4;
+/// The effort of a mapping unless another is given, in seconds of a reference machine.
+pub const DEFAULT_EFFORT_S: u32 = 2;
 
 /// What a mapping is optimised for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -38,6 +40,64 @@ pub enum Strategy {
 
 named_variants!(Strategy { Sequential = "sequential", Greedy = "greedy", Multilevel = "multilevel" });
 
+/// How much may be spent on looking for a better partition and placement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Effort {
+    /// What a reference machine does in so many seconds, counted in work, so that the result is the same on every machine.
+    Work(u32),
+    /// What this machine does until then.
+    Within {
+        /// The time that was given for the whole mapping, in milliseconds.
+        budget_ms: u32,
+        /// When it ends.
+        end: Instant,
+    },
+}
+
+impl Effort {
+    /// So many milliseconds from now on.
+    #[must_use]
+    pub fn within_ms(budget_ms: u32) -> Self {
+        Effort::Within { budget_ms, end: Instant::now() + Duration::from_millis(budget_ms.into()) }
+    }
+
+    /// Units of work, of which a reference machine does so many in a second.
+    #[must_use]
+    pub fn work(self, per_second: u64) -> u64 {
+        match self {
+            Effort::Work(seconds) => u64::from(seconds).saturating_mul(per_second),
+            Effort::Within { end, .. } => {
+                let left = end.saturating_duration_since(Instant::now());
+                (left.as_secs_f64() * per_second as f64) as u64
+            }
+        }
+    }
+
+    /// When it ends, if the clock says.
+    #[must_use]
+    pub fn end(self) -> Option<Instant> {
+        match self {
+            Effort::Work(_) => None,
+            Effort::Within { end, .. } => Some(end),
+        }
+    }
+
+    /// An equal part of it for each of so many.
+    #[must_use]
+    pub fn shared_by(self, parts: usize) -> Self {
+        match self {
+            Effort::Work(seconds) => Effort::Work(seconds.div_ceil(parts.max(1) as u32)),
+            within => within,
+        }
+    }
+}
+
+/// Whether a time has come.
+#[must_use]
+pub fn is_over(end: Option<Instant>) -> bool {
+    end.is_some_and(|end| Instant::now() >= end)
+}
+
 /// How to compile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Options {
@@ -51,9 +111,8 @@ pub struct Options {
     pub seed: u64,
     /// Whether cores are placed near those they exchange messages with; otherwise in the order of the partition.
     pub place: bool,
-    /// Seconds that searching for a better partition and placement may take, counted in work, so that the result is the
-    /// same on every machine.
-    pub effort_s: u32,
+    /// What may be spent on looking for a better partition and placement.
+    pub effort: Effort,
 }
 
 impl Default for Options {
@@ -64,7 +123,7 @@ impl Default for Options {
             objective: Objective::default(),
             seed: 0,
             place: true,
-            effort_s: DEFAULT_EFFORT_S,
+            effort: Effort::Work(DEFAULT_EFFORT_S),
         }
     }
 }

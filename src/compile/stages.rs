@@ -19,8 +19,9 @@ use crate::compile::frontend::prune::{Plan, prune};
 use crate::compile::frontend::relays::{Relayed, relayed};
 use crate::compile::mapping::{Checked, Mapping, Synapses};
 use crate::compile::mapping_file::{self, pruned::plan};
-use crate::compile::options::{DEFAULT_RATE, Options};
+use crate::compile::options::{DEFAULT_RATE, Effort, Options};
 use crate::compile::partition::boxes::{self, Boxes};
+use crate::compile::partition::members::Members;
 use crate::compile::partition::{self, partition, within_bounds};
 use crate::compile::place::{self, anneal};
 use crate::desc::mapping::MappingFile;
@@ -29,7 +30,7 @@ use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
-use crate::ir::placement::Placement;
+use crate::ir::placement::{Mesh, Placement, Site};
 use crate::ir::quantised::Quantised;
 
 /// Synapses of a network up to which it is tried without relays first: larger ones would be partitioned twice for long.
@@ -121,7 +122,7 @@ impl Front {
 
     /// Whether output axons are no reason against the network as it is.
     fn fits_without_relays(self, target: &Target) -> bool {
-        let options = Options { effort_s: 0, ..Options::default() };
+        let options = Options { effort: Effort::Work(0), ..Options::default() };
         match self.partition(target, &options, &Rates::assumed(DEFAULT_RATE), Form::Written) {
             Err(CompileError::DoesNotFit(reasons)) => !reasons.iter().any(|reason| {
                 reason.resource == Resource::AxonsOut || reason.resource == Resource::AxonsOutPerCompartment
@@ -168,6 +169,28 @@ impl Front {
             placement,
             name: place::SAVED,
         })
+    }
+
+    /// Compartments on these cores at these sites, which were found for this network, target and options before.
+    ///
+    /// # Errors
+    /// [`CompileError`] when they are of another network or target.
+    pub fn place_on(
+        self,
+        target: &Target,
+        options: &Options,
+        rates: &Rates,
+        (members, sites): (Members, IdVec<CoreId, Site>),
+        name: &'static str,
+    ) -> Result<Placed> {
+        let search = partition::Search::new(options, rates);
+        let (front, all) = self.copied(target, options, search, Form::Written)?;
+        let Front { one, mut clock } = front;
+        let partition = clock.stage("partition", || mapping_file::partition_on(&all, members, &sites, target))?;
+        let mesh = Mesh::for_target(target);
+        let placement = clock.stage("place", || Placement::new(mesh, sites)).map_err(CompileError::fault)?;
+        let rates = rates.copies(options.copies);
+        Ok(Placed { partitioned: Partitioned { one, all, partition, boxes: None, rates, clock }, placement, name })
     }
 
     /// All copies, if their sizes alone do not exceed the target.
@@ -275,7 +298,7 @@ impl Placed {
         let (program, sample) = clock
             .stage("route", || match boxes {
                 None => {
-                    let program = route(&quantised, &partition, &placement, limits)?;
+                    let program = route(&quantised, &partition, &placement, options.copies, limits)?;
                     Ok((Synapses::Written(Box::new(program)), Vec::new()))
                 }
                 Some(boxes) => {
@@ -318,8 +341,9 @@ impl Unchecked {
         mapping.checked = match &mapping.program {
             Synapses::Written(program) => {
                 clock.stage("verify", || verify::verify(program, target)).map_err(CompileError::fault)?;
-                clock.stage("check", || equivalence::check(network, program)).map_err(CompileError::fault)?;
-                Checked { how: "whole", share: 1.0 }
+                let check = || equivalence::check_copies(network, program, mapping.options.copies);
+                let proven = clock.stage("check", check).map_err(CompileError::fault)?;
+                Checked { how: if proven > 0 { "pattern" } else { "whole" }, share: 1.0 }
             }
             Synapses::Symbolic(_) => {
                 let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();

@@ -455,6 +455,18 @@ pub struct Target {
 }
 
 impl Target {
+    /// Changes every preset of constants.
+    ///
+    /// # Errors
+    /// What `change` says of a preset, and of one that it spoils `constants.*`.
+    pub fn change_constants(&mut self, change: impl Fn(&mut Constants) -> Result<()>) -> Result<()> {
+        for constants in &mut self.constants {
+            change(constants)?;
+            constants.check(&SourceText::new("", ""))?;
+        }
+        Ok(())
+    }
+
     /// A board from its parts.
     ///
     /// # Errors

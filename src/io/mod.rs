@@ -5,6 +5,7 @@
 //! before anything is allocated for it. Whether a network or a stimulus makes sense is for later stages to say.
 
 pub mod budget;
+pub mod changes;
 pub mod disk;
 mod element;
 pub mod foreign;

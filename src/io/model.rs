@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::shipped::{self, Origin};
-use super::{foreign, npy, safetensors};
+use super::{changes, foreign, npy, safetensors};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::desc::network::{ArrayRef, Network, NetworkFile, array_refs};
 use crate::desc::tensor::Tensor;
@@ -32,6 +32,7 @@ pub fn load_model(argument: &str) -> Result<Network> {
 /// # Errors
 /// As [`load_model`].
 pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
+    let source = changes::model(source)?;
     let file = NetworkFile::parse(&source)?;
     let arrays = read_arrays(&source, origin, array_refs(&file))?;
     Network::new(file, source, arrays)

@@ -6,6 +6,7 @@
 
 use std::path::Path;
 
+use super::changes;
 use super::model::beside;
 use super::shipped::{self, Origin, Shipped};
 use super::text::read_text;
@@ -19,7 +20,15 @@ use crate::desc::target::{Chip, Constant, Constants, Residual, Target, TargetCha
 /// `target.*`, `chip.*`, `constants.*`, `io.*`.
 pub fn load_target(argument: &str) -> Result<Target> {
     let (source, origin) = shipped::text_of(argument, shipped::TARGETS, "target", "target.unknown")?;
-    target(&source, origin)
+    let mut target = target(&source, origin)?;
+    if let Some(fields) = changes::target_fields() {
+        // A change is read as a file would be that changes the target.
+        let text = format!("Target(base: {:?}, name: {:?}, {fields})", argument, target.name());
+        let source = SourceText::new("<--set>", text);
+        target = on_base(&source, Origin::Shipped, parse(&source, "set.value")?, &target)?;
+    }
+    target.change_constants(changes::constants)?;
+    Ok(target)
 }
 
 /// Loads a target from its text.
@@ -59,6 +68,11 @@ fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> 
         return Err(Diagnostic::new("target.base", message).at(source, changes.base.span));
     };
     let base = target_within(&base_source, base_origin, deepest)?;
+    on_base(source, origin, changes, &base)
+}
+
+/// A target with changes.
+fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &Target) -> Result<Target> {
     let chip = changes.chip(base.chip().clone());
     chip.check(source)?;
     let constants = match &changes.constants {
@@ -147,7 +161,9 @@ pub fn parse_constants(source: &SourceText) -> Result<Constants> {
 /// `constants.*`, `io.*`.
 pub fn load_constants(argument: &str) -> Result<Constants> {
     let (source, _) = shipped::text_of(argument, shipped::CONSTANTS, "preset of constants", "constants.unknown")?;
-    parse_constants(&source)
+    let mut constants = parse_constants(&source)?;
+    changes::constants(&mut constants)?;
+    Ok(constants)
 }
 
 /// A preset as a file says it, with a remark at its head.

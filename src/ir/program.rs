@@ -7,6 +7,7 @@
 //! is reached by two sources, and every stored list is selected.
 //! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
 
+use std::collections::HashSet;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -15,6 +16,7 @@ use rayon::prelude::*;
 use crate::base::csr::Csr;
 use crate::base::fixed::{Delay, Payload};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::shared::Shared;
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::partition::Seat;
 use crate::ir::placement::{Mesh, Site};
@@ -261,8 +263,8 @@ pub struct CoreImage {
     pub ids: Vec<CompartmentId>,
     /// Formats of its synapses.
     pub formats: Vec<CoreFormat>,
-    /// Input axons and the synapses that they select.
-    pub inputs: Stored,
+    /// Input axons and the synapses that they select; equal cores of several copies may hold the same.
+    pub inputs: Shared<Stored>,
     /// Messages that a spike sends, by slot, in ascending order of cores.
     pub axons_out: Csr<AxonTarget>,
 }
@@ -322,8 +324,8 @@ impl Marks {
 }
 
 impl Parts {
-    /// What of a core points nowhere.
-    fn not_closed(&self, core: CoreId, marks: &Marks) -> Option<&'static str> {
+    /// What of a core points nowhere; its lists are known to be closed when they have been `seen` before.
+    fn not_closed(&self, core: CoreId, seen: bool, marks: &Marks) -> Option<&'static str> {
         let image = &self.cores[core];
         let slots = image.compartments.len();
         let seat = |(slot, id): (usize, &CompartmentId)| self.seats.get(*id) == Some(&Seat { core, slot: slot as u16 });
@@ -337,16 +339,28 @@ impl Parts {
         if !image.ids.iter().enumerate().all(seat) {
             return Some("a compartment does not sit where its core says");
         }
+        if seen {
+            return self.messages_not_closed(image, marks);
+        }
         if !image.inputs.lists.items().iter().all(has_format) {
             return Some("a synapse has no format");
         }
         if !image.inputs.is_closed(slots) {
             return Some("a synapse leads to no compartment, or an input axon and a list do not find each other");
         }
-        if !image.axons_out.items().iter().all(|target| marks.reach(target)) {
-            return Some("an output axon leads nowhere or shares its input axon");
-        }
-        None
+        self.messages_not_closed(image, marks)
+    }
+
+    fn messages_not_closed(&self, image: &CoreImage, marks: &Marks) -> Option<&'static str> {
+        let reach = image.axons_out.items().iter().all(|target| marks.reach(target));
+        (!reach).then_some("an output axon leads nowhere or shares its input axon")
+    }
+
+    /// Whether the lists of each core are those of a core before it, which has as many slots and formats.
+    fn seen_before(&self) -> IdVec<CoreId, bool> {
+        let mut known = HashSet::new();
+        let key = |image: &CoreImage| (image.inputs.address(), image.compartments.len(), image.formats.len());
+        self.cores.iter().map(|image| !known.insert(key(image))).collect()
     }
 }
 
@@ -369,8 +383,11 @@ impl Program {
     pub fn new(parts: Parts) -> Result<Self, NotClosed> {
         let wrong = |core: CoreId, what: &str| Err(NotClosed(format!("{core}: {what}")));
         let marks = Marks::new(&parts);
-        let core =
-            |marks: &Marks, core| parts.not_closed(CoreId::new(core), marks).map(|what| (CoreId::new(core), what));
+        let seen = parts.seen_before();
+        let core = |marks: &Marks, core| {
+            let core = CoreId::new(core);
+            parts.not_closed(core, seen[core], marks).map(|what| (core, what))
+        };
         if (0..parts.cores.len()).into_par_iter().any(|index| core(&marks, index).is_some()) {
             // Of two that share an input axon the second is reported, whatever the threads do.
             let marks = Marks::new(&parts);

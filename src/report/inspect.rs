@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use comfy_table::{CellAlignment, ContentArrangement};
+use comfy_table::CellAlignment;
 use serde_json::{Map, Value, json};
 
 /// What was found: facts about the whole, and tables of its parts.
@@ -68,12 +68,11 @@ impl Findings {
         let mut out = format!("{file}: {}\n", self.kind);
         let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
         for (key, value) in self.facts.iter().filter(|(_, value)| !value.is_null()) {
-            let value = shown(value).replace('\n', &format!("\n  {:width$}  ", ""));
+            let value = super::text::wrapped_at(&shown(value), width + 4);
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
         for part in &self.tables {
             let mut table = super::text::table(part.columns.iter().copied());
-            table.set_content_arrangement(ContentArrangement::Dynamic);
             for row in &part.rows {
                 table.add_row(row.iter().map(shown));
             }
@@ -82,7 +81,7 @@ impl Findings {
                     column.set_cell_alignment(CellAlignment::Right);
                 }
             }
-            let _ = writeln!(out, "\n{}\n{}", part.key, table.trim_fmt());
+            let _ = writeln!(out, "\n{}\n{}", part.key, super::text::narrowed(&mut table).trim_fmt());
         }
         out
     }

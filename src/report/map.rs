@@ -9,12 +9,12 @@ use comfy_table::CellAlignment;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::text::{Column, count, table_of, wrapped};
+use super::text::{Column, count, narrowed, table_of, wrapped};
 use crate::compile::explore::cost_estimate::Score;
 use crate::compile::explore::remedy::Remedy;
 use crate::compile::explore::search::{Found, front};
 use crate::compile::explore::traffic::Traffic;
-use crate::compile::{DEFAULT_RATE, Form, Mapping, Options, Reason, place};
+use crate::compile::{DEFAULT_RATE, Effort, Form, Mapping, Options, Reason, place};
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
@@ -53,6 +53,14 @@ pub enum Outcome<'a> {
     DoesNotFit(&'a [Reason]),
 }
 
+/// The seconds by the clock that were given, if any; a result is then that of a machine and a moment.
+fn time_budget_s(options: &Options) -> Option<f64> {
+    match options.effort {
+        Effort::Work(_) => None,
+        Effort::Within { budget_ms, .. } => Some(f64::from(budget_ms) / 1e3),
+    }
+}
+
 /// The object `nsim.map/1`.
 #[must_use]
 pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
@@ -72,6 +80,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "strategy": options.strategy.name(),
         "placed": mapping.map_or(if options.place { place::ANNEALED } else { place::SEQUENTIAL }, |mapping| mapping.placed),
         "seed": options.seed,
+        "time_budget_s": time_budget_s(options),
         "pruned": pruned_json(pruned),
         "fits": mapping.is_some(),
         "cores_used": mapping.map(|mapping| mapping.partition.cores()),
@@ -109,20 +118,19 @@ fn published_static_mw(question: Question<'_>, score: &Score) -> Option<f64> {
 /// The estimated cost of a mean step, for people.
 fn expected_text(question: Question<'_>, score: &Score) -> String {
     let Score { cores_powered, energy_uj, step_us, static_mw, .. } = score;
-    let mut text = format!(
+    let mut text = wrapped(&format!(
         "expected of a step: {energy_uj:.4} uJ, {step_us:.3} us; static power {static_mw:.2} mW of {cores_powered} \
-         powered cores\n"
-    );
+         powered cores"
+    ));
     if let Some((job, published)) = question.scenario.zip(published_static_mw(question, score)) {
         let DeployedCores { cores_used, cores_powered, .. } = job.deployment.value;
-        let _ = writeln!(
-            text,
+        text += &wrapped(&format!(
             "{} used {cores_used} cores for {} copies ({cores_powered} powered), {published:.2} mW: {:.2} mW of static \
              power saved",
             job.work,
             job.copies.value,
             published - static_mw
-        );
+        ));
     }
     text
 }
@@ -209,7 +217,7 @@ fn pruned_table(rows: &[PrunedRow]) -> String {
     if let Some(counts) = table.column_mut(1) {
         counts.set_cell_alignment(CellAlignment::Right);
     }
-    table.trim_fmt() + "\n"
+    narrowed(&mut table).trim_fmt() + "\n"
 }
 
 fn cores_per_copy(compiled: &Mapping) -> f64 {
@@ -299,7 +307,7 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
     let Question { model, target, options, pruned, remedies, .. } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
     let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
-    let mut text = format!("{model}, {copies}, onto {} ({cores} on {chips}): ", target.name());
+    let mut text = wrapped(&format!("{model}, {copies}, onto {} ({cores} on {chips}):", target.name()));
     match outcome {
         Outcome::DoesNotFit(reasons) => {
             text += "does not fit\n";
@@ -337,6 +345,9 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 compiled.placed,
                 options.seed
             );
+            if let Some(seconds) = time_budget_s(options) {
+                let _ = writeln!(text, "the best found in {seconds} s on this machine; another run may find another\n");
+            }
             if !pruned.is_empty() {
                 text += &pruned_table(pruned);
                 text.push('\n');
@@ -346,19 +357,19 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 Rates::Assumed(_) => format!("an assumed {DEFAULT_RATE} spikes a source"),
                 Rates::Profile { .. } => "the rates of the profile".to_string(),
             };
-            let _ = writeln!(
-                text,
-                "\na step at {rates}: {:.2} spikes to other cores (inputs' included), {:.2} hops, {:.2} as \
-                 multicast;\nlinks carry {:.5} messages on average, {:.2} at most",
+            text.push('\n');
+            text += &wrapped(&format!(
+                "a step at {rates}: {:.2} spikes to other cores (inputs' included), {:.2} hops, {:.2} as \
+                 multicast; links carry {:.5} messages on average, {:.2} at most",
                 traffic.cut_spikes_per_step,
                 traffic.hops_per_step,
                 traffic.hops_multicast_per_step,
                 traffic.mean_link_load,
                 traffic.max_link_load
-            );
+            ));
             text += &expected_text(question, &score);
             let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
-            let _ = writeln!(text, "ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", "));
+            text += &wrapped(&format!("ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", ")));
         }
     }
     text
@@ -374,42 +385,66 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
     format!("{model} does not fit on {}:\n{}", target.name(), listed(reasons))
 }
 
-/// A table of every core's use of its resources, in numbers and in hundredths of what there is.
+/// Resources that have a column of their own in the table of cores; more do not fit on a line.
+const COLUMNS: usize = 4;
+
+/// A table of every core's use of the resources that are used most, in numbers and in hundredths of what there is; and the most
+/// of the others.
 fn table(compiled: &Mapping, target: &Target) -> String {
     let limits = target.limits();
-    let parts = |used: CoreUsage| limits.against(used.of).filter(|(capacity, ..)| capacity.heading().is_some());
-    let mut header = vec!["core".to_string(), "chip".to_string(), "tile".to_string(), "synapses".to_string()];
-    header.extend(parts(CoreUsage::default()).filter_map(|(capacity, ..)| capacity.heading().map(str::to_string)));
-    let mut table = super::text::table(header);
     let (cores, usage) = (compiled.partition.cores(), compiled.partition.usage());
+    let parts = |used: CoreUsage| {
+        let named = limits
+            .against(used.of)
+            .filter_map(|(capacity, need, limit)| capacity.heading().map(|heading| (heading.to_string(), need, limit)));
+        named.collect::<Vec<_>>()
+    };
+    let part = |&(_, need, limit): &(String, u64, u64)| need as f64 / limit.max(1) as f64;
+    let most = usage
+        .iter()
+        .map(|used| parts(*used))
+        .reduce(|most, used| most.into_iter().zip(used).map(|(a, b)| if b.1 > a.1 { b } else { a }).collect());
+    let most = most.unwrap_or_default();
+    let mut order: Vec<usize> = (0..most.len()).collect();
+    order.sort_by(|&a, &b| part(&most[b]).total_cmp(&part(&most[a])).then(a.cmp(&b)));
+    let mut chosen = order[..COLUMNS.min(order.len())].to_vec();
+    chosen.sort_unstable();
+    let mut header = ["core", "chip", "tile", "synapses"].map(str::to_string).to_vec();
+    header.extend(chosen.iter().map(|&at| most[at].0.clone()));
+    let mut table = super::text::table(header);
     let shown = if cores > LONGEST_TABLE { SHORT_TABLE } else { cores };
-    let cell = |need: u64, limit: u64| format!("{need} {:>3.0}%", 100.0 * need as f64 / limit.max(1) as f64);
+    let cells = |used: &[(String, u64, u64)]| {
+        let cell = |&at: &usize| format!("{} {:>3.0}%", used[at].1, 100.0 * part(&used[at]));
+        chosen.iter().map(cell).collect::<Vec<_>>()
+    };
     for (core, used) in usage.enumerate().take(shown) {
         let site = compiled.placement.site(core);
-        let mut row = vec![
-            core.0.to_string(),
-            site.chip.to_string(),
-            format!("{},{}", site.x, site.y),
-            used.synapses.to_string(),
-        ];
-        row.extend(parts(*used).map(|(_, need, limit)| cell(need, limit)));
+        let tile = format!("{},{}", site.x, site.y);
+        let mut row = vec![core.0.to_string(), site.chip.to_string(), tile, used.synapses.to_string()];
+        row.extend(cells(&parts(*used)));
         table.add_row(row);
     }
     if cores > shown {
-        let rest = format!("and {} more", cores - shown);
-        table.add_row(vec![rest]);
-        let mut row = vec!["most".to_string(), String::new(), String::new()];
-        row.push(usage.iter().map(|used| used.synapses).max().unwrap_or(0).to_string());
-        let most = usage.iter().map(|used| parts(*used).map(|(_, need, limit)| (need, limit)).collect::<Vec<_>>());
-        let most =
-            most.reduce(|most, used| most.into_iter().zip(used).map(|(a, b)| if b.0 > a.0 { b } else { a }).collect());
-        row.extend(most.into_iter().flatten().map(|(need, limit)| cell(need, limit)));
+        table.add_row(vec!["..".to_string()]);
+        let synapses = usage.iter().map(|used| used.synapses).max().unwrap_or(0).to_string();
+        let mut row = vec!["most".to_string(), String::new(), String::new(), synapses];
+        row.extend(cells(&most));
         table.add_row(row);
     }
     for column in table.column_iter_mut() {
         column.set_cell_alignment(CellAlignment::Right);
+        column.set_padding((1, 0));
     }
-    table.trim_fmt() + "\n"
+    let mut text = table.trim_fmt() + "\n";
+    if cores > shown {
+        text += &format!("and {} more\n", cores - shown);
+    }
+    let others = order.iter().skip(COLUMNS).map(|&at| format!("{} {:.0}%", most[at].0, 100.0 * part(&most[at])));
+    let others: Vec<String> = others.collect();
+    if !others.is_empty() {
+        text += &wrapped(&format!("used less, at most: {}", others.join(", ")));
+    }
+    text
 }
 
 #[cfg(test)]
@@ -420,7 +455,7 @@ mod tests {
     use crate::compile::{CompileError, compile, explore, front as integers};
     use crate::ir::quantised::Quantised;
 
-    const KEYS: [&str; 25] = [
+    const KEYS: [&str; 26] = [
         "schema",
         "model",
         "target",
@@ -429,6 +464,7 @@ mod tests {
         "strategy",
         "placed",
         "seed",
+        "time_budget_s",
         "pruned",
         "fits",
         "cores_used",
@@ -475,7 +511,7 @@ mod tests {
             (&fits["fits"], &fits["checked"], &fits["cores_per_copy"]),
             (&json!(true), &json!(true), &json!(1.0))
         );
-        assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("whole"), &json!(1.0)));
+        assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("pattern"), &json!(1.0)));
         let core = json!({
             "core": 2, "chip": 0, "x": 0, "y": 0, "compartments": 62, "axons_in": 3366, "axons_out": 60,
             "synapses": 39_420, "synapse_words": 7_452,

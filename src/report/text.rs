@@ -3,13 +3,22 @@
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 
 /// The width of text for people.
-const WIDTH: usize = 100;
+const WIDTH: usize = 80;
 
 /// An empty table without lines, as wide as what it holds.
 pub(super) fn table(header: impl IntoIterator<Item = impl Into<Cell>>) -> Table {
     let mut table = Table::new();
     table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
     table.set_header(header.into_iter().map(Into::into).collect::<Vec<Cell>>());
+    table
+}
+
+/// A table whose cells are broken where its lines would be longer than [`WIDTH`].
+pub(super) fn narrowed(table: &mut Table) -> &mut Table {
+    let widest = table.lines().map(|line| line.trim_end().chars().count()).max().unwrap_or(0);
+    if widest > WIDTH {
+        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH as u16);
+    }
     table
 }
 
@@ -162,6 +171,31 @@ pub(super) fn wrapped(text: &str) -> String {
         column += length;
     }
     out.push('\n');
+    out
+}
+
+/// Lines in at most [`WIDTH`], those behind the first set in by so many columns.
+pub(super) fn wrapped_at(text: &str, indent: usize) -> String {
+    let mut out = String::new();
+    let mut column = indent;
+    for (number, line) in text.split('\n').enumerate() {
+        if number > 0 {
+            out += &format!("\n{:indent$}", "");
+            column = indent;
+        }
+        for word in line.split(' ') {
+            let length = word.chars().count();
+            if column > indent && column + 1 + length > WIDTH {
+                out += &format!("\n{:indent$}", "");
+                column = indent;
+            } else if column > indent {
+                out.push(' ');
+                column += 1;
+            }
+            out += word;
+            column += length;
+        }
+    }
     out
 }
 

@@ -8,7 +8,7 @@
 use super::network::{COUNTED, RateEnd, WARM_UP, build};
 use crate::base::diagnostic::Diagnostic;
 use crate::bench::networks::BuildError;
-use crate::compile::{CompileError, Options, Strategy, compile};
+use crate::compile::{CompileError, Effort, Options, Strategy, compile};
 use crate::cost::evidence::{ConstantSet, ConstantSets, interval};
 use crate::cost::model::{StepTime, step_energy};
 use crate::cost::transport::QueueMemory;
@@ -70,7 +70,7 @@ fn simulate(
         Some(most) => target.clone().with_limits(target.limits().clone().with(Resource::Compartments, most)),
         None => target.clone(),
     };
-    let options = Options { strategy: Strategy::Greedy, effort_s: 0, ..Options::default() };
+    let options = Options { strategy: Strategy::Greedy, effort: Effort::Work(0), ..Options::default() };
     let compiled = compile(network, &target, &options)
         .map_err(|error| PredictError::Compile(file.name.clone(), Box::new(error)))?;
     let routes = MessageRoutes::of_program(&compiled.program);

@@ -9,7 +9,9 @@ use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
 use crate::compile::frontend::real_and_integers;
-use crate::compile::{self, CompileError, Compiled, Form, Options, Reason, mapping_file};
+use crate::compile::{
+    self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, kept, mapping_file,
+};
 use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::search;
 use crate::desc::mapping::MappingFile;
@@ -17,6 +19,7 @@ use crate::desc::network::{Network, PopulationDesc};
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
+use crate::ir::firing_rates::Rates;
 use crate::ir::graph::Graph;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
@@ -268,7 +271,7 @@ const CALIBRATION_SAMPLES: usize = 60;
 
 /// A network in integers: spike response neurons as `nsim convert` has them, on samples of the model's own scene, or by
 /// analysis where it has none. Deterministic, so that a saved mapping fits the same network again.
-fn converted(network: &Network) -> Result<compile::Front, Error> {
+fn converted(network: &Network) -> Result<Front, Error> {
     if !has_srm(network) {
         return Ok(compile::front(network)?);
     }
@@ -298,7 +301,7 @@ fn converted(network: &Network) -> Result<compile::Front, Error> {
 ///
 /// # Errors
 /// [`Error`] when the network or what it is pruned for cannot be used.
-pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compile::Front, Error> {
+pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<Front, Error> {
     let front = converted(network)?;
     let is_probed = |name: &str| probed.iter().any(|pattern| fits_pattern(pattern, name));
     let populations = front.quantised().populations().enumerate();
@@ -317,7 +320,7 @@ pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<compi
 ///
 /// # Errors
 /// [`Error`] when delays leave no time for them.
-pub fn with_relays(args: &JobArgs, front: compile::Front, target: &Target) -> Result<compile::Front, Error> {
+pub fn with_relays(args: &JobArgs, front: Front, target: &Target) -> Result<Front, Error> {
     if args.relays { Ok(front.relay(target)?) } else { Ok(front) }
 }
 
@@ -341,9 +344,43 @@ pub fn compiled(
         }
         None => {
             Form::require_written("running it on cores", front.quantised(), options.copies)?;
-            compile::compile(front, target, options)
+            let mapped = mapped(front, target, options, &Rates::assumed(DEFAULT_RATE), Form::Written);
+            mapped.and_then(Mapping::into_compiled)
         }
     })
+}
+
+/// The best mapping of a network, from the cache if it is there and put into it if not.
+///
+/// # Errors
+/// As [`explore::map`].
+pub fn mapped(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    form: Form,
+) -> Result<Mapping, CompileError> {
+    let key = build().and_then(|build| kept::key(&front, target, options, rates, form, &build));
+    if let Some(bytes) = key.as_deref().and_then(io::write::cache::get) {
+        match kept::from_kept(front.clone(), target, options, rates, &bytes) {
+            Ok(mapping) => return Ok(mapping),
+            // Whatever it was, compiling says what there is to say.
+            Err(error) => tracing::debug!(%error, "an entry of the cache is not used"),
+        }
+    }
+    let mapping = explore::map(front, target, options, rates, form)?;
+    if let Some(key) = key {
+        io::write::cache::put(&key, &kept::to_bytes(&mapping));
+    }
+    Ok(mapping)
+}
+
+/// The program that compiles: its version, and its file's size and time, as two builds may have one version.
+fn build() -> Option<String> {
+    let file = std::env::current_exe().and_then(|path| path.metadata()).ok()?;
+    let time = file.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
+    Some(format!("{} {} {}", env!("CARGO_PKG_VERSION"), file.len(), time.as_nanos()))
 }
 
 fn say_notes(quantised: &Quantised) {

@@ -3,6 +3,7 @@
 //! Input: a file, a folder, or the name of something shipped. Output: its kind, what it says about itself, and tables
 //! of its parts. Nothing is compiled: a model that is inspected may still be refused by `nsim map`.
 
+pub mod cache;
 mod foreign;
 mod hardware;
 mod network;

@@ -13,6 +13,15 @@
 //! 4. *Payloads.* A spike of a source carries in P what it carries in N.
 //! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
 //!
+//! *Copies.* N may be so many equal copies that share nothing, copy after copy. Copy k is proven from copy j < k, which 1 and 2
+//! have been checked for, when
+//!
+//! a. the populations and projections of k in N are those of j, their units numbered k - j copies later;
+//! b. each source of k sends as many messages as that of j, to the same axons of cores each of which is that of j *later*: it holds the
+//!    same lists, equal formats and parameters, and the compartments k - j copies later, slot by slot, at their seats.
+//!
+//! By b., D of a source of k is D of that of j with targets k - j copies later, by a. so is R, and parameters are equal.
+//!
 //! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing of the stages between.
 //! Sources are compared a piece at a time, `PIECE_SYNAPSES` of the network on average; memory is that of a piece for each
 //! thread.
@@ -22,7 +31,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::base::fixed::{Delay, SignMode};
-use crate::base::id::{ChannelId, CompartmentId, Id};
+use crate::base::id::{ChannelId, CompartmentId, Id, PopulationId};
+use crate::compile::check::repeats::{self, messages_of};
 use crate::ir::program::{AxonTarget, Compartment, Program};
 use crate::ir::quantised::{Population, Projection, Quantised, SynapseFormat, Units};
 
@@ -80,9 +90,20 @@ impl SynapseCode {
 /// # Errors
 /// The first [`Difference`]: the frame, then parameters, then synapses by source.
 pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    check_copies(network, program, 1).map(|_| ())
+}
+
+/// The same of so many equal copies; how many of them were proven from another.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Result<u32, Difference> {
     check_frame(network, program)?;
     check_parameters(network, program)?;
-    for (id, population) in network.populations().enumerate() {
+    let proven = repeats::proven(network, program, copies);
+    let of_copy = (network.populations().len() as u32 / copies.max(1)).max(1);
+    let left = |id: PopulationId| !proven.get((id.0 / of_copy) as usize).copied().unwrap_or(false);
+    for (id, population) in network.populations().enumerate().filter(|&(id, _)| left(id)) {
         let outgoing: Vec<&Projection> = network.projections().iter().filter(|p| p.source == id).collect();
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
         let size = population.shape.len();
@@ -108,7 +129,7 @@ pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
             return Err(difference);
         }
     }
-    Ok(())
+    Ok(proven.into_iter().filter(|&proven| proven).count() as u32)
 }
 
 fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
@@ -164,17 +185,6 @@ fn name_of(units: &Units, index: u32) -> String {
     match units {
         Units::Input(first) => format!("input channel {}", ChannelId(first.0 + index)),
         Units::Compartments { first, .. } => format!("compartment {}", CompartmentId(first.0 + index)),
-    }
-}
-
-/// The messages of a source's spike.
-fn messages_of<'a>(program: &'a Program, units: &Units, index: u32) -> &'a [AxonTarget] {
-    match units {
-        Units::Input(first) => program.channel(ChannelId(first.0 + index)),
-        Units::Compartments { first, .. } => {
-            let seat = program.seats()[CompartmentId(first.0 + index)];
-            program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
-        }
     }
 }
 

@@ -2,5 +2,6 @@
 
 pub mod equivalence;
 pub mod relays;
+pub mod repeats;
 pub mod sampled;
 pub mod verify;

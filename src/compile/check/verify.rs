@@ -19,14 +19,16 @@
 //! - weights are multiples of their format's least step, in its range (`Weight`);
 //! - every resource of [`CoreUsage`] is within its limit (`Excess`).
 //!
+//! The tables that several cores hold in common are checked once, for the first of these cores.
+//!
 //! Whether the program has its network's synapses is for [`crate::compile::check::equivalence`].
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use rayon::prelude::*;
 
 use crate::base::fixed::Delay;
-use crate::base::id::{CoreId, Id};
+use crate::base::id::{CoreId, Id, IdVec};
 use crate::compile::resources::axon_sharing::{BASE_END, BASE_STEP, MOST_ATOMS, most_axons};
 use crate::compile::resources::packing::{self, Compression, Group, SKIP_BITS, Widths};
 use crate::desc::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
@@ -142,15 +144,45 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     for (channel, messages) in program.parts().channels.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
     }
+    let first = first_with_tables(program);
+    let tables: Vec<Option<Result<CoreUsage, Violation>>> = program
+        .cores()
+        .as_slice()
+        .par_iter()
+        .enumerate()
+        .map(|(index, image)| {
+            let core = CoreId::new(index);
+            (first[core] == core).then(|| verify_tables(core, image, limits))
+        })
+        .collect();
     // Threads may finish in any order; the violation of the lowest core is reported.
     let found: Vec<Violation> = program
         .cores()
         .as_slice()
         .par_iter()
         .enumerate()
-        .filter_map(|(index, image)| verify_core(program, CoreId::new(index), image, populations, limits).err())
+        .filter_map(|(index, image)| {
+            let core = CoreId::new(index);
+            match &tables[first[core].index()] {
+                Some(Ok(usage)) => verify_core(program, core, image, *usage, populations, limits).err(),
+                Some(Err(violation)) => (first[core] == core).then(|| violation.clone()),
+                None => None,
+            }
+        })
         .collect();
     found.into_iter().next().map_or(Ok(()), Err)
+}
+
+/// The first core that holds the same tables as each, and equal formats and compartments.
+fn first_with_tables(program: &Program) -> IdVec<CoreId, CoreId> {
+    let mut known: HashMap<usize, CoreId> = HashMap::new();
+    let first = |(core, image): (CoreId, &CoreImage)| {
+        let first = *known.entry(image.inputs.address()).or_insert(core);
+        let of_first = &program.cores()[first];
+        let alike = of_first.formats == image.formats && of_first.compartments == image.compartments;
+        if alike { first } else { core }
+    };
+    program.cores().enumerate().map(first).collect()
 }
 
 fn verify_messages(
@@ -268,13 +300,13 @@ fn verify_core(
     program: &Program,
     core: CoreId,
     image: &CoreImage,
+    mut usage: CoreUsage,
     populations: bool,
     limits: &Limits,
 ) -> Result<(), Violation> {
     for (slot, messages) in image.axons_out.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
     }
-    let mut usage = verify_tables(core, image, limits)?;
     usage[Resource::AxonsOut] = output_slots(program, image, populations, limits);
     usage[Resource::AxonsOutPerCompartment] = image.axons_out.iter().map(|list| list.len() as u64).max().unwrap_or(0);
     match usage.excesses(limits).next() {

@@ -4,3 +4,4 @@ pub mod route;
 pub mod sample;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod twins;

@@ -14,9 +14,10 @@ use rayon::prelude::*;
 
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
-use crate::base::id::{CompartmentId, CoreId, Id};
+use crate::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use crate::compile::emit::twins::{Twin, twins};
 use crate::compile::resources::axon_sharing::{EqualPlace, Places};
-use crate::compile::resources::by_core::{self, Key};
+use crate::compile::resources::by_core::{self, Key, by_core_from};
 use crate::compile::resources::counter::stored;
 use crate::compile::resources::exact::{StoredLists, group_of, longest_delays};
 use crate::compile::resources::fan_in::first_source;
@@ -33,7 +34,8 @@ use crate::ir::quantised::{Population, Quantised, Units};
 /// Sources whose messages are sorted by one task.
 const PIECE: u32 = 1 << 14;
 
-/// The program of a network on its places.
+/// The program of a network, so many equal copies that share nothing, on its places. What equal cores of several copies store
+/// is written once.
 ///
 /// # Errors
 /// A sentence when the tables contradict each other or a core has more formats than can be numbered: a fault of the
@@ -42,23 +44,47 @@ pub fn route(
     network: &Quantised,
     partition: &Partition,
     placement: &Placement,
+    copies: u32,
     limits: &Limits,
 ) -> Result<Program, String> {
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
     let tables = Tables::new(network, partition, placement, limits);
-    let longest = longest_delays(network, partition.seats(), partition.cores());
-    let written = by_core::by_core(network, &tables.formats, partition.seats(), partition.cores(), |core, keys| {
-        tables.image(core, keys, longest[core])
+    let (channels, compartments) = (network.channels(), network.compartments());
+    let of_copy = |units: usize| units as u32 / copies.max(1);
+    let twins = twins(partition.members(), of_copy(compartments as usize));
+    let (mut cores, mut sources): (Vec<CoreImage>, Vec<Vec<u32>>) =
+        (Vec::with_capacity(twins.len()), Vec::with_capacity(twins.len()));
+    // The copies of which a core is the first of its kind.
+    let mut written_down = vec![false; copies as usize];
+    for (core, _) in twins.enumerate().filter(|(core, twin)| twin.first == *core) {
+        let copies_of = partition.members()[core].iter().map(|id| id.0 / of_copy(compartments as usize).max(1));
+        copies_of.for_each(|copy| written_down[copy as usize] = true);
+    }
+    let populations = of_copy(network.populations().len()).max(1);
+    let counts = |id: PopulationId| written_down.get((id.0 / populations) as usize).copied().unwrap_or(true);
+    let longest = longest_delays(network, partition.seats(), partition.cores(), counts);
+    let written = by_core_from(network, &tables.formats, partition.seats(), twins.len(), counts, |core, keys| {
+        (twins[core].first == core).then(|| tables.image(core, keys, longest[core])).transpose()
     });
-    let (mut cores, mut sources) = (Vec::with_capacity(written.len()), Vec::with_capacity(written.len()));
-    for core in written {
-        let (image, of_core) = core?;
+    for (core, written) in twins.ids().zip(written) {
+        let Twin { first, later } = twins[core];
+        let (image, of_core) = match written? {
+            Some(written) => written,
+            None => {
+                let later_source = |&source: &u32| match source < channels {
+                    true => source + later * of_copy(channels as usize),
+                    false => source + later * of_copy(compartments as usize),
+                };
+                let (site, ids) = (placement.site(core), partition.members()[core].clone());
+                let image = CoreImage { site, ids, ..cores[first.index()].clone() };
+                (image, sources[first.index()].iter().map(later_source).collect())
+            }
+        };
         cores.push(image);
         sources.push(of_core);
     }
-    let (channels, compartments) = (network.channels(), network.compartments());
     let messages = messages(&sources, channels, compartments);
     drop(sources);
     cores.par_iter_mut().for_each(|image| {
@@ -133,7 +159,7 @@ impl<'a> Tables<'a> {
             compartments: compartments(self.network, held),
             ids: held.clone(),
             formats,
-            inputs,
+            inputs: inputs.into(),
             axons_out: Csr::default(),
         };
         Ok((image, sources))
@@ -146,7 +172,7 @@ fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment>
     held.iter()
         .filter_map(|&id| {
             // Neighbours mostly are of one population.
-            let inside = |population: &crate::base::id::PopulationId| {
+            let inside = |population: &PopulationId| {
                 let population = &network.populations()[*population];
                 population
                     .first_compartment()

@@ -6,6 +6,7 @@
 //! take longer, since spikes arrive in bursts; the estimate is for comparing mappings.
 
 use std::cmp::Ordering;
+use std::collections::HashMap;
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -19,7 +20,7 @@ use crate::cost::constants::CostTable;
 use crate::cost::deployment::Deployment;
 use crate::cost::model::{core_time, route_time, step_energy};
 use crate::desc::target::Target;
-use crate::ir::activity::StepActivity;
+use crate::ir::activity::{CoreCounts, StepActivity};
 use crate::ir::firing_rates::{Rates, UNIT};
 use crate::ir::placement::{Placement, Site};
 use crate::ir::program::{AxonTarget, Program};
@@ -149,7 +150,20 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
         Rates::Assumed(_) => None,
         Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
     };
+    // At one rate for all, cores that hold the same lists have as much arriving.
+    let mut first: HashMap<(usize, usize), CoreId> = HashMap::new();
+    let like: Vec<CoreId> = (0..)
+        .zip(cores)
+        .map(|(core, image)| {
+            let key = if of_axons.is_some() { core as usize + 1 } else { 0 };
+            let first = *first.entry((image.inputs.address(), key)).or_insert(CoreId(core));
+            if cores[first.index()].formats == image.formats { first } else { CoreId(core) }
+        })
+        .collect();
     sum.cores.as_mut_slice().par_iter_mut().zip(cores).enumerate().for_each(|(core, (counts, image))| {
+        if like[core] != CoreId::new(core) {
+            return;
+        }
         for (axon, list) in image.inputs.iter().enumerate() {
             let rate = of_axons.as_ref().map_or_else(|| rates.rate_of(0), |of_axons| of_axons[core][axon]);
             let list = list.stored;
@@ -159,6 +173,13 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
             counts.events_sparse += (list.len() - dense) as u64 * rate;
         }
     });
+    for (core, like) in (0..).map(CoreId).zip(like).filter(|(core, like)| core != like) {
+        let CoreCounts { messages_in, events_dense, events_sparse, .. } = sum.cores[like];
+        let counts = &mut sum.cores[core];
+        counts.messages_in += messages_in;
+        counts.events_dense += events_dense;
+        counts.events_sparse += events_sparse;
+    }
 }
 
 /// The rate of the source that leads to each input axon, by core.

@@ -3,6 +3,7 @@
 //! Input: a network that does not fit its target and the target. Output: [`Remedy`]s that were tried and made it fit, the
 //! cheapest change first. What is tried:
 //!
+//! - the default strategy, where another was asked for;
 //! - fewer copies: the most that fit;
 //! - leaving out what can change no output (`--prune static`);
 //! - fewer weight bits, each weight rounded to the coarser step: whether the network still does its task is another
@@ -14,7 +15,7 @@
 
 use crate::base::fixed::WeightBits;
 use crate::compile::frontend::prune::{Plan, prune};
-use crate::compile::{DEFAULT_RATE, Form, Front, Objective, Options};
+use crate::compile::{DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy};
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::{Connectivity, Parts, Quantised};
@@ -27,7 +28,7 @@ const BITS: [i64; 3] = [6, 5, 4];
 /// A change that makes the network fit.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Remedy {
-    /// A stable name for scripts: `copies`, `prune`, `weight_bits` or `target`.
+    /// A stable name for scripts: `strategy`, `copies`, `prune`, `weight_bits` or `target`.
     pub kind: &'static str,
     /// What to change, in words, with what to type where there is something to type.
     pub change: String,
@@ -43,7 +44,7 @@ pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[T
     if one.synapses().saturating_mul(u64::from(options.copies)) > MOST_SYNAPSES {
         return Vec::new();
     }
-    let quick = Options { effort_s: 0, objective: Objective::Cores, place: false, ..*options };
+    let quick = Options { effort: Effort::Work(0), objective: Objective::Cores, place: false, ..*options };
     let rates = Rates::assumed(DEFAULT_RATE);
     // What has cores fits: routes and tables follow from them.
     let fits = |network: &Quantised, target: &Target, copies: u32| -> Option<Fitting> {
@@ -55,6 +56,18 @@ pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[T
     let mut keep = |kind, change: String, Fitting { cores, copies }: Fitting| {
         found.push(Remedy { kind, change, cores, copies });
     };
+    if options.strategy != Strategy::default() {
+        let options = Options { effort: Options::default().effort, strategy: Strategy::default(), ..quick };
+        let made = Front::from(one.clone()).partition(target, &options, &rates, Form::Written);
+        if let Ok(made) = made {
+            let (strategy, cores) = (options.strategy.name(), made.partition.cores() as u32);
+            keep(
+                "strategy",
+                format!("use another strategy: --strategy {strategy}"),
+                Fitting { cores, copies: options.copies },
+            );
+        }
+    }
     if let Ok(pruned) = prune(one, &Plan::fixed())
         && let Some(fitting) = fits(&pruned, target, options.copies)
     {

@@ -11,7 +11,7 @@
 //! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
 //! `EVERYWHERE`, also when every source spikes.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 
@@ -22,7 +22,7 @@ use crate::compile::explore::cost_estimate::{Score, score_at};
 use crate::compile::form::Form;
 use crate::compile::mapping::{Mapping, Synapses};
 use crate::compile::mapping_file::file_of_boxes;
-use crate::compile::options::{Objective, Options, Strategy};
+use crate::compile::options::{Effort, Objective, Options, Strategy};
 use crate::compile::partition::box_fan_out::{PopulationRates, everywhere, only};
 use crate::compile::partition::boxes::{Boxes, Layers};
 use crate::compile::reason::Reason;
@@ -52,6 +52,15 @@ const MOST_BURSTS: usize = 16;
 const COMPARTMENTS_PER_SECOND: u64 = 20_000_000;
 /// Synapses that a second of effort allows to be mapped, over all candidates.
 const SYNAPSES_PER_SECOND: u64 = 4_000_000;
+
+/// Stages that follow once cores have their places.
+const FINISHING: [&str; 3] = ["route", "verify", "check"];
+/// How much more time than the last time is kept for them.
+const SLACK: f64 = 1.2;
+/// The part of the time that must be left for looking for a better mapping to be worth it.
+const LEAST_LEFT: f64 = 0.1;
+/// The part of what is left that the partition may take; the rest is for placing.
+const PARTITIONING: f64 = 0.7;
 
 /// A way of mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -115,7 +124,10 @@ enum Kept {
 pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Mapping> {
     let target = &*form.counted_on(target);
     if options.objective == Objective::Cores {
-        return compile::map(front, target, options, rates, form);
+        return match options.effort {
+            Effort::Work(_) => compile::map(front, target, options, rates, form),
+            Effort::Within { end, .. } => by_the_clock(front, target, options, rates, (form, end)),
+        };
     }
     let begin = Instant::now();
     let made = Search { form, front: &front, target, options, rates }.all()?;
@@ -145,6 +157,44 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form
     Ok(best)
 }
 
+/// The best mapping found until a time: the quickest, unless there is time for a better one.
+fn by_the_clock(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    (form, end): (Form, Instant),
+) -> Result<Mapping> {
+    let begin = Instant::now();
+    let given = end.saturating_duration_since(begin);
+    let quick = Options { effort: Effort::Work(0), ..*options };
+    let mut best = compile::map(front.clone(), target, &quick, rates, form)?;
+    best.options = *options;
+    // What a mapping takes once its cores have their places.
+    let finishing = |mapping: &Mapping| {
+        let stages = mapping.seconds.iter().filter(|(stage, _)| FINISHING.contains(stage));
+        Duration::from_secs_f64(SLACK * stages.map(|(_, seconds)| seconds).sum::<f64>())
+    };
+    let left = || end.saturating_duration_since(Instant::now());
+    let reserve = finishing(&best);
+    if left() < given.mul_f64(LEAST_LEFT) + reserve + begin.elapsed() {
+        return Ok(best);
+    }
+    let until = |part: f64| {
+        let end = Instant::now() + left().saturating_sub(reserve).mul_f64(part);
+        Options { effort: Effort::Within { budget_ms: 0, end }, ..*options }
+    };
+    let partitioned = front.partition(target, &until(PARTITIONING), rates, form)?;
+    let mut other = partitioned.place(target, &until(1.0))?.emit(target, options)?.check(target)?;
+    let costs = |mapping: &Mapping| (mapping.partition.cores(), mapping.traffic().hops_multicast_per_step);
+    let ((cores, hops), (most_cores, most_hops)) = (costs(&other), costs(&best));
+    if (cores, hops) < (most_cores, most_hops) {
+        other.options = *options;
+        best = other;
+    }
+    Ok(best)
+}
+
 /// Every candidate that fits and that the effort allows for, the one that others are measured by first.
 ///
 /// # Errors
@@ -168,7 +218,7 @@ impl Search<'_> {
     fn ways(&self) -> Result<Vec<(Strategy, u32)>> {
         let Search { front, target, options, .. } = self;
         let (one, copies) = (front.quantised(), u64::from(options.copies));
-        let affordable = |each_second: u64, size: u64| u64::from(options.effort_s) * each_second / size.max(1);
+        let affordable = |each_second: u64, size: u64| options.effort.work(each_second) / size.max(1);
         if self.form == Form::Symbolic {
             let layers = Layers::new(one)?;
             let most = affordable(COMPARTMENTS_PER_SECOND, u64::from(one.compartments()) * copies).max(1);
@@ -191,7 +241,7 @@ impl Search<'_> {
     fn all(&self) -> Result<Vec<Made<Kept>>> {
         let ways = self.ways()?;
         // The effort is for all of them together.
-        let options = Options { effort_s: self.options.effort_s.div_ceil(ways.len() as u32), ..*self.options };
+        let options = Options { effort: self.options.effort.shared_by(ways.len()), ..*self.options };
         let one_way = |(number, (strategy, divisor)): (usize, (Strategy, u32))| {
             // The first is tried unplaced too.
             let places = if number == 0 && options.place { &[false, true][..] } else { &[options.place] };
@@ -203,9 +253,12 @@ impl Search<'_> {
         };
         let ways = ways.into_iter().enumerate();
         let made: Vec<Result<Vec<Made<Kept>>>> = match self.form {
-            Form::Written => ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect(),
+            Form::Written if self.options.effort.end().is_none() => {
+                ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect()
+            }
             // One after the other: each takes as much memory as a mapping, and uses all threads.
-            Form::Symbolic => ways.map(one_way).collect(),
+            // By the clock, those that there is time for.
+            Form::Written | Form::Symbolic => self.in_turn(ways, one_way),
         };
         let fits = made.iter().any(Result::is_ok);
         let mut found = Vec::new();
@@ -217,6 +270,20 @@ impl Search<'_> {
             }
         }
         Ok(found)
+    }
+
+    /// What ways come to, one after the other, until the next would take longer than there is time; the first in any case.
+    fn in_turn<W, T>(&self, ways: impl Iterator<Item = (usize, W)>, map: impl Fn((usize, W)) -> T) -> Vec<T> {
+        let (mut made, mut longest) = (Vec::new(), Duration::ZERO);
+        for (number, way) in ways {
+            let begin = Instant::now();
+            if number > 0 && self.options.effort.end().is_some_and(|end| begin + longest > end) {
+                break;
+            }
+            made.push(map((number, way)));
+            longest = longest.max(begin.elapsed());
+        }
+        made
     }
 
     /// One partition, in these ways of placing it.

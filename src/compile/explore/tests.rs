@@ -145,7 +145,12 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
     let mut several = 0;
     for seed in 0..60 {
         let board = target(8, 4, small(seed));
-        let options = Options { copies: 1 + (seed % 3) as u32, place: seed % 4 > 0, effort_s: 0, ..Options::default() };
+        let options = Options {
+            copies: 1 + (seed % 3) as u32,
+            place: seed % 4 > 0,
+            effort: Effort::Work(0),
+            ..Options::default()
+        };
         let made = symbolic(layered(seed), &board, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
         let network = &made.quantised;
         let chips = row_of_chips(made.partition.cores(), &board);
@@ -181,7 +186,7 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
 #[test]
 fn output_axons_make_boxes_smaller() {
     let few = small(1).with(Resource::AxonsOut, 24);
-    let options = Options { effort_s: 0, ..Options::default() };
+    let options = Options { effort: Effort::Work(0), ..Options::default() };
     let (many, plain) = (target(8, 8, few.clone()), target(8, 8, few.clone().with(Resource::AxonsOut, 4096)));
     let cores = |board: &Target| symbolic(layered(3), board, &options).unwrap().partition.cores();
     assert!(cores(&many) > cores(&plain), "{} and {}", cores(&many), cores(&plain));
@@ -209,7 +214,7 @@ fn what_cannot_be_mapped_by_kernels_is_refused() {
 #[test]
 fn a_wrong_count_is_found() {
     let board = target(8, 4, small(2));
-    let options = Options { effort_s: 0, ..Options::default() };
+    let options = Options { effort: Effort::Work(0), ..Options::default() };
     let made = symbolic(layered(2), &board, &options).unwrap();
     let chips = row_of_chips(made.partition.cores(), &board);
     let every: Vec<CoreId> = made.partition.usage().ids().collect();
@@ -256,7 +261,7 @@ fn a_wrong_count_is_found() {
 /// A mapping in boxes, its board, and how it was made.
 fn saved(seed: u64, copies: u32) -> (Mapping, Target, Options) {
     let board = target(8, 4, small(seed));
-    let options = Options { copies, place: !seed.is_multiple_of(4), effort_s: 0, ..Options::default() };
+    let options = Options { copies, place: !seed.is_multiple_of(4), effort: Effort::Work(0), ..Options::default() };
     (symbolic(layered(seed), &board, &options).unwrap(), board, options)
 }
 
@@ -381,7 +386,7 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
     for seed in 0..8 {
         // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
         let board = target(8, 8, limits());
-        let options = Options { effort_s: 1, place: false, ..Options::default() };
+        let options = Options { effort: Effort::Work(1), place: false, ..Options::default() };
         let found =
             explore::candidates(&layered(seed).into(), &board, &options, &Rates::assumed(DEFAULT_RATE), Form::Symbolic)
                 .unwrap();
@@ -422,7 +427,7 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
 fn profiles_make_boxes_smaller() {
     // A population of which every third compartment has its own decay.
     let few = small(1).with(Resource::CompartmentProfiles, 2);
-    let options = Options { effort_s: 0, ..Options::default() };
+    let options = Options { effort: Effort::Work(0), ..Options::default() };
     let several = (0..20).filter(|&seed| {
         let plain = symbolic(layered(seed), &target(8, 8, small(1)), &options).unwrap();
         plain.partition.usage().iter().any(|used| used[Resource::CompartmentProfiles] > 2)

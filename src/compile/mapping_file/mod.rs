@@ -120,10 +120,28 @@ pub fn load(
         return Ok((partition, placement, Some(boxes)));
     }
     let (members, sites) = membership(file, all, target)?;
+    let partition = partition_on(all, members, &sites, target)?;
     let placement = Placement::new(Mesh::for_target(target), sites).map_err(CompileError::fault)?;
+    Ok((partition, placement, None))
+}
+
+/// The partition of these members on cores at these sites, counted exactly.
+///
+/// # Errors
+/// [`CompileError::Fault`] when a compartment is not on exactly one core; [`CompileError::DoesNotFit`] when a core exceeds a limit.
+pub fn partition_on(
+    all: &Quantised,
+    members: Members,
+    sites: &IdVec<CoreId, Site>,
+    target: &Target,
+) -> Result<Partition, CompileError> {
+    if members.iter().flatten().any(|id| id.0 >= all.compartments()) || members.len() != sites.len() {
+        return Err(CompileError::fault("the mapping is of another network"));
+    }
     let seats = seats(all.compartments(), &members).map_err(CompileError::fault)?;
-    let usage = usage(all, &members, &seats, &chips_of(&placement), limits);
-    Ok((partition_of(all, members, usage, limits)?, placement, None))
+    let chips = sites.iter().map(|site| site.chip).collect();
+    let usage = usage(all, &members, &seats, &chips, target.limits());
+    partition_of(all, members, usage, target.limits())
 }
 
 fn chips_of(placement: &Placement) -> IdVec<CoreId, u32> {

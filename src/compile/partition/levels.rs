@@ -7,8 +7,11 @@
 //! no pair from another and are left out. The levels give an order in which related compartments are consecutive, and the
 //! groups that are moved as one during refinement.
 
+use std::time::Instant;
+
 use crate::base::csr::Csr;
 use crate::base::rng;
+use crate::compile::options::is_over;
 use crate::compile::partition::hyper::{Groups, Hypergraph, transposed};
 
 /// Pins above which a net is ignored.
@@ -18,6 +21,8 @@ const NETS: u64 = 48;
 /// Levels after which it ends in any case.
 const LEVELS: usize = 40;
 const SEED: u64 = 0x1e7e1;
+/// Compartments from one look at the clock to the next.
+const LOOKS: usize = 64;
 
 /// Labels of compartments, level by level from fine to coarse; `None` for those that do not move.
 #[derive(Debug)]
@@ -27,9 +32,9 @@ pub struct Levels {
 }
 
 impl Levels {
-    /// The levels of a hypergraph without the compartments that are `fixed`.
+    /// The levels of a hypergraph without the compartments that are `fixed`; none further once it is the end.
     #[must_use]
-    pub fn new(graph: &Hypergraph, fixed: &[bool]) -> Self {
+    pub fn new(graph: &Hypergraph, fixed: &[bool], end: Option<Instant>) -> Self {
         let mut next = 0;
         let finest: Vec<Option<u32>> = fixed
             .iter()
@@ -47,7 +52,7 @@ impl Levels {
             if groups.len() < 2 {
                 break;
             }
-            let (merged, count) = matched(graph, &groups);
+            let Some((merged, count)) = matched(graph, &groups, end) else { break };
             if f64::from(count) > 0.97 * groups.len() as f64 {
                 break;
             }
@@ -69,8 +74,8 @@ impl Levels {
     }
 }
 
-/// The label of each group's pair, and how many labels there are.
-fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
+/// The label of each group's pair, and how many labels there are; `None` when it is the end before all have one.
+fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<(Vec<u32>, u32)> {
     let pins: Csr<u32> = transposed(&groups.into, graph.nets.len(), |group, (net, _)| (net, group));
     let owners: Csr<u32> = transposed(&groups.own, graph.nets.len(), |group, (net, _, _)| (net, group));
     let mut partner: Vec<Option<u32>> = vec![None; groups.len()];
@@ -79,7 +84,10 @@ fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
     let mut turns: Vec<u32> = (0..groups.len() as u32).collect();
     turns.sort_unstable_by_key(|&group| rng::bits(SEED, groups.len() as u64, u64::from(group)));
     let size = |group: u32| groups.members.get(group as usize).len();
-    for group in turns {
+    for (turn, group) in turns.into_iter().enumerate() {
+        if turn % LOOKS == 0 && is_over(end) {
+            return None;
+        }
         if partner[group as usize].is_some() {
             continue;
         }
@@ -129,15 +137,16 @@ fn matched(graph: &Hypergraph, groups: &Groups) -> (Vec<u32>, u32) {
             count += 1;
         }
     }
-    (labels, count)
+    Some((labels, count))
 }
 
 /// An order by growth: from a compartment to the one that is joined to most of those already there, and so on.
 ///
 /// Compartments are joined when one reaches the other. Where none is joined to those chosen so far, the next in the order
-/// of the file starts again; and after `core` compartments what counts is only who is joined to those that follow.
+/// of the file starts again; and after `core` compartments what counts is only who is joined to those that follow. Once it is the
+/// end, the rest follow in the order of the file.
 #[must_use]
-pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize) -> Vec<u32> {
+pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instant>) -> Vec<u32> {
     let n = fixed.len();
     let pins: Csr<u32> = transposed(&graph.into, graph.nets.len(), |id, (net, _)| (net, id));
     let mut owner: Vec<Option<u32>> = vec![None; graph.nets.len()];
@@ -153,6 +162,10 @@ pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize) -> Vec<u32> {
     let mut heap = std::collections::BinaryHeap::new();
     let mut next = 0;
     loop {
+        if order.len() % LOOKS == 0 && is_over(end) {
+            order.extend((0..n as u32).filter(|&id| !placed[id as usize]));
+            return order;
+        }
         let mut found = None;
         while let Some((said, std::cmp::Reverse(id))) = heap.pop() {
             if !placed[id as usize] && score[id as usize] == said {

@@ -7,6 +7,7 @@
 //! - `Sequential`: the order of the model file, as the public tools hand out cores (nengo-loihi, NxTF).
 //! - `Greedy`: populations over space in tiles ([`tiles`]); all others by growth, each compartment next to those that it
 //!   is joined to ([`levels::grown`]).
+//! - Both: where every synapse is listed, compartments that share sources on one core ([`sharing`]).
 //! - `Multilevel`: tiles; all others in the order of a hierarchy of groups ([`levels`]), and then groups of every size, the
 //!   largest first, are moved between cores while that saves messages ([`refine`]).
 //!
@@ -23,13 +24,18 @@ pub mod levels;
 pub mod members;
 pub mod order;
 pub mod refine;
+pub mod sharing;
+pub mod structure;
 pub mod tiles;
+
+use std::time::Instant;
 
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::rng;
+use crate::base::units::Picoseconds;
 use crate::compile::error::{CompileError, Result};
 use crate::compile::form::Form;
-use crate::compile::options::{Options, Strategy};
+use crate::compile::options::{Objective, Options, Strategy, is_over};
 use crate::compile::partition::copies::Pattern;
 use crate::compile::partition::hyper::{Groups, Hypergraph, State};
 use crate::compile::partition::levels::Levels;
@@ -41,9 +47,12 @@ use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::exact::{usage, usage_with_fan_out};
 use crate::compile::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::compile::resources::incremental::Filling;
+use crate::cost::constants::CostTable;
+use crate::cost::model::core_time;
 use crate::desc::resource::{Capacity, Limits, Resource};
 use crate::desc::target::Target;
-use crate::ir::firing_rates::Rates;
+use crate::ir::activity::CoreCounts;
+use crate::ir::firing_rates::{Rates, UNIT};
 use crate::ir::partition::{CoreUsage, Partition, PartitionError, seats};
 use crate::ir::quantised::{Connectivity, Quantised};
 
@@ -56,14 +65,21 @@ pub struct Search<'a> {
     pub rates: &'a Rates,
     /// Units of work, about 5 ns each: what an effort of so many seconds comes to, the same on every machine.
     pub work: u64,
+    /// When to end in any case.
+    pub end: Option<Instant>,
+    /// How many copies there are to be.
+    pub copies: u32,
+    /// Whether to say that cores were saved at the price of longer steps.
+    pub explains: bool,
 }
 
 impl<'a> Search<'a> {
     /// As options say, for sources that spike this often.
     #[must_use]
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
-        let work = u64::from(options.effort_s) * WORK_PER_SECOND;
-        Search { strategy: options.strategy, rates, work }
+        let (work, end) = (options.effort.work(WORK_PER_SECOND), options.effort.end());
+        let explains = options.objective == Objective::Cores && work > 0;
+        Search { strategy: options.strategy, rates, work, end, copies: options.copies, explains }
     }
 }
 
@@ -71,6 +87,10 @@ impl<'a> Search<'a> {
 const WORK_PER_SECOND: u64 = 200_000_000;
 /// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after level.
 const WORK_PER_PIN: u64 = 60;
+/// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
+const EVEN_SYNAPSES: u64 = 1 << 18;
+/// How many times as long as in the order of the file the busiest core may work, times the cores saved.
+const MOST_LONGER: f64 = 1.1;
 /// Passes of refinement on a level.
 const PASSES: usize = 3;
 /// Rounds of making tiles smaller because their output axons do not fit.
@@ -209,26 +229,37 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         .enumerate()
         .map(|(id, p)| if spatial[p.target] { 0 } else { network.synapses_of(id) })
         .sum();
-    let affordable = free.saturating_mul(WORK_PER_PIN) <= search.work;
+    let listed = !any_spatial && sharing::is_listed(network);
+    // Where synapses are drawn evenly there are no groups to be found.
+    let promising = !listed || free < EVEN_SYNAPSES || search.end.is_some() || !structure::is_uniform(network);
+    let affordable = promising && free.saturating_mul(WORK_PER_PIN) <= search.work;
     let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
+    let by_sharing = match &sequential {
+        Ok(sequential) if listed && search.work > 0 => sharing::gathered(filler, sequential, chips),
+        _ => None,
+    };
     let mut found: Vec<Found> = Vec::new();
     let mut failure = None;
     let mut keep = |one: Result<Found>| match one {
         Ok(one) => found.push(one),
         Err(error) => failure = Some(failure.take().unwrap_or(error)),
     };
+    let begun = sequential.is_ok();
     let typical =
         sequential.as_ref().map_or(1, |one| network.compartments() as usize / one.members.len().max(1)).max(1);
     keep(sequential);
+    by_sharing.into_iter().for_each(|found| keep(Ok(found)));
     let whole_populations = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
     if !tiled.is_empty() {
         let order: Vec<Segment> = tiled.iter().cloned().chain(whole_populations).collect();
         keep(filler.fewest_cores(&order, chips));
     }
     if let Some(graph) = &graph {
-        let grown = || filler.fewest_cores(&with_ids(network, &tiled, &levels::grown(graph, &fixed, typical)), chips);
+        let grown = || {
+            filler.fewest_cores(&with_ids(network, &tiled, &levels::grown(graph, &fixed, typical, search.end)), chips)
+        };
         let in_levels = || {
-            let levels = (search.strategy == Strategy::Multilevel).then(|| Levels::new(graph, &fixed))?;
+            let levels = (search.strategy == Strategy::Multilevel).then(|| Levels::new(graph, &fixed, search.end))?;
             let members = filler.fewest_cores(&with_ids(network, &tiled, &levels.order()), chips);
             Some((levels, members))
         };
@@ -240,7 +271,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
             let mut work = search.work.saturating_sub(free.saturating_mul(WORK_PER_PIN));
             if let Some(best) = fewest(filler, &found, search.rates) {
                 for percent in WORD_MARGINS {
-                    let refined = uncounted(refined(graph, &levels, best, target, percent, &mut work));
+                    let refined = uncounted(refined(graph, &levels, best, target, percent, (&mut work, search.end)));
                     if counted(network, refined.clone(), target).is_ok() {
                         found.push(refined);
                         break;
@@ -250,12 +281,16 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
             for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
                 let Some(best) = fewest(filler, &found, search.rates) else { break };
                 let shaken = shaken(best, &fixed, attempt);
-                let refined = uncounted(refined(graph, &levels, &shaken, target, WORD_MARGINS[0], &mut work));
+                let (percent, end) = (WORD_MARGINS[0], search.end);
+                let refined = uncounted(refined(graph, &levels, &shaken, target, percent, (&mut work, end)));
                 if counted(network, refined.clone(), target).is_ok() {
                     found.push(refined);
                 }
             }
         }
+    }
+    if begun && search.strategy == Strategy::Multilevel {
+        no_slower(filler, &mut found, search);
     }
     // Compartments in the order of the file make lists denser; refined cores take newcomers at their end.
     let best = fewest(filler, &found, search.rates);
@@ -273,6 +308,45 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         }
         (None, Some(failure)) => Err(failure),
         (None, None) => Err(CompileError::fault("no strategy had an answer")),
+    }
+}
+
+/// Leaves out members whose busiest core works so much longer than that of the first, the order of the file, that the cores
+/// they save are not worth it; where the first fits at all.
+fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>) {
+    let first = found[0].members.len() as u64;
+    let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);
+    if !worth_comparing || first * u64::from(search.copies) > u64::from(filler.target.cores()) {
+        return;
+    }
+    let Some(table) = filler.target.constants().first().and_then(|constants| CostTable::new(constants).ok()) else {
+        return;
+    };
+    let events = filler.fan_in.events_into(filler.network, search.rates);
+    let busiest = |members: &Members| {
+        let of_core = |held: &Vec<CompartmentId>| {
+            let events_sparse = held.iter().map(|id| events[id.index()]).sum();
+            let steps = held.len() as u64 * UNIT as u64;
+            let (visited, active) = (steps, steps);
+            core_time(&CoreCounts { events_sparse, visited, active, ..CoreCounts::default() }, &table)
+        };
+        members.iter().map(of_core).max().map_or(0.0, Picoseconds::microseconds)
+    };
+    let least = busiest(&found[0].members);
+    let mut longest: f64 = 1.0;
+    found.retain(|one| {
+        let longer = busiest(&one.members) / least.max(f64::MIN_POSITIVE);
+        // The rest of a step takes as long in any case, so that steps differ by less than their busiest cores.
+        let saved = first as f64 / one.members.len().max(1) as f64;
+        let kept = longer <= MOST_LONGER * saved.max(1.0);
+        longest = if kept { longest.max(longer) } else { longest };
+        kept
+    });
+    if search.explains && longest > MOST_LONGER {
+        tracing::info!(
+            "cores are saved against the order of the file, and the busiest is expected to work up to {longest:.2} times as long: \
+             --strategy sequential has shorter steps"
+        );
     }
 }
 
@@ -395,12 +469,12 @@ fn refined(
     members: &Members,
     target: &Target,
     percent: i64,
-    work: &mut u64,
+    (work, end): (&mut u64, Option<Instant>),
 ) -> Members {
     let mut state = State::new(graph, members, target, percent);
     let core_size = graph.own.len() / members.len().max(1);
     for labels in levels.labels.iter().rev() {
-        if *work == 0 {
+        if *work == 0 || is_over(end) {
             break;
         }
         let groups = Groups::new(graph, within_cores(labels, &state.core_of));
@@ -408,7 +482,7 @@ fn refined(
         if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
             continue;
         }
-        *work = refine::refine(&mut state, &groups, Effort { passes: PASSES, work: *work });
+        *work = refine::refine(&mut state, &groups, Effort { passes: PASSES, work: *work, end });
     }
     state.members(members)
 }

@@ -10,8 +10,10 @@
 //! Everything is decided by (gain, number of the group), so the result is the same on every machine.
 
 use std::collections::BinaryHeap;
+use std::time::Instant;
 
 use crate::base::rng;
+use crate::compile::options::is_over;
 use crate::compile::partition::hyper::{Groups, State};
 
 /// Moves without a new best after which a pass ends.
@@ -22,6 +24,9 @@ const PARTNERS: u64 = 12;
 const PARTNER_WORK: u64 = 24;
 const SEED: u64 = 0x5eed;
 
+/// Groups from one look at the clock to the next.
+const LOOKS: u32 = 64;
+
 /// How much is tried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Effort {
@@ -29,6 +34,8 @@ pub struct Effort {
     pub passes: usize,
     /// Gains that may be computed in all passes together, as a measure of time that is the same everywhere.
     pub work: u64,
+    /// When to end in any case.
+    pub end: Option<Instant>,
 }
 
 /// Scores of cores, cleared by touching only what was set.
@@ -76,7 +83,7 @@ pub fn refine(state: &mut State, groups: &Groups, effort: Effort) -> u64 {
         if work == 0 || groups.is_empty() || state.cores() < 2 {
             break;
         }
-        pass(state, groups, &mut work);
+        pass(state, groups, &mut work, effort.end);
         if state.cost() >= before {
             break;
         }
@@ -87,7 +94,7 @@ pub fn refine(state: &mut State, groups: &Groups, effort: Effort) -> u64 {
 /// A move that was made.
 type Move = (u32, u32, u32);
 
-fn pass(state: &mut State, groups: &Groups, work: &mut u64) {
+fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>) {
     let mut scores = Scores { of: vec![0; state.cores()], touched: Vec::new() };
     let mut heap: BinaryHeap<(i64, std::cmp::Reverse<u32>)> = BinaryHeap::new();
     let core_of = |state: &State, group: u32| state.core_of[groups.members.get(group as usize)[0] as usize];
@@ -95,7 +102,7 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64) {
         if let Some((gain, _)) = wish(state, groups, group, core_of(state, group), &mut scores, work) {
             heap.push((gain, std::cmp::Reverse(group)));
         }
-        if *work == 0 {
+        if *work == 0 || group % LOOKS == 0 && is_over(end) {
             break;
         }
     }
@@ -106,7 +113,7 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64) {
     let mut locked = vec![false; groups.len()];
     let (mut made, mut sum, mut best, mut kept): (Vec<Move>, i64, i64, usize) = (Vec::new(), 0, 0, 0);
     while let Some((said, std::cmp::Reverse(group))) = heap.pop() {
-        if *work == 0 || (made.len() - kept) > PATIENCE {
+        if *work == 0 || (made.len() - kept) > PATIENCE || is_over(end) {
             break;
         }
         if locked[group as usize] {

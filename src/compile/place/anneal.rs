@@ -10,11 +10,13 @@
 //! Chips are annealed side by side in rounds, each from the places in which all others were when the round began; after a
 //! round all are put together and kept if that is better. So it does not matter how many threads there are.
 
+use std::time::Instant;
+
 use rayon::prelude::*;
 
 use crate::base::id::{CoreId, Id, IdVec};
 use crate::base::rng;
-use crate::compile::options::{Objective, Options};
+use crate::compile::options::{Objective, Options, is_over};
 use crate::compile::place::nets::{Columns, Nets};
 use crate::ir::firing_rates::Rates;
 use crate::ir::placement::{Mesh, Site};
@@ -32,6 +34,14 @@ const PROPOSALS: u64 = 200;
 /// Proposals that any chip gets: a few cores have so few places that all good ones are found, which costs next to nothing.
 const LEAST_PROPOSALS: u64 = 1500;
 
+/// A chip is annealed if there is a proposal in a round for one core in so many.
+const FEW: u64 = 8;
+/// Nets by which places of whole chips are compared, about.
+const SAMPLED_NETS: usize = 1 << 12;
+
+/// Proposals from one look at the clock to the next.
+const LOOKS: u64 = 64;
+
 /// How places are looked for.
 #[derive(Debug, Clone, Copy)]
 pub struct Search<'a> {
@@ -43,37 +53,47 @@ pub struct Search<'a> {
     pub seed: u64,
     /// Units of work: destinations of nets visited.
     pub work: u64,
+    /// When to end in any case.
+    pub end: Option<Instant>,
 }
 
 impl<'a> Search<'a> {
     /// As options say, for sources of the whole network that spike this often.
     #[must_use]
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
-        let work = u64::from(options.effort_s) * PLACED_PER_SECOND;
-        Search { objective: options.objective, rates, seed: options.seed, work }
+        let (work, end) = (options.effort.work(PLACED_PER_SECOND), options.effort.end());
+        Search { objective: options.objective, rates, seed: options.seed, work, end }
     }
 }
 
 /// Places near the cores that exchange messages with each.
 #[must_use]
 pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
-    let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites).objective(search.objective);
+    let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites, search.objective).objective(search.objective);
     let mut best = start;
     if best.len() > mesh.cores_per_chip as usize {
-        best = exchanged(nets, mesh, best, search);
+        best = exchanged(nets, mesh, in_rectangle(nets, mesh, best, search.objective), search);
     }
     let cores: Vec<CoreId> = best.ids().collect();
     let chips: Vec<&[CoreId]> = cores.chunks(mesh.cores_per_chip as usize).collect();
-    let mut least = cost(&best);
     let rounds = ROUNDS;
+    let work = search.work / rounds / chips.len().max(1) as u64;
+    // A few proposals among many cores change nothing that is worth counting all nets for.
+    let worthwhile = chips.iter().any(|cores| proposals(nets, cores, work) * FEW >= cores.len() as u64);
+    if !worthwhile {
+        return best;
+    }
+    let mut least = cost(&best);
     for round in 0..rounds {
-        let work = search.work / rounds / chips.len().max(1) as u64;
+        if is_over(search.end) {
+            break;
+        }
         let found: Vec<Vec<Site>> = chips
             .par_iter()
             .enumerate()
             .map(|(chip, cores)| {
                 let seed = rng::bits(search.seed, round, chip as u64);
-                one_chip(nets, mesh, best.as_slice(), cores, seed, work)
+                one_chip(nets, mesh, best.as_slice(), cores, (seed, work, search.end))
             })
             .collect();
         let together: IdVec<CoreId, Site> = found.into_iter().flatten().collect::<Vec<Site>>().into();
@@ -91,8 +111,25 @@ fn worth(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Colum
     ((2 * tree + all) * nets.nets[net as usize].weight) as i64
 }
 
+/// Proposals that so much work allows for the cores of one chip.
+fn proposals(nets: &Nets, cores: &[CoreId], work: u64) -> u64 {
+    let touched: usize = cores
+        .iter()
+        .flat_map(|core| nets.of_core.get(core.index()))
+        .map(|&net| 2 + nets.reached.get(net as usize).len())
+        .sum();
+    let each = (touched / cores.len().max(1)).max(1) as u64 * 4;
+    (work / each).min((PROPOSALS * cores.len() as u64).max(LEAST_PROPOSALS))
+}
+
 /// Anneals the cores of one chip while all others stay.
-fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64, work: u64) -> Vec<Site> {
+fn one_chip(
+    nets: &Nets,
+    mesh: &Mesh,
+    all: &[Site],
+    cores: &[CoreId],
+    (seed, work, end): (u64, u64, Option<Instant>),
+) -> Vec<Site> {
     let mut sites = all.to_vec();
     let first = cores[0].index();
     let chip = sites[first].chip;
@@ -105,13 +142,7 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
         }
     }
     let mut columns = Columns::new(mesh);
-    let touched: usize = cores
-        .iter()
-        .flat_map(|core| nets.of_core.get(core.index()))
-        .map(|&net| 2 + nets.reached.get(net as usize).len())
-        .sum();
-    let each = (touched / cores.len()).max(1) as u64 * 4;
-    let proposals = (work / each).min((PROPOSALS * cores.len() as u64).max(LEAST_PROPOSALS));
+    let proposals = proposals(nets, cores, work);
     if cores.len() < 2 && held.len() < 2 || proposals == 0 {
         return own(&sites);
     }
@@ -120,6 +151,9 @@ fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], seed: u64,
     let mut moves: Vec<(usize, Site, Site)> = Vec::new();
     let (mut changes, mut tried) = (0.0, 0.0);
     for step in 0..proposals {
+        if step % LOOKS == 0 && is_over(end) {
+            break;
+        }
         let draw = |k: u64, n: u64| rng::below(n, seed, step, k);
         let core = cores[draw(0, cores.len() as u64) as usize].index();
         let from = sites[core];
@@ -210,16 +244,46 @@ fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Opt
     (sum > 0).then(|| (((x + sum / 2) / sum) as u32, ((y + sum / 2) / sum) as u32))
 }
 
+/// Chips in the rectangle in which spikes cross the fewest links, by a sample of nets; as they are where none is better.
+fn in_rectangle(nets: &Nets, mesh: &Mesh, sites: IdVec<CoreId, Site>, objective: Objective) -> IdVec<CoreId, Site> {
+    let used = sites.len().div_ceil(mesh.cores_per_chip as usize) as u32;
+    let nth = nets.nets.len() / SAMPLED_NETS;
+    let cost = |sites: &IdVec<CoreId, Site>| nets.costs_of_every(nth, mesh, sites, objective).objective(objective);
+    let rectangle = |columns: u32| {
+        let mut sites = sites.clone();
+        for (core, site) in sites.iter_mut().enumerate() {
+            let chip = core as u32 / mesh.cores_per_chip;
+            let (x, y) = (chip % columns, chip / columns);
+            // Row by row, there and back, so that a chip and the next are neighbours.
+            let x = if y % 2 == 0 { x } else { columns - 1 - x };
+            site.chip = y * mesh.chips_x + x;
+        }
+        sites
+    };
+    let columns = (1..=mesh.chips_x.min(used)).filter(|columns| used.div_ceil(*columns) <= mesh.chips_y);
+    let best = columns.map(rectangle).map(|sites| (cost(&sites), sites)).min_by_key(|(cost, _)| *cost);
+    let now = cost(&sites);
+    best.filter(|(least, _)| *least < now).map_or(sites, |(_, best)| best)
+}
+
 /// Chips changed for each other, and for chips not in use, while that saves links.
 fn exchanged(nets: &Nets, mesh: &Mesh, mut sites: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
     // Only messages between chips matter, so chips stand for their cores; few enough to try every pair.
     let used = sites.len().div_ceil(mesh.cores_per_chip as usize);
-    let messages: usize = nets.reached.items().len() + nets.nets.len();
+    let nth = (nets.nets.len() / SAMPLED_NETS).max(1);
+    let messages: usize = (nets.reached.items().len() + nets.nets.len()) / nth;
     let near = (used as u32 + mesh.chips_x).min(mesh.chips_x * mesh.chips_y);
     let tries = (search.work / 2 / (messages.max(1) as u64)).min(u64::from(near) * used as u64 * 2);
-    let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites).objective(search.objective);
+    // Fewer links of single messages are no gain where trees have more: the whole placement would be refused.
+    let cost = |sites: &IdVec<CoreId, Site>| {
+        let costs = nets.costs_of_every(nth, mesh, sites, search.objective);
+        (costs.multicast, costs.objective(search.objective))
+    };
     let mut least = cost(&sites);
     for step in 0..tries {
+        if is_over(search.end) {
+            break;
+        }
         let a = rng::below(used as u64, search.seed, step, 100) as u32;
         let from = sites[CoreId(a * mesh.cores_per_chip)].chip;
         let to = rng::below(u64::from(near), search.seed, step, 101) as u32;
@@ -235,7 +299,7 @@ fn exchanged(nets: &Nets, mesh: &Mesh, mut sites: IdVec<CoreId, Site>, search: S
             };
         }
         let now = cost(&changed);
-        if now < least {
+        if now.0 <= least.0 && now.1 < least.1 {
             (sites, least) = (changed, now);
         }
     }

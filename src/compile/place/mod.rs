@@ -99,7 +99,7 @@ fn place_nets(
     let plain = sequential(cores, target)?;
     let starts = [plain.sites().clone(), hilbert(&plain, nets)];
     let mesh = *plain.mesh();
-    let cost = |sites: &IdVec<CoreId, Site>| nets.costs(&mesh, sites);
+    let cost = |sites: &IdVec<CoreId, Site>| nets.costs(&mesh, sites, search.objective);
     let best = starts.into_iter().min_by_key(|sites| cost(sites).objective(search.objective));
     let Some(start) = best else { return Ok((plain, SEQUENTIAL)) };
     let annealed = anneal::anneal(nets, &mesh, start, search);

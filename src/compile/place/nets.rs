@@ -7,6 +7,8 @@
 
 use std::collections::HashMap;
 
+use rayon::prelude::*;
+
 use crate::base::csr::Csr;
 use crate::base::id::{CoreId, Id, IdVec};
 use crate::compile::options::Objective;
@@ -16,6 +18,9 @@ use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Site};
 use crate::ir::quantised::Quantised;
+
+/// Nets that a thread takes at once.
+const PIECE: usize = 1 << 11;
 
 /// One net's source and rate.
 #[derive(Debug, Clone, Copy)]
@@ -185,29 +190,54 @@ impl Nets {
         }
     }
 
-    /// What places cost.
+    /// What places cost; the busiest link and the longest route only where the objective looks at them.
     #[must_use]
-    pub fn costs(&self, mesh: &Mesh, sites: &IdVec<CoreId, Site>) -> Costs {
-        let (sites, mut columns) = (sites.as_slice(), Columns::new(mesh));
-        let mut loads = LinkLoads::new(mesh);
-        let mut costs = Costs::default();
-        for (net, of) in self.nets.iter().enumerate() {
-            let (tree, all) = self.links(net as u32, mesh, sites, &mut columns);
-            costs.multicast += of.weight * tree;
-            costs.unicast += of.weight * all;
-            for &core in self.reached.get(net) {
-                let site = sites[core as usize];
-                let (tx, ty) = mesh.tile(site);
-                let (fx, fy) = match of.source {
-                    Some(source) => mesh.tile(sites[source as usize]),
-                    None => (tx - site.x, ty - site.y),
-                };
-                costs.longest = costs.longest.max(fx.abs_diff(tx) + fy.abs_diff(ty));
-                loads.add((fx, fy), (tx, ty), of.weight as i64);
+    pub fn costs(&self, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
+        self.costs_of_every(1, mesh, sites, objective)
+    }
+
+    /// What places cost by every so-many-th net, for comparing places.
+    #[must_use]
+    pub fn costs_of_every(&self, nth: usize, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
+        let (sites, of_links) = (sites.as_slice(), objective == Objective::Latency);
+        let of_part = |part: std::ops::Range<usize>| {
+            let mut columns = Columns::new(mesh);
+            let mut loads = of_links.then(|| LinkLoads::new(mesh));
+            let mut costs = Costs::default();
+            for net in part.step_by(nth.max(1)) {
+                let of = self.nets[net];
+                let (tree, all) = self.links(net as u32, mesh, sites, &mut columns);
+                costs.multicast += of.weight * tree;
+                costs.unicast += of.weight * all;
+                let Some(loads) = &mut loads else { continue };
+                for &core in self.reached.get(net) {
+                    let site = sites[core as usize];
+                    let (tx, ty) = mesh.tile(site);
+                    let (fx, fy) = match of.source {
+                        Some(source) => mesh.tile(sites[source as usize]),
+                        None => (tx - site.x, ty - site.y),
+                    };
+                    costs.longest = costs.longest.max(fx.abs_diff(tx) + fy.abs_diff(ty));
+                    loads.add((fx, fy), (tx, ty), of.weight as i64);
+                }
             }
+            if let Some(loads) = loads {
+                [costs.busiest, ..] = loads.greatest(mesh);
+            }
+            costs
+        };
+        // The busiest link is that of all nets together.
+        if of_links || self.nets.len() / nth.max(1) < PIECE {
+            return of_part(0..self.nets.len());
         }
-        [costs.busiest, ..] = loads.greatest(mesh);
-        costs
+        let part = PIECE * nth.max(1);
+        let parts: Vec<usize> = (0..self.nets.len()).step_by(part).collect();
+        let sums = parts.into_par_iter().map(|from| of_part(from..(from + part).min(self.nets.len())));
+        sums.reduce(Costs::default, |a, b| Costs {
+            multicast: a.multicast + b.multicast,
+            unicast: a.unicast + b.unicast,
+            ..a
+        })
     }
 }
 

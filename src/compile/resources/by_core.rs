@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use crate::base::id::{CompartmentId, CoreId, Id, IdVec, ProjectionId};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId};
 use crate::compile::resources::fan_in::first_source;
 use crate::compile::resources::formats::Formats;
 use crate::ir::partition::Seat;
@@ -124,15 +124,15 @@ struct Piece<'a> {
     outgoing: Vec<(&'a Projection, u16, u32)>,
 }
 
-/// All sources in pieces: channels in order, then compartments in order.
-fn pieces<'a>(network: &'a Quantised, formats: &Formats) -> Vec<Piece<'a>> {
+/// The sources of populations that count, in pieces: channels in order, then compartments in order.
+fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(PopulationId) -> bool) -> Vec<Piece<'a>> {
     let mut pieces = Vec::new();
     let of =
         |inputs: bool| network.populations().enumerate().filter(move |(_, p)| p.first_channel().is_some() == inputs);
     for (id, population) in of(true).chain(of(false)) {
         let format = |id: ProjectionId| formats.by_projection()[id.index()];
         let outgoing: Vec<_> = network.targets_of(id).map(|(id, p, first)| (p, format(id), first.0)).collect();
-        if outgoing.is_empty() {
+        if outgoing.is_empty() || !counts(id) {
             continue;
         }
         let (first, size) = (first_source(network, population), population.shape.len());
@@ -198,8 +198,22 @@ pub fn by_core<T: Send>(
     cores: usize,
     f: impl Fn(CoreId, &[Key]) -> T + Sync,
 ) -> Vec<T> {
-    let pieces = pieces(network, formats);
-    let waves = network.synapses().div_ceil(AT_ONCE).max(1) as usize;
+    by_core_from(network, formats, seats, cores, |_| true, f)
+}
+
+/// The same, of the synapses from the populations that count.
+pub fn by_core_from<T: Send>(
+    network: &Quantised,
+    formats: &Formats,
+    seats: &IdVec<CompartmentId, Seat>,
+    cores: usize,
+    counts: impl Fn(PopulationId) -> bool,
+    f: impl Fn(CoreId, &[Key]) -> T + Sync,
+) -> Vec<T> {
+    let pieces = pieces(network, formats, &counts);
+    let from = |(id, p): (ProjectionId, &Projection)| if counts(p.source) { network.synapses_of(id) } else { 0 };
+    let synapses: u64 = network.projections().enumerate().map(from).sum();
+    let waves = synapses.div_ceil(AT_ONCE).max(1) as usize;
     let of_wave = cores.div_ceil(waves).max(1);
     let of_range = OF_RANGE.max(of_wave.div_ceil(1 << 12)).min(MOST_OF_RANGE);
     let mut results = Vec::with_capacity(cores);

@@ -5,7 +5,7 @@
 //! Limits are not looked at.
 
 use crate::base::fixed::Delay;
-use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::resources::axon_sharing::{self, Class, EqualPlace, EqualPlaces, Places};
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::counter::{CoreTotals, LISTS, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
@@ -16,11 +16,16 @@ use crate::desc::resource::Limits;
 use crate::ir::partition::{CoreUsage, Seat};
 use crate::ir::quantised::{Quantised, Units};
 
-/// The longest delay of a synapse into each core.
+/// The longest delay of a synapse into each core, of those from the populations that count.
 #[must_use]
-pub fn longest_delays(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, cores: usize) -> IdVec<CoreId, Delay> {
+pub fn longest_delays(
+    network: &Quantised,
+    seats: &IdVec<CompartmentId, Seat>,
+    cores: usize,
+    counts: impl Fn(PopulationId) -> bool,
+) -> IdVec<CoreId, Delay> {
     let mut longest: IdVec<CoreId, Delay> = vec![Delay::MIN; cores].into();
-    for projection in network.projections().iter().filter(|p| p.delay > Delay::MIN) {
+    for projection in network.projections().iter().filter(|p| p.delay > Delay::MIN && counts(p.source)) {
         let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
         for source in 0..network.populations()[projection.source].shape.len() {
             projection.connectivity.for_each_from(source, |target, _| {
@@ -90,7 +95,7 @@ fn totals(
     limits: &Limits,
     places: &Places,
 ) -> (Vec<CoreTotals>, MembersOfCores) {
-    let longest = longest_delays(network, seats, members.len());
+    let longest = longest_delays(network, seats, members.len(), |_| true);
     let profiles = profiles(network, seats, members.len());
     let formats = Formats::for_network(network);
     let counted = by_core::by_core(network, &formats, seats, members.len(), |core, keys| {

@@ -13,6 +13,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::base::id::{IdVec, PopulationId, ProjectionId};
+use crate::ir::firing_rates::Rates;
 use crate::ir::graph::Window;
 use crate::ir::quantised::{Connectivity, Population, Quantised};
 
@@ -191,6 +192,24 @@ impl FanIn {
                 }
             }
         }
+    }
+}
+
+impl FanIn {
+    /// Synaptic events of each compartment in as many steps as rates count; sources of a bundle are taken to spike as its first does.
+    #[must_use]
+    pub fn events_into(&self, network: &Quantised, rates: &Rates) -> Vec<u64> {
+        let of_population = |(id, population): (PopulationId, &Population)| {
+            let size = if population.first_compartment().is_some() { population.shape.len() } else { 0 };
+            (0..size).into_par_iter().map(move |index| {
+                let mut events = 0;
+                self.for_each_into(id, index, |source, _, _, bundle| {
+                    events += u64::from(bundle) * rates.rate_of(source);
+                });
+                events
+            })
+        };
+        network.populations().enumerate().flat_map(|one| of_population(one).collect::<Vec<u64>>()).collect()
     }
 }
 

@@ -7,6 +7,7 @@
 //! points to is replaced.
 
 mod batch;
+pub mod cache;
 mod folder;
 mod temporary;
 

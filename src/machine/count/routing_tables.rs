@@ -31,7 +31,7 @@ impl<'p> Core<'p> {
             firsts: inputs.lists.firsts(),
             synapses: inputs.lists.items(),
             formats: &image.formats,
-            inputs: Some(inputs).filter(|inputs| !inputs.populations.is_empty()),
+            inputs: Some(&**inputs).filter(|inputs| !inputs.populations.is_empty()),
         }
     }
 }

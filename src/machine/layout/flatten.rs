@@ -188,7 +188,7 @@ mod tests {
                 compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize],
                 ids,
                 formats: vec![format(0, Some(4)), format(3, None)],
-                inputs,
+                inputs: inputs.into(),
                 axons_out,
             });
         }

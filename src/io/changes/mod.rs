@@ -1,0 +1,137 @@
+//! Fields of model, target and constants that the command line changes.
+//!
+//! Input: `PATH=VALUE`, once for the whole process. Output: the text of a model with these values, a target file that changes another, a
+//! preset of constants with other numbers. Paths that begin with `target.` are of the target, those with `constants.` of its constants,
+//! all others of the model.
+//!
+//! Errors: `set.path` for a path that leads nowhere, `set.value` for a value that is not what the path's field holds.
+
+pub mod ron_path;
+
+use std::sync::OnceLock;
+
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
+use crate::desc::target::{Constants, Status};
+
+/// One change.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Change {
+    path: String,
+    value: String,
+}
+
+static CHANGES: OnceLock<Vec<Change>> = OnceLock::new();
+
+/// Sets what this process changes, at most once.
+///
+/// # Errors
+/// A sentence for what is not `PATH=VALUE`.
+pub fn set(typed: &[String]) -> Result<(), String> {
+    let change = |typed: &String| match typed.split_once('=') {
+        Some((path, value)) if !path.is_empty() && !value.trim().is_empty() => {
+            Ok(Change { path: path.trim().to_string(), value: value.trim().to_string() })
+        }
+        _ => Err(format!("--set {typed}: write PATH=VALUE, such as populations.hidden.vth_mant=60")),
+    };
+    let changes = typed.iter().map(change).collect::<Result<_, _>>()?;
+    // Whoever set them first has read files with them.
+    let _ = CHANGES.set(changes);
+    Ok(())
+}
+
+/// The changes whose paths begin so, or of the model, and the rest of their paths.
+fn changes(of: Option<&str>) -> impl Iterator<Item = (&'static str, &'static str)> {
+    let of = of.map(str::to_string);
+    CHANGES.get().into_iter().flatten().filter_map(move |change| {
+        let (first, rest) = change.path.split_once('.').unwrap_or((&change.path, ""));
+        let is_model = !["target", "constants"].contains(&first);
+        match &of {
+            Some(of) => (first == of && !rest.is_empty()).then_some((rest, change.value.as_str())),
+            None => is_model.then_some((change.path.as_str(), change.value.as_str())),
+        }
+    })
+}
+
+fn nowhere(path: &str, message: &str) -> Diagnostic {
+    Diagnostic::new("set.path", format!("--set {path}: {message}"))
+        .help("nsim show NAME prints a shipped file, whose fields paths are made of")
+}
+
+/// The text of a model with the values that are set.
+///
+/// # Errors
+/// `set.path`.
+pub fn model(source: SourceText) -> Result<SourceText> {
+    let mut text: Option<String> = None;
+    for (path, value) in changes(None) {
+        let before = text.as_deref().unwrap_or(source.text());
+        text = Some(ron_path::replaced(before, path, value).map_err(|message| nowhere(path, &message))?);
+    }
+    Ok(match text {
+        Some(text) => SourceText::new(source.path(), text),
+        None => source,
+    })
+}
+
+/// The fields of the target that are set, as a target file has them; nothing when none is.
+#[must_use]
+pub fn target_fields() -> Option<String> {
+    let mut text = "Target()".to_string();
+    let mut any = false;
+    for (path, value) in changes(Some("target")) {
+        any = true;
+        text = with_parents(text, path, value);
+    }
+    let fields = text.strip_prefix("Target(")?.strip_suffix(')')?.to_string();
+    any.then_some(fields)
+}
+
+/// A value at a path whose parents are made where they are absent.
+fn with_parents(mut text: String, path: &str, value: &str) -> String {
+    for (at, _) in path.match_indices('.') {
+        let parent = &path[..at];
+        if ron_path::replaced(&text, &format!("{parent}.x"), "0").is_err() {
+            text = ron_path::replaced(&text, parent, "()").unwrap_or(text);
+        }
+    }
+    ron_path::replaced(&text, path, value).unwrap_or(text)
+}
+
+/// Gives constants the numbers that are set.
+///
+/// # Errors
+/// `set.path`, `set.value`.
+pub fn constants(constants: &mut Constants) -> Result<()> {
+    for (path, value) in changes(Some("constants")) {
+        let name = path.strip_suffix(".value").unwrap_or(path);
+        let number: f64 = value.parse().map_err(|_| {
+            Diagnostic::new("set.value", format!("--set constants.{path}={value}: {value} is no number"))
+        })?;
+        let missing = || nowhere(&format!("constants.{path}"), "the constants have no such number");
+        let constant = constants.get_mut(name).ok_or_else(missing)?;
+        constant.value = number.into();
+        (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parents_are_made_where_they_are_absent() {
+        let one = with_parents("Target()".to_string(), "limits.axons_out", "8192");
+        assert_eq!(one, "Target( limits: ( axons_out: 8192))");
+        let two = with_parents(one, "limits.axons_in", "7");
+        assert_eq!(two, "Target( limits: ( axons_out: 8192, axons_in: 7))");
+        assert_eq!(with_parents(two, "chips_x", "2"), "Target( limits: ( axons_out: 8192, axons_in: 7), chips_x: 2)");
+    }
+
+    #[test]
+    fn what_is_no_path_and_value_is_refused() {
+        for wrong in ["a", "=1", "a=", "a= "] {
+            assert!(set(&[wrong.to_string()]).unwrap_err().contains("PATH=VALUE"), "{wrong}");
+        }
+    }
+}

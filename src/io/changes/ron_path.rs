@@ -1,0 +1,273 @@
+//! A value in a text of RON, found by its path and replaced.
+//!
+//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the text with that value. A part of a path is a field of
+//! a struct, the index of a list's item, or the `name` that an item of a list has. A field that a struct does not say is added to it:
+//! whether there may be such a field is for whoever reads the text. Comments and everything else stay as they are.
+
+use std::ops::Range;
+
+/// A text that is read from a place on.
+struct Cursor<'a> {
+    text: &'a str,
+    at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    fn rest(&self) -> &'a str {
+        &self.text[self.at..]
+    }
+
+    /// Goes on behind blanks, comments and attributes.
+    fn skip_blanks(&mut self) {
+        loop {
+            let rest = self.rest();
+            let trimmed = rest.trim_start();
+            self.at += rest.len() - trimmed.len();
+            let length = if trimmed.starts_with("//") {
+                trimmed.find('\n').unwrap_or(trimmed.len())
+            } else if trimmed.starts_with("/*") {
+                comment(trimmed)
+            } else if trimmed.starts_with("#!") || trimmed.starts_with("#[") {
+                trimmed.find(']').map_or(trimmed.len(), |end| end + 1)
+            } else {
+                return;
+            };
+            self.at += length;
+        }
+    }
+
+    /// An identifier that stands here.
+    fn identifier(&mut self) -> &'a str {
+        let rest = self.rest();
+        let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+        self.at += end;
+        &rest[..end]
+    }
+
+    /// Goes on if this stands here.
+    fn take(&mut self, what: char) -> bool {
+        let stands = self.rest().starts_with(what);
+        self.at += if stands { what.len_utf8() } else { 0 };
+        stands
+    }
+
+    /// Goes on behind a value, to the comma or bracket that ends it; returns where the value is.
+    fn value(&mut self) -> Range<usize> {
+        self.skip_blanks();
+        let start = self.at;
+        let (mut depth, mut end) = (0u32, start);
+        while let Some(next) = self.rest().chars().next() {
+            let length = match next {
+                '"' => string(self.rest()),
+                'r' if self.rest()[1..].trim_start_matches('#').starts_with('"') => raw_string(self.rest()),
+                '\'' => character(self.rest()),
+                '/' if self.rest().starts_with("//") || self.rest().starts_with("/*") => {
+                    self.skip_blanks();
+                    continue;
+                }
+                ',' | ')' | ']' | '}' if depth == 0 => break,
+                '(' | '[' | '{' => {
+                    depth += 1;
+                    1
+                }
+                ')' | ']' | '}' => {
+                    depth -= 1;
+                    1
+                }
+                'a'..='z' | 'A'..='Z' | '_' => {
+                    let before = self.at;
+                    let length = self.identifier().len();
+                    self.at = before;
+                    length
+                }
+                other => other.len_utf8(),
+            };
+            if next.is_whitespace() {
+                self.at += length;
+                continue;
+            }
+            self.at += length;
+            end = self.at;
+        }
+        start..end
+    }
+}
+
+fn comment(text: &str) -> usize {
+    let (mut depth, mut at) = (0u32, 0);
+    while at < text.len() {
+        if text[at..].starts_with("/*") {
+            (depth, at) = (depth + 1, at + 2);
+        } else if text[at..].starts_with("*/") {
+            (depth, at) = (depth - 1, at + 2);
+            if depth == 0 {
+                return at;
+            }
+        } else {
+            at += text[at..].chars().next().map_or(1, char::len_utf8);
+        }
+    }
+    text.len()
+}
+
+fn string(text: &str) -> usize {
+    let mut escaped = false;
+    let end = text[1..].find(|c| {
+        let ends = c == '"' && !escaped;
+        escaped = c == '\\' && !escaped;
+        ends
+    });
+    end.map_or(text.len(), |end| end + 2)
+}
+
+fn raw_string(text: &str) -> usize {
+    let hashes = text[1..].len() - text[1..].trim_start_matches('#').len();
+    let begin = 2 + hashes;
+    let end = format!("\"{}", &"#".repeat(hashes));
+    text[begin..].find(&end).map_or(text.len(), |found| begin + found + end.len())
+}
+
+fn character(text: &str) -> usize {
+    let escaped = text[1..].starts_with('\\');
+    let from = if escaped { 3 } else { 2 };
+    text.get(from..).and_then(|rest| rest.find('\'')).map_or(text.len(), |end| from + end + 1)
+}
+
+/// The text with another value at a path.
+///
+/// # Errors
+/// A sentence that says which part of the path is not there.
+pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
+    let parts: Vec<&str> = path.split('.').collect();
+    let mut cursor = Cursor { text, at: 0 };
+    let mut place = cursor.value();
+    for (number, part) in parts.iter().enumerate() {
+        let within = if number == 0 { "the file".to_string() } else { parts[..number].join(".") };
+        match part_of(text, place, part) {
+            Part::At(found) => place = found,
+            Part::NotYet(end) if number + 1 == parts.len() => {
+                let before = text[..end].trim_end();
+                let comma = if before.ends_with(['(', ',']) { "" } else { "," };
+                return Ok(format!("{before}{comma} {part}: {value}{}", &text[end..]));
+            }
+            Part::NotYet(_) | Part::Nothing => return Err(format!("{within} has no {part}")),
+        }
+    }
+    Ok(format!("{}{value}{}", &text[..place.start], &text[place.end..]))
+}
+
+/// What a part of a path is.
+enum Part {
+    /// A value.
+    At(Range<usize>),
+    /// A field that the struct does not say, whose closing bracket is here.
+    NotYet(usize),
+    /// There is none.
+    Nothing,
+}
+
+fn part_of(text: &str, place: Range<usize>, part: &str) -> Part {
+    let mut cursor = Cursor { text, at: place.start };
+    cursor.identifier();
+    cursor.skip_blanks();
+    if cursor.take('(') {
+        loop {
+            cursor.skip_blanks();
+            if cursor.at >= place.end || cursor.rest().starts_with(')') {
+                return Part::NotYet(cursor.at.min(place.end));
+            }
+            let before = cursor.at;
+            let name = cursor.identifier();
+            cursor.skip_blanks();
+            let is_field = cursor.take(':') && !cursor.rest().starts_with(':');
+            if !is_field {
+                cursor.at = before;
+            }
+            let value = cursor.value();
+            if is_field && name == part {
+                return Part::At(value);
+            }
+            cursor.skip_blanks();
+            cursor.take(',');
+            if cursor.at == before {
+                return Part::Nothing;
+            }
+        }
+    }
+    if !cursor.take('[') {
+        return Part::Nothing;
+    }
+    for index in 0.. {
+        cursor.skip_blanks();
+        if cursor.at >= place.end || cursor.rest().starts_with(']') {
+            break;
+        }
+        let before = cursor.at;
+        let item = cursor.value();
+        let is_named = match part_of(text, item.clone(), "name") {
+            Part::At(name) => text[name] == format!("{part:?}"),
+            Part::NotYet(_) | Part::Nothing => false,
+        };
+        if is_named || part.parse() == Ok(index) {
+            return Part::At(item);
+        }
+        cursor.skip_blanks();
+        cursor.take(',');
+        if cursor.at == before {
+            break;
+        }
+    }
+    Part::Nothing
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MODEL: &str = r##"// vth_mant: 1
+#![enable(implicit_some)]
+Network(name: "a, (b", /* name: "x" /* ] */ */ timestep_ms: 1.0,
+    populations: [
+        Input(name: "in", shape: [2, 3]), // a comment, with ) brackets
+        Loihi(name: "hidden", shape: [25], du: 1024, vth_mant: 80,),
+    ],
+    projections: [Dense(from: ["in"], to: "hidden", weights: [[2, -4], [6, 8]], weight_exp: -1)],
+    provenance: r#"it's "made" (by hand"#, output: "hidden",
+)
+"##;
+
+    #[test]
+    fn a_value_is_replaced_where_its_path_leads() {
+        let changed = |path, value| replaced(MODEL, path, value).unwrap();
+        assert_eq!(changed("populations.hidden.vth_mant", "60"), MODEL.replace("vth_mant: 80", "vth_mant: 60"));
+        assert_eq!(changed("populations.1.du", "[1, 2]"), MODEL.replace("du: 1024", "du: [1, 2]"));
+        assert_eq!(changed("timestep_ms", "2"), MODEL.replace("timestep_ms: 1.0", "timestep_ms: 2"));
+        assert_eq!(changed("projections.0.weight_exp", "0"), MODEL.replace("weight_exp: -1", "weight_exp: 0"));
+        assert_eq!(changed("projections.0.weights.1.0", "5"), MODEL.replace("[6, 8]", "[5, 8]"));
+        assert_eq!(changed("output", "\"in\""), MODEL.replace("output: \"hidden\"", "output: \"in\""));
+    }
+
+    #[test]
+    fn a_field_that_is_not_said_is_added() {
+        let changed = |path, value| replaced(MODEL, path, value).unwrap();
+        assert_eq!(changed("populations.hidden.dv", "7"), MODEL.replace("vth_mant: 80,)", "vth_mant: 80, dv: 7)"));
+        assert_eq!(changed("projections.0.delay", "3"), MODEL.replace("weight_exp: -1)", "weight_exp: -1, delay: 3)"));
+        assert!(changed("scene", "\"s\"").contains("output: \"hidden\", scene: \"s\")"));
+        assert_eq!(replaced("A()", "b", "1").unwrap(), "A( b: 1)");
+    }
+
+    #[test]
+    fn what_is_not_there_is_named() {
+        let error = |path| replaced(MODEL, path, "1").unwrap_err();
+        assert_eq!(error("populations.out.du"), "populations has no out");
+        assert_eq!(error("populations.7.du"), "populations has no 7");
+        assert_eq!(error("nothing.du"), "the file has no nothing");
+        assert_eq!(error("timestep_ms.du"), "timestep_ms has no du");
+        assert_eq!(replaced("", "a", "1").unwrap_err(), "the file has no a");
+        for end in 0..MODEL.len() {
+            if MODEL.is_char_boundary(end) {
+                drop(replaced(&MODEL[..end], "populations.hidden.du", "1"));
+            }
+        }
+    }
+}
