@@ -101,8 +101,6 @@ fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
         copies: vec![(2, 0.7), (5, 0.4)],
         own: vec![vec![fit.threshold * 0.2], (0..count).map(|i| -0.02 * fit.threshold * f64::from(i)).collect()],
         threshold: fit.threshold * 0.6,
-        gains: (0..count).map(|i| 0.8 + 0.05 * f64::from(i)).collect(),
-        biases: (0..count).map(|i| 0.01 * (f64::from(i) - 3.0)).collect(),
         ..fit
     };
     let starts = analytic::starts(graph).into_iter();
@@ -240,9 +238,9 @@ fn shares_add_up_to_the_disagreement() {
 fn the_search_comes_nearer_than_the_analytic_start() {
     let graph = graph(&decided());
     let (calibration, unseen) = (samples(100..130), samples(0..60));
-    let found = search(&graph, &borrowed(&calibration), |_| ()).unwrap();
+    let found = search(&graph, &borrowed(&calibration), 16, |_| ()).unwrap();
     assert!(found.end.count_error < 0.6 * found.start.count_error, "{:?} {:?}", found.start, found.end);
-    assert_eq!(found, search(&graph, &borrowed(&calibration), |_| ()).unwrap(), "the same search twice");
+    assert_eq!(found, search(&graph, &borrowed(&calibration), 16, |_| ()).unwrap(), "the same search twice");
     let output = Ladder::new(&graph, &found.conversion.fits).unwrap().layers()[1].clone();
     let trained = Rung::TRAINED.with(Cause::Untruncated);
     let on_unseen = |fits: &[Option<Fit>]| {

@@ -91,7 +91,7 @@ fn what_is_written_is_read_as_the_same_integers() {
     let all = samples(0..12);
     let few: Vec<&Sample> = all.iter().collect();
     for graph in [real(), srm()] {
-        let converted = staged::convert(&graph, &few, |_| ()).unwrap();
+        let converted = staged::convert(&graph, &few, 16, |_| ()).unwrap();
         let model = model_file::model(&graph, &converted.network, "a test".to_string()).unwrap();
         let again = quantise(&lower(&model.build(Path::new("written.ron")).unwrap()).unwrap()).unwrap();
         assert_eq!(numbers(&again), numbers(&converted.network));
@@ -105,7 +105,7 @@ fn what_is_written_is_read_as_the_same_integers() {
 fn heavy_weights_cost_less_with_their_own_exponent() {
     let all = samples(20..40);
     let few: Vec<&Sample> = all.iter().collect();
-    let converted = staged::convert(&real(), &few, |_| ()).unwrap();
+    let converted = staged::convert(&real(), &few, 16, |_| ()).unwrap();
     let gained: Vec<f64> = converted.stages.iter().map(|row| row.distance.coincidence).collect();
     assert!(gained[2] > gained[0], "{gained:?}");
 }

@@ -8,6 +8,7 @@
 
 mod common;
 
+use assert_cmd::Command;
 use common::drive::Drive;
 use common::{Net, biased, engines, neuron};
 use nsim::base::fixed::{VmaxExponent, VminExponent};
@@ -108,4 +109,29 @@ fn a_clip_is_not_counted_while_a_refractory_period_holds_the_voltage() {
     // Spikes in step 0 by its bias; inputs of -1 would take v below 0 in every step after it, but v moves in steps 3
     // and 4 only.
     ends_in(Semantics::Hardware, &[narrow], &[0, -1, -1, -1, -1], (-64, 0), counts(0, 0, 2, 3));
+}
+
+/// The same on 1,000 scenes of each model: `benches/overflow.sh`.
+#[test]
+fn shipped_models_and_converted_ones_neither_wrap_nor_clip() {
+    let slip = "scene:slip?samples=10&seed=31";
+    let noise = "scene:noise?samples=10&steps=325&rate=0.1&seed=31";
+    for (model, input) in [
+        ("vtsnn-slip", slip),
+        ("slip-tactile", slip),
+        ("slip-vision", slip),
+        ("vtsnn-container", "scene:container?samples=10&seed=31"),
+        ("container-tactile", noise),
+        ("vtsnn-slip-srm", slip),
+        ("container-tactile-srm", noise),
+    ] {
+        let mut command = Command::cargo_bin("nsim").unwrap();
+        let out =
+            command.args(["run", model, "--engine", "fast", "--input", input, "--format", "json"]).output().unwrap();
+        assert!(out.status.success(), "{model}: {}", String::from_utf8_lossy(&out.stderr));
+        let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+        for count in ["q_wrapped", "u_wrapped", "v_clipped"] {
+            assert_eq!(report["overflow"][count], 0, "{model}: {}", report["overflow"]);
+        }
+    }
 }

@@ -38,7 +38,7 @@ pub enum Cause {
     HardReset,
     /// Decays in 4096ths.
     Decays,
-    /// The thresholds, gains and biases that a search chose instead of those of the analysis.
+    /// The thresholds and synapses onto itself that a search chose instead of those of the analysis.
     Calibration,
     /// Integer weights, thresholds and biases.
     Weights,
@@ -107,11 +107,69 @@ struct Population {
 struct Link {
     source: usize,
     target: usize,
-    delay: u32,
+    /// Several: of delayed copies, whose weights from one source then follow one another.
+    delays: Vec<u32>,
     /// Whether it stands for what a hard reset takes.
     restores: bool,
     /// In register units.
     synapses: Synapses<f64>,
+}
+
+impl Link {
+    /// Adds a spike that arrives without delay at this step to what arrives at its targets.
+    fn deliver(&self, neuron: u32, step: u32, arrivals: &mut [Vec<f64>]) {
+        let slots = arrivals.len();
+        let slot = |delay: u32| (step + delay) as usize % slots;
+        match (&self.synapses, self.delays.as_slice()) {
+            (synapses, [delay]) => _ = synapses.deliver(neuron, &mut arrivals[slot(*delay)]),
+            (Synapses::Dense { targets, weights }, delays) => {
+                let all = *targets as usize;
+                let row = &weights[neuron as usize * all..(neuron as usize + 1) * all];
+                for (weights, &delay) in row.chunks(all / delays.len()).zip(delays) {
+                    arrivals[slot(delay)].iter_mut().zip(weights).for_each(|(sum, weight)| *sum += weight);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Dense links from one population to another as one: a spike then reads memory in order.
+    fn merged(links: Vec<Link>) -> Vec<Link> {
+        let mut merged: Vec<Vec<Link>> = Vec::new();
+        for link in links {
+            let fits = |first: &&mut Vec<Link>| {
+                let dense = |link: &Link| matches!(link.synapses, Synapses::Dense { .. });
+                let ends = |link: &Link| (link.source, link.target, link.restores);
+                first.first().is_some_and(|first| dense(first) && dense(&link) && ends(first) == ends(&link))
+            };
+            match merged.iter_mut().find(fits) {
+                Some(bundle) => bundle.push(link),
+                None => merged.push(vec![link]),
+            }
+        }
+        merged.into_iter().filter_map(Link::bundle).collect()
+    }
+
+    fn bundle(mut links: Vec<Link>) -> Option<Link> {
+        if links.len() < 2 {
+            return links.pop();
+        }
+        let delays = links.iter().flat_map(|link| link.delays.clone()).collect();
+        let (source, target, restores) = (links[0].source, links[0].target, links[0].restores);
+        let mut rows = Vec::new();
+        let mut width = 0;
+        for link in &links {
+            if let Synapses::Dense { targets, weights } = &link.synapses {
+                rows.push(weights.chunks((*targets as usize).max(1)));
+                width += targets;
+            }
+        }
+        let mut weights = Vec::new();
+        while let Some(row) = rows.iter_mut().map(Iterator::next).collect::<Option<Vec<&[f64]>>>() {
+            row.into_iter().for_each(|part| weights.extend_from_slice(part));
+        }
+        Some(Link { source, target, delays, restores, synapses: Synapses::Dense { targets: width, weights } })
+    }
 }
 
 /// A network in every form at once.
@@ -160,7 +218,7 @@ impl Ladder {
     /// # Errors
     /// As [`quantise`](crate::compile::frontend::quantise::quantise).
     pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<Ladder, Diagnostic> {
-        Ladder::with_exponents(graph, fits, Detail::Groups)
+        Ladder::with_exponents(graph, fits, Detail::default())
     }
 
     /// The same with exponents chosen this finely.
@@ -240,7 +298,7 @@ impl Ladder {
                 true => analytic::with_fits(&self.graph, fits),
                 false => analytic::with_fits(&self.graph, &fits.iter().map(single).collect::<Vec<_>>()),
             };
-            match weights {
+            Link::merged(match weights {
                 false => self.real_links(&of),
                 true if chosen && copied => self.integer_links(&self.calibrated, &self.units),
                 true => match (quantise_with(&of, self.detail), scales(&of, self.detail)) {
@@ -248,7 +306,7 @@ impl Ladder {
                     // What the deployed network's parameters allow, fewer of them allow too.
                     _ => self.real_links(&of),
                 },
-            }
+            })
         })
     }
 
@@ -263,7 +321,7 @@ impl Ladder {
             Link {
                 source: source.index(),
                 target: target.index(),
-                delay: projection.delay.get().into(),
+                delays: vec![projection.delay.get().into()],
                 restores: analytic::stands_for_reset(&projection.name),
                 synapses: Synapses::new(projection, sources, targets, factor),
             }
@@ -283,7 +341,7 @@ impl Ladder {
             Link {
                 source,
                 target,
-                delay: projection.delay.get().into(),
+                delays: vec![projection.delay.get().into()],
                 restores: analytic::stands_for_reset(&projection.name),
                 synapses: integer(projection, self.populations[source].count, rescale * payload),
             }
@@ -297,14 +355,6 @@ impl Ladder {
             let plain = analytic::with_fits(&self.graph, &self.plain);
             quantise_with(&plain, self.detail).unwrap_or_else(|_| self.calibrated.clone())
         })
-    }
-
-    /// With these integers in the place of the deployed ones, which differ from them in weights alone.
-    #[must_use]
-    pub fn with_weights(mut self, network: Quantised) -> Ladder {
-        self.calibrated = network;
-        self.links[7] = OnceLock::new();
-        self
     }
 
     /// Register units for a real unit of each population whose scale is chosen.
@@ -409,11 +459,7 @@ impl Ladder {
                         (true, false) => (real / 64.0).round_ties_even() * 64.0,
                         (false, _) => real,
                     },
-                    bias: match (chosen, weights) {
-                        (true, true) => integers.bias,
-                        (true, false) => fit.biases.get(index as usize).copied().unwrap_or(0.0) * of.scale,
-                        (false, _) => 0.0,
-                    },
+                    bias: integers.bias,
                     refractory: u32::from(fit.refractory.get()).max(1),
                     clip,
                 }
@@ -463,9 +509,8 @@ impl Ladder {
                 let of = &self.populations[link.source];
                 // Spike response kernels are 0 at their start.
                 let late = states[link.target].as_ref().is_some_and(|state| state.late);
-                let slot = (now + link.delay + u32::from(late)) as usize % self.slots;
                 let mine = sample.at(now).iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
-                mine.for_each(|c| _ = link.synapses.deliver(c, &mut arrivals[link.target][slot]));
+                mine.for_each(|c| link.deliver(c, now + u32::from(late), &mut arrivals[link.target]));
             }
             spikes.clear();
             let slot = now as usize % self.slots;
@@ -491,9 +536,8 @@ impl Ladder {
                 }
             }
             for link in links.iter().filter(|link| !link.restores || rung.has(Cause::HardReset)) {
-                let slot = (now + 1 + link.delay) as usize % self.slots;
                 for &(_, neuron) in spikes.iter().filter(|(population, _)| *population == link.source) {
-                    link.synapses.deliver(neuron, &mut arrivals[link.target][slot]);
+                    link.deliver(neuron, now + 1, &mut arrivals[link.target]);
                 }
             }
         }
@@ -510,15 +554,9 @@ pub fn layers(network: &Quantised) -> Vec<Layer> {
     network.populations().iter().filter_map(layer).collect()
 }
 
-/// A fit without what only a search would choose: the peaks matched, no synapse onto itself, no gains, no biases.
+/// A fit without what only a search would choose: the peaks matched, no synapse onto itself.
 fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
-    Fit {
-        threshold: analytic::matched_threshold_of(srm, timestep_ms, fit),
-        own: Vec::new(),
-        gains: Vec::new(),
-        biases: Vec::new(),
-        ..fit.clone()
-    }
+    Fit { threshold: analytic::matched_threshold_of(srm, timestep_ms, fit), own: Vec::new(), ..fit.clone() }
 }
 
 /// Integer synapses as what they add to the accumulator.

@@ -17,19 +17,24 @@ use crate::base::fixed::DECAY_ONE;
 use crate::compile::frontend::analytic;
 use crate::ir::graph::SrmParameters;
 
-/// The most copies.
-pub const MOST: usize = 16;
+/// The most copies that can be asked for.
+pub const MOST: usize = 32;
+/// The most copies where nothing is asked: the synapses of a source onto one compartment, delayed by up to 62 steps, then take 310
+/// bits, which are five words of a Loihi core's memory.
+pub const USUAL: usize = 15;
 
 /// Time constants of the current in those of the response, voltages kept in a step, delays in time constants.
-const CURRENTS: [f64; 5] = [1.05, 1.2, 1.4, 1.65, 2.0];
-const VOLTAGES: [f64; 5] = [0.0, 0.2, 0.4, 0.5, 0.6];
+const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
+const VOLTAGES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
 /// The latest copy in time constants, and how many delays up to there are tried.
-const LATEST: f64 = 2.4;
-const DELAYS: u32 = 24;
+const LATEST: f64 = 4.5;
+const DELAYS: u32 = 45;
 /// Numbers of copies that are tried.
-const COUNTS: [usize; 8] = [1, 2, 3, 4, 6, 8, 12, 16];
+const COUNTS: [usize; 12] = [1, 2, 3, 4, 5, 7, 9, 12, 15, 20, 24, 32];
 /// Steps of neurons on which least squares are taken.
-const POINTS: usize = 40_000;
+const POINTS: usize = 12_000;
+/// Times that every copy may give its place to another delay.
+const SWAPS: usize = 3;
 
 /// What arrives at a population.
 #[derive(Debug, Clone, Copy)]
@@ -92,8 +97,9 @@ fn kept(keep: f64) -> f64 {
     1.0 - libm::rint(DECAY_ONE as f64 * (1.0 - keep)).clamp(1.0, DECAY_ONE as f64) / DECAY_ONE as f64
 }
 
-/// Decays and copies to choose from: (current kept in a step, voltage kept, copies), for each decay of the voltage and each number
-/// of copies up to `most` those that leave the least error; delays up to `room`.
+/// Decays and copies to choose from: (current kept in a step, voltage kept, copies), for each number of copies up to `most` those
+/// that leave the least error: with each decay of the current where the voltage forgets all, with the best elsewhere. Delays up to
+/// `room`.
 pub fn candidates(
     task: Arrivals<'_>,
     srm: &SrmParameters,
@@ -107,18 +113,25 @@ pub fn candidates(
     delays.dedup();
     let wanted = potentials(task, srm, timestep_ms);
     let of_voltage = |&voltage: &f64| {
-        let mut best: Vec<Option<(f64, f64, Copies)>> = vec![None; COUNTS.len()];
-        for current in CURRENTS {
+        let pairs = CURRENTS.iter().flat_map(|current| {
             let keep_u = kept(libm::exp(-1.0 / (current * tau)));
-            for (taken, copies) in of_pair(task, &wanted, (keep_u, kept(voltage)), &delays, most) {
-                if let Some(place) = COUNTS.iter().position(|&count| count == copies.count)
-                    && best[place].is_none_or(|best| taken > best.0)
-                {
-                    best[place] = Some((taken, keep_u, copies.scaled(srm.theta)));
-                }
-            }
+            let found = of_pair(task, &wanted, (keep_u, kept(voltage)), &delays, most);
+            found.into_iter().map(move |(taken, copies)| (taken, keep_u, copies))
+        });
+        let mut pairs: Vec<(f64, f64, Copies)> = pairs.collect();
+        if voltage > 0.0 {
+            let best = |pair: &(f64, f64, Copies)| {
+                let rivals = pairs.iter().filter(|rival| rival.2.count == pair.2.count);
+                rivals.fold(0.0, |most: f64, rival| most.max(rival.0)) <= pair.0
+            };
+            let best: Vec<bool> = pairs.iter().map(best).collect();
+            let mut best = best.into_iter();
+            pairs.retain(|_| best.next().unwrap_or(false));
         }
-        best.into_iter().flatten().map(|(_, keep_u, copies)| (keep_u, kept(voltage), copies)).collect::<Vec<_>>()
+        pairs
+            .into_iter()
+            .map(|(_, keep_u, copies)| (keep_u, kept(voltage), copies.scaled(srm.theta)))
+            .collect::<Vec<_>>()
     };
     let each: Vec<Vec<(f64, f64, Copies)>> = VOLTAGES.par_iter().map(of_voltage).collect();
     each.into_iter().flatten().collect()
@@ -132,96 +145,166 @@ pub fn potentials(task: Arrivals<'_>, srm: &SrmParameters, timestep_ms: f64) -> 
 }
 
 /// What passes current and voltage, `[neuron][step]`.
-fn filtered(arrivals: &[f64], neurons: usize, (keep_u, keep_v): (f64, f64), gain: f64) -> Vec<f64> {
+fn filtered(arrivals: &[f64], neurons: usize, keeps: (f64, f64), gain: f64) -> Vec<f64> {
     let steps = (arrivals.len() / neurons.max(1)).max(1);
     let mut out = Vec::with_capacity(arrivals.len());
-    for row in arrivals.chunks(steps) {
-        let (mut u, mut v) = (0.0, 0.0);
-        out.extend(row.iter().map(|x| {
-            u = keep_u * u + x;
-            v = keep_v * v + u;
-            gain * v
-        }));
-    }
+    arrivals.chunks(steps).for_each(|row| filtered_row(row, keeps, gain, &mut out));
     out
 }
 
+fn filtered_row(row: &[f64], (keep_u, keep_v): (f64, f64), gain: f64, out: &mut Vec<f64>) {
+    let (mut u, mut v) = (0.0, 0.0);
+    out.extend(row.iter().map(|x| {
+        u = keep_u * u + x;
+        v = keep_v * v + u;
+        gain * v
+    }));
+}
+
+/// In eight sums, which the processor adds at once.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (mut sums, n) = ([0.0; 8], a.len().min(b.len()));
+    let (a, b) = (&a[..n], &b[..n]);
+    for (x, y) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+        sums.iter_mut().zip(x.iter().zip(y)).for_each(|(sum, (x, y))| *sum += x * y);
+    }
+    let rest = n - n % 8;
+    sums.iter().sum::<f64>() + a[rest..].iter().zip(&b[rest..]).map(|(x, y)| x * y).sum::<f64>()
+}
+
+/// Sums of products of the responses of all delays and of the potentials wanted, relevance as weight.
+struct Products {
+    /// Row by row, those of a delay with itself a trifle greater.
+    between: Vec<Vec<f64>>,
+    right: Vec<f64>,
+}
+
+/// What is left of each delay once some are chosen.
+struct Left {
+    /// Its square and its product with what is left of the potentials.
+    squares: Vec<f64>,
+    right: Vec<f64>,
+    /// What the chosen ones took from the error.
+    taken: f64,
+}
+
+impl Products {
+    fn new(task: Arrivals<'_>, wanted: &[Vec<f64>], keeps: (f64, f64), delays: &[u32]) -> Products {
+        let n = delays.len();
+        let every = (task.samples.iter().map(Vec::len).sum::<usize>() / POINTS).clamp(1, task.neurons.max(1));
+        let (mut between, mut right) = (vec![vec![0.0; n]; n], vec![0.0; n]);
+        let (mut response, mut relevant, mut mine) = (Vec::new(), Vec::new(), Vec::new());
+        for (place, (arrivals, wanted)) in task.samples.iter().zip(wanted).enumerate() {
+            let steps = (arrivals.len() / task.neurons.max(1)).max(1);
+            // Other neurons in each sample.
+            let rows = arrivals.chunks(steps).zip(wanted.chunks(steps)).skip(place % every).step_by(every);
+            for (row, wanted) in rows {
+                response.clear();
+                filtered_row(row, keeps, 1.0, &mut response);
+                relevant.clear();
+                relevant.extend(wanted.iter().map(|&potential| relevance(potential)));
+                for (i, &d) in delays.iter().enumerate() {
+                    let start = (d as usize).min(steps);
+                    mine.clear();
+                    mine.extend(
+                        response.iter().zip(&relevant[start..]).map(|(x, relevant): (&f64, &f64)| x * relevant),
+                    );
+                    right[i] += dot(&mine, &wanted[start..]);
+                    // With d >= e, the sum over t of F(t - d) F(t - e).
+                    for (j, &e) in delays[..=i].iter().enumerate() {
+                        between[i][j] += dot(&mine, &response[start.saturating_sub(e as usize)..]);
+                    }
+                }
+            }
+        }
+        for i in 0..n {
+            between[i][i] *= 1.0 + 1e-9;
+            for j in 0..i {
+                between[j][i] = between[i][j];
+            }
+        }
+        Products { between, right }
+    }
+
+    /// What is left when these delays are chosen: each is made orthogonal to those before it.
+    fn left(&self, chosen: &[usize]) -> Left {
+        let mut left = Left {
+            squares: (0..self.right.len()).map(|j| self.between[j][j]).collect(),
+            right: self.right.clone(),
+            taken: 0.0,
+        };
+        let mut parts: Vec<Vec<f64>> = Vec::with_capacity(chosen.len());
+        for &c in chosen {
+            let length = left.squares[c].max(f64::MIN_POSITIVE).sqrt();
+            let mut part = self.between[c].clone();
+            for before in &parts {
+                let by = before[c];
+                part.iter_mut().zip(before).for_each(|(x, y)| *x -= by * y);
+            }
+            part.iter_mut().for_each(|x| *x /= length);
+            let along = left.right[c] / length;
+            left.taken += along * along;
+            for (j, &x) in part.iter().enumerate() {
+                left.squares[j] -= x * x;
+                left.right[j] -= x * along;
+            }
+            parts.push(part);
+        }
+        left
+    }
+
+    /// The delay that takes most beside those chosen, and what all take then.
+    fn next(&self, chosen: &[usize]) -> Option<(f64, usize)> {
+        let left = self.left(chosen);
+        let each = (0..self.right.len()).filter(|j| !chosen.contains(j)).filter_map(|j| {
+            let distinct = left.squares[j] > 1e-7 * self.between[j][j];
+            distinct.then(|| (left.taken + left.right[j] * left.right[j] / left.squares[j], j))
+        });
+        each.reduce(|best, next| if next.0 > best.0 { next } else { best })
+    }
+
+    fn factors(&self, chosen: &[usize]) -> Option<Vec<f64>> {
+        let row = |&i: &usize| chosen.iter().map(|&j| self.between[i][j]).collect::<Vec<_>>();
+        solved(&chosen.iter().map(row).collect::<Vec<_>>(), &chosen.iter().map(|&i| self.right[i]).collect::<Vec<_>>())
+    }
+}
+
+/// What the copies take from the error, for each number of them up to `most` that is tried.
 fn of_pair(
     task: Arrivals<'_>,
     wanted: &[Vec<f64>],
-    (keep_u, keep_v): (f64, f64),
+    keeps: (f64, f64),
     delays: &[u32],
     most: usize,
 ) -> Vec<(f64, Copies)> {
-    let n = delays.len();
-    let every = (task.samples.iter().map(Vec::len).sum::<usize>() / POINTS).clamp(1, task.neurons.max(1));
-    let (mut products, mut right) = (vec![vec![0.0; n]; n], vec![0.0; n]);
-    for (arrivals, wanted) in task.samples.iter().zip(wanted) {
-        let steps = (arrivals.len() / task.neurons.max(1)).max(1);
-        let response = filtered(arrivals, task.neurons, (keep_u, keep_v), 1.0);
-        for (row, wanted) in response.chunks(steps).zip(wanted.chunks(steps)).step_by(every) {
-            let relevant: Vec<f64> = wanted.iter().map(|&potential| relevance(potential)).collect();
-            for (i, &d) in delays.iter().enumerate() {
-                let start = (d as usize).min(steps);
-                let mine: Vec<f64> = row.iter().zip(&relevant[start..]).map(|(x, w)| x * w).collect();
-                right[i] += mine.iter().zip(&wanted[start..]).map(|(x, y)| x * y).sum::<f64>();
-                // With d >= e, the sum over t of F(t - d) F(t - e).
-                for (j, &e) in delays[..=i].iter().enumerate() {
-                    let ahead = start.saturating_sub(e as usize);
-                    products[i][j] += mine.iter().zip(&row[ahead..]).map(|(x, y)| x * y).sum::<f64>();
-                }
-            }
-        }
-    }
-    let product = |i: usize, j: usize| products[i.max(j)][i.min(j)] * if i == j { 1.0 + 1e-9 } else { 1.0 };
+    let products = Products::new(task, wanted, keeps, delays);
     let (mut chosen, mut found): (Vec<usize>, Vec<(f64, Copies)>) = (Vec::new(), Vec::new());
-    let factors = |places: &[usize]| {
-        let matrix: Vec<Vec<f64>> = places.iter().map(|&i| places.iter().map(|&j| product(i, j)).collect()).collect();
-        solved(&matrix, &places.iter().map(|&i| right[i]).collect::<Vec<_>>())
-    };
-    // What least squares take away of the error.
-    let taken = |places: &[usize]| {
-        let factors = factors(places)?;
-        Some(factors.iter().zip(places).map(|(factor, &i)| factor * right[i]).sum::<f64>())
-    };
-    let best = |places: &mut dyn Iterator<Item = Vec<usize>>| {
-        let rated = places.filter_map(|places| Some((taken(&places)?, places)));
-        rated.reduce(|best, next| if next.0 > best.0 { next } else { best })
-    };
-    while chosen.len() < most.min(n) {
-        let more = |place: usize| chosen.iter().copied().chain([place]).collect::<Vec<_>>();
-        let mut tries = (0..n).filter(|place| !chosen.contains(place)).map(more);
-        let Some((mut least, mut now)) = best(&mut tries) else { break };
-        // Each in turn gives its place to a better one, while that helps.
-        let rounds = if COUNTS.contains(&now.len()) { 1 } else { 0 };
-        for _ in 0..rounds {
-            let before = least;
-            for member in 0..now.len() {
-                let swap = |place: usize| {
-                    let mut swapped = now.clone();
-                    swapped[member] = place;
-                    swapped
-                };
-                let mut tries = (0..n).filter(|place| !now.contains(place)).map(swap).collect::<Vec<_>>().into_iter();
-                if let Some((better, places)) = best(&mut tries).filter(|(better, _)| *better > least) {
-                    (least, now) = (better, places);
-                }
-            }
-            if least <= before {
-                break;
-            }
-        }
-        chosen = now;
+    while let Some((mut taken, next)) = products.next(&chosen).filter(|_| chosen.len() < most) {
+        chosen.push(next);
         if !COUNTS.contains(&chosen.len()) {
             continue;
         }
-        let Some(factors) = factors(&chosen) else { break };
+        // Each in turn gives its place to a better one, while that helps.
+        for _ in 0..SWAPS {
+            let before = taken;
+            for member in 0..chosen.len() {
+                let without: Vec<usize> =
+                    chosen.iter().enumerate().filter(|(k, _)| *k != member).map(|(_, &place)| place).collect();
+                if let Some((better, place)) = products.next(&without).filter(|next| next.0 > taken * (1.0 + 1e-12)) {
+                    (taken, chosen[member]) = (better, place);
+                }
+            }
+            if taken <= before {
+                break;
+            }
+        }
+        let Some(factors) = products.factors(&chosen) else { break };
         let mut copies = Copies { count: chosen.len(), ..Copies::default() };
         let mut each: Vec<(u32, f64)> =
             chosen.iter().zip(factors).map(|(&place, factor)| (delays[place], factor)).collect();
         each.sort_by_key(|&(delay, _)| delay);
         copies.each[..each.len()].copy_from_slice(&each);
-        found.push((least, copies));
+        found.push((taken, copies));
     }
     found
 }

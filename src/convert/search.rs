@@ -4,17 +4,15 @@
 //! analytic start (`compile::frontend::analytic`) each stage goes through the populations from the input on. A population gets the
 //! spikes that its converted sources send, and is to send those that the trained population sends, step by step:
 //!
-//! 1. [`Stage::Shape`]: du, dv, and up to 16 delayed copies of all that comes in (`super::copies`), with synapses of each
+//! 1. [`Stage::Shape`]: du, dv, and delayed copies of all that comes in (`super::copies`), with synapses of each
 //!    compartment onto itself for the refractory response; then threshold and those synapses in finer steps while they help. A
 //!    voltage that forgets everything in a step loses nothing at a reset, and the copies make the current's single exponential
 //!    an alpha kernel again.
-//! 2. [`Stage::Rounding`]: weights rounded for the least error of the potential (`super::rounding`).
+//! 2. [`Stage::Rounding`]: what rounding a copy leaves goes to the next one (`compile::frontend::carry`).
 //!
 //! What is minimised is 1 minus the coincidence factor, and a share of the difference of spike counts (a greater one for the
 //! output, whose counts are classes). The start and every stage are run as integers; what is nearest to the trained network is
 //! returned: the search never makes things worse on the calibration samples. No randomness; ties go to the first.
-
-use std::sync::Arc;
 
 use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
@@ -24,34 +22,45 @@ use crate::agree::compare::output_layer;
 use crate::agree::ladder::{Cause, Ladder, Rung};
 use crate::agree::metrics::{TrainSums, coincidence};
 use crate::agree::trace::{Comparison, Layer, Trace};
-use crate::base::diagnostic::{Diagnostic, Result};
+use crate::base::diagnostic::Result;
 use crate::base::fixed::{DECAY_ONE, Decay, Delay, Refractory};
 use crate::base::names::named_variants;
 use crate::compile::frontend::analytic::{self, Fit};
-use crate::compile::frontend::quantise::quantise;
+use crate::compile::frontend::exponents::Detail;
+use crate::compile::frontend::quantise::quantise_with;
 use crate::ir::graph::{Graph, PopulationKind, ProjectionKind, SrmParameters};
-use crate::ir::quantised::{Connectivity, Projection, Quantised, Units};
+use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
 use crate::reference::synapses::Synapses;
 
 use super::copies::{self, Arrivals, Copies, MOST};
-use super::rounding::{self, Incoming, Target};
 
 /// Most neuron-steps that a candidate is tried on; calibration samples beyond are left out.
 const MOST_WORK: u64 = 2_000_000;
 
-/// Samples that shapes are first tried on.
-const FEW: usize = 20;
+/// Neuron-steps that shapes are first tried on, and the most that the best is improved on.
+const SKETCH: usize = 40_000;
+const DRAWING: usize = 240_000;
+/// The least number of samples of either.
+const LEAST: usize = 8;
 
-/// Synapses of a compartment onto itself: the paper's refractory response is below 0.01 thresholds after so many steps.
-const OWN: usize = 10;
+/// Synapses of a compartment onto itself: the paper's refractory response is below 0.001 thresholds after so many steps. With 10
+/// what is left of it, which decays with the current, costs 0.01 to 0.03 in coincidence.
+const OWN: usize = 12;
 
 /// How much more than on the calibration samples may arrive before a register wraps.
 const FORESEEN: f64 = 2.0;
 
 /// What a copy more of all that comes in has to gain in distance, and what it has to gain besides for each synapse.
 const COPY_PRICE: f64 = 0.0005;
-const SYNAPSE_PRICE: f64 = 1e-7;
+const SYNAPSE_PRICE: f64 = 5e-8;
+
+/// The most synapses that the copies of a compartment's input may have together: what one core of Loihi holds of a compartment, at
+/// 20 bits a synapse.
+const MOST_SYNAPSES: usize = 49_152;
+
+/// Synapses that all copies of a population's input may have for it to be given twice as many copies as others: half a core.
+const FEW_SYNAPSES: f64 = 24_576.0;
 
 /// The most compartments of a population that get synapses onto themselves, which are listed one by one.
 const MOST_OWN: u32 = 1 << 16;
@@ -63,14 +72,14 @@ pub enum Stage {
     Start,
     /// Decays, delayed copies of what comes in, threshold and synapses onto itself of each population together.
     Shape,
-    /// Weights rounded for the least error of the potential.
+    /// Rounding errors carried over to the next copy.
     Rounding,
 }
 
 named_variants!(Stage {
     Start = "analytic start",
     Shape = "decays, delayed copies and reset together",
-    Rounding = "weights rounded for the potential",
+    Rounding = "rounding errors carried to the next copy",
 });
 
 /// How near a conversion is on the calibration samples.
@@ -98,26 +107,17 @@ impl ConversionScore {
 pub struct Conversion {
     /// In the order of the populations.
     pub fits: Vec<Option<Fit>>,
-    /// Integer weights that differ from the nearest, by projection of the network in integers.
-    pub weights: Vec<(usize, Arc<[i16]>)>,
+    /// How finely exponents and weights are chosen.
+    pub detail: Detail,
 }
 
 impl Conversion {
-    fn nearest(fits: Vec<Option<Fit>>) -> Conversion {
-        Conversion { fits, weights: Vec::new() }
-    }
-
     /// The steps from the network to these integers.
     ///
     /// # Errors
     /// As `compile::frontend::quantise`.
     pub fn ladder(&self, graph: &Graph) -> Result<Ladder> {
-        let ladder = Ladder::new(graph, &self.fits)?;
-        if self.weights.is_empty() {
-            return Ok(ladder);
-        }
-        let network = with_weights(ladder.deployed(), &self.weights)?;
-        Ok(ladder.with_weights(network))
+        Ladder::with_exponents(graph, &self.fits, self.detail)
     }
 
     /// The integers.
@@ -125,23 +125,8 @@ impl Conversion {
     /// # Errors
     /// As `compile::frontend::quantise`.
     pub fn integers(&self, graph: &Graph) -> Result<Quantised> {
-        with_weights(&quantise(&analytic::with_fits(graph, &self.fits))?, &self.weights)
+        quantise_with(&analytic::with_fits(graph, &self.fits), self.detail)
     }
-}
-
-/// A network with other weights in some of its projections.
-fn with_weights(network: &Quantised, changed: &[(usize, Arc<[i16]>)]) -> Result<Quantised> {
-    let mut parts = network.parts().clone();
-    for (index, weights) in changed {
-        let Some(projection) = parts.projections.iter_mut().nth(*index) else { continue };
-        match &mut projection.connectivity {
-            Connectivity::Dense { weights: old, .. } | Connectivity::Sparse { weights: old, .. } => {
-                *old = weights.clone();
-            }
-            _ => {}
-        }
-    }
-    Quantised::new(parts).map_err(|error| Diagnostic::new("model.inconsistent", error.to_string()))
 }
 
 /// What a search found.
@@ -153,8 +138,8 @@ pub struct SearchResult {
     pub start: ConversionScore,
     /// What is left.
     pub end: ConversionScore,
-    /// Every stage as it scored, the start first.
-    pub stages: Vec<(Stage, Conversion, ConversionScore)>,
+    /// Every stage, the start first; the score of those that were run.
+    pub stages: Vec<(Stage, Conversion, Option<ConversionScore>)>,
     /// Candidates that were tried.
     pub tried: u64,
     /// Calibration samples.
@@ -182,6 +167,31 @@ struct Candidate {
     own: [f64; OWN],
 }
 
+impl Candidate {
+    /// What it spikes; `see` gets what arrives in each step and the current after it.
+    fn spikes(&self, copied: &[f64], spikes: &mut Vec<u32>, mut see: impl FnMut(f64, f64)) {
+        spikes.clear();
+        let (mut u, mut v) = (0.0, 0.0);
+        // What its own spikes bring in this step and those to come.
+        let (mut coming, mut at) = ([0.0; OWN], 0);
+        for (step, x) in copied.iter().enumerate() {
+            let x = x + coming[at];
+            u = self.keep_u * u + x;
+            see(x, u);
+            coming[at] = 0.0;
+            at = if at + 1 == OWN { 0 } else { at + 1 };
+            v = self.keep_v * v + u;
+            if v > self.threshold {
+                v = 0.0;
+                spikes.push(step as u32);
+                let (first, rest) = self.own.split_at(OWN - at);
+                coming[at..].iter_mut().zip(first).for_each(|(sum, weight)| *sum += weight);
+                coming.iter_mut().zip(rest).for_each(|(sum, weight)| *sum += weight);
+            }
+        }
+    }
+}
+
 /// How far spikes are from those wanted, in sums that add up over neurons.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gap {
@@ -207,57 +217,35 @@ impl Gap {
     }
 }
 
-/// Space for one neuron in one sample.
-#[derive(Debug, Default)]
-struct Run {
-    input: Vec<f64>,
-    spikes: Vec<u32>,
-}
-
 impl Task {
     fn arrived(&self) -> Arrivals<'_> {
         Arrivals { neurons: self.neurons, samples: &self.arrivals }
     }
 
-    /// What a candidate spikes in a sample; `see` gets what arrives in each step and the current after it.
-    fn spikes(&self, sample: usize, neuron: usize, c: &Candidate, run: &mut Run, mut see: impl FnMut(f64, f64)) {
-        let arrivals = &self.arrivals[sample];
-        let steps = arrivals.len() / self.neurons;
-        let arrived = &arrivals[neuron * steps..(neuron + 1) * steps];
-        run.input.clear();
-        run.input.resize(steps, 0.0);
-        for &(delay, factor) in c.copies.as_slice() {
-            let late = (delay as usize).min(steps);
-            run.input[late..].iter_mut().zip(arrived).for_each(|(sum, x)| *sum += factor * x);
-        }
-        run.spikes.clear();
-        let (mut u, mut v) = (0.0, 0.0);
-        // What its own spikes bring in this step and those to come.
-        let (mut coming, mut at) = ([0.0; OWN], 0);
-        for (step, x) in run.input.iter().enumerate() {
-            let x = x + coming[at];
-            u = c.keep_u * u + x;
-            see(x, u);
-            coming[at] = 0.0;
-            at = if at + 1 == OWN { 0 } else { at + 1 };
-            v = c.keep_v * v + u;
-            if v > c.threshold {
-                v = 0.0;
-                run.spikes.push(step as u32);
-                let (first, rest) = c.own.split_at(OWN - at);
-                coming[at..].iter_mut().zip(first).for_each(|(sum, weight)| *sum += weight);
-                coming.iter_mut().zip(rest).for_each(|(sum, weight)| *sum += weight);
+    /// What all copies together bring, as [`Task::arrivals`].
+    fn copied(&self, copies: &Copies) -> Vec<Vec<f64>> {
+        let of_sample = |arrivals: &Vec<f64>| {
+            let steps = (arrivals.len() / self.neurons.max(1)).max(1);
+            let mut sums = vec![0.0; arrivals.len()];
+            for (sums, arrived) in sums.chunks_mut(steps).zip(arrivals.chunks(steps)) {
+                for &(delay, factor) in copies.as_slice() {
+                    let late = (delay as usize).min(sums.len());
+                    sums[late..].iter_mut().zip(arrived).for_each(|(sum, x)| *sum += factor * x);
+                }
             }
-        }
+            sums
+        };
+        self.arrivals.par_iter().map(of_sample).collect()
     }
 
-    fn gap(&self, neuron: usize, c: &Candidate) -> Gap {
-        let (mut gap, mut run) = (Gap::default(), Run::default());
-        for (sample, wanted) in self.wanted.iter().enumerate() {
-            self.spikes(sample, neuron, c, &mut run, |_, _| ());
-            let (wanted, got) = (&wanted[neuron], &run.spikes);
+    fn gap(&self, neuron: usize, c: &Candidate, copied: &[Vec<f64>], spikes: &mut Vec<u32>) -> Gap {
+        let mut gap = Gap::default();
+        for (copied, wanted) in copied.iter().zip(&self.wanted) {
+            let steps = copied.len() / self.neurons;
+            c.spikes(&copied[neuron * steps..(neuron + 1) * steps], spikes, |_, _| ());
+            let (wanted, got) = (&wanted[neuron], &*spikes);
             if !(wanted.is_empty() && got.is_empty()) {
-                let (beyond_chance, at_most) = coincidence(wanted, got, run.input.len() as u32);
+                let (beyond_chance, at_most) = coincidence(wanted, got, steps as u32);
                 let counts = wanted.len().abs_diff(got.len()) as f64;
                 let spikes = (wanted.len() + got.len()) as f64;
                 gap = gap.add(Gap { beyond_chance, at_most, counts, spikes });
@@ -268,26 +256,26 @@ impl Task {
 
     /// The greatest input of a step to foresee: some times that of these samples, or what, held for ever, brings the current there.
     fn greatest_input(&self, c: &Candidate) -> f64 {
-        let of_neuron = |neuron: usize| {
-            let (mut most, mut run) = (0.0, Run::default());
-            for sample in 0..self.arrivals.len() {
-                self.spikes(sample, neuron, c, &mut run, |x, u| {
-                    most = f64::max(most, x.abs().max(u.abs() * (1.0 - c.keep_u)));
-                });
+        let of_sample = |copied: &Vec<f64>| {
+            let (mut most, mut spikes) = (0.0, Vec::new());
+            for row in copied.chunks((copied.len() / self.neurons.max(1)).max(1)) {
+                c.spikes(row, &mut spikes, |x, u| most = f64::max(most, x.abs().max(u.abs() * (1.0 - c.keep_u))));
             }
             most
         };
-        FORESEEN * (0..self.neurons).into_par_iter().map(of_neuron).reduce(|| 0.0, f64::max)
+        FORESEEN * self.copied(&c.copies).par_iter().map(of_sample).reduce(|| 0.0, f64::max)
     }
 
-    fn distance(&self, candidate: &Candidate) -> f64 {
-        let gaps = (0..self.neurons).map(|neuron| self.gap(neuron, candidate));
+    fn distance(&self, candidate: &Candidate, copied: &[Vec<f64>]) -> f64 {
+        let mut spikes = Vec::new();
+        let gaps = (0..self.neurons).map(|neuron| self.gap(neuron, candidate, copied, &mut spikes));
         gaps.fold(Gap::default(), Gap::add).distance(self.count_weight)
     }
 
-    /// The same over [`FEW`] of the samples, evenly taken: enough to tell far shapes apart.
-    fn sketch(&self) -> Task {
-        let every = self.arrivals.len().div_ceil(FEW).max(1);
+    /// The same over some of the samples, evenly taken: enough to tell shapes apart.
+    fn part(&self, neuron_steps: usize) -> Task {
+        let all: usize = self.arrivals.iter().map(Vec::len).sum();
+        let every = all.div_ceil(neuron_steps).clamp(1, self.arrivals.len().div_ceil(LEAST).max(1));
         Task {
             neurons: self.neurons,
             arrivals: self.arrivals.iter().step_by(every).cloned().collect(),
@@ -342,7 +330,9 @@ fn own(srm: &SrmParameters, timestep_ms: f64, c: &Candidate, (given, refractory)
 ///
 /// # Errors
 /// As `compile::frontend::quantise`.
-pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)) -> Result<SearchResult> {
+///
+/// `most` is the greatest number of delayed copies of a population's input.
+pub fn search(graph: &Graph, samples: &[&Sample], most: usize, mut progress: impl FnMut(&str)) -> Result<SearchResult> {
     let starts = analytic::starts(graph);
     let ladder = Ladder::new(graph, &starts)?;
     let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
@@ -356,22 +346,18 @@ pub fn search(graph: &Graph, samples: &[&Sample], mut progress: impl FnMut(&str)
     let score = |conversion: &Conversion| -> Result<ConversionScore> {
         Ok(scored(&conversion.ladder(graph)?, &layers, &output, samples, &trained))
     };
-    let analysis = Conversion::nearest(starts.clone());
+    let analysis = Conversion { fits: starts.clone(), detail: Detail::Groups };
     let start = score(&analysis)?;
     let mut best = (analysis.clone(), start);
     let mut tried = 0;
-    let mut stages = vec![(Stage::Start, analysis, start)];
-    let material = Material { graph, layers: &layers, samples, trained: &trained, starts: &starts };
-    for stage in [Stage::Shape, Stage::Rounding] {
-        let conversion = match stage {
-            Stage::Rounding => material.rounding(&best.0, &mut progress)?,
-            _ => Conversion::nearest(material.pipeline(&mut tried, &mut progress)?),
-        };
-        let score = score(&conversion)?;
-        stages.push((stage, conversion.clone(), score));
-        if score.distance() < best.1.distance() {
-            best = (conversion, score);
-        }
+    let mut stages = vec![(Stage::Start, analysis, Some(start))];
+    let material = Material { graph, layers: &layers, samples, trained: &trained, starts: &starts, most };
+    let found = Conversion { fits: material.pipeline(&mut tried, &mut progress)?, detail: Detail::Carried };
+    let end = score(&found)?;
+    stages.push((Stage::Shape, Conversion { detail: Detail::Groups, ..found.clone() }, None));
+    stages.push((Stage::Rounding, found.clone(), Some(end)));
+    if end.distance() < best.1.distance() {
+        best = (found, end);
     }
     Ok(SearchResult { conversion: best.0, start, end: best.1, stages, tried, samples: samples.len() })
 }
@@ -382,63 +368,16 @@ struct Material<'a> {
     samples: &'a [&'a Sample],
     trained: &'a [Trace],
     starts: &'a [Option<Fit>],
+    most: usize,
 }
 
 impl Material<'_> {
-    /// The weights of a conversion rounded for the least error of the potential, population by population.
-    fn rounding(&self, conversion: &Conversion, progress: &mut impl FnMut(&str)) -> Result<Conversion> {
-        let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
-        let mut ladder = conversion.ladder(graph)?;
-        let mut weights = conversion.weights.clone();
-        let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
-        let as_trained: Vec<Trace> = self.trained.iter().map(earlier).collect();
-        for node in order {
-            let population = graph.population(node);
-            let PopulationKind::Srm(srm) = &population.kind else { continue };
-            let Some(layer) = self.layers.iter().find(|layer| layer.name == population.name) else { continue };
-            let (Some(fit), Some(unit)) = (&conversion.fits[node.index()], ladder.units()[node.index()]) else {
-                continue;
-            };
-            progress(&population.name);
-            let converted: Vec<Trace> =
-                self.samples.par_iter().map(|sample| ladder.run(Rung::MACHINE, sample, false)).collect();
-            let task = task(graph, node, layer, (self.samples, &as_trained, self.trained), 0.0);
-            let network = ladder.deployed();
-            let into = |projection: &Projection| {
-                projection.target.0 as usize == node.index() && !analytic::stands_for_reset(&projection.name)
-            };
-            let numbered = network.projections().iter().enumerate().filter(|(_, projection)| into(projection));
-            let (indices, projections): (Vec<usize>, Vec<&Projection>) = numbered.unzip();
-            let incoming = projections.into_iter().map(|projection| {
-                let source = &network.populations()[projection.source];
-                let (input, first) = match &source.units {
-                    Units::Input(first) => (true, first.0),
-                    Units::Compartments { first, .. } => (false, first.0),
-                };
-                Incoming { projection, first, count: source.shape.len(), input }
-            });
-            let incoming: Vec<Incoming<'_>> = incoming.collect();
-            let target = Target {
-                neurons: task.neurons,
-                keeps: (analytic::keep(fit.du), analytic::keep(fit.dv)),
-                potentials: &copies::potentials(task.arrived(), srm, timestep_ms),
-                threshold: fit.threshold * unit,
-            };
-            let Some(rounded) = rounding::rounded(&target, &incoming, self.samples, &converted) else { continue };
-            weights.extend(indices.into_iter().zip(rounded));
-            let network = with_weights(ladder.deployed(), &weights)?;
-            ladder = ladder.with_weights(network);
-        }
-        Ok(Conversion { fits: conversion.fits.clone(), weights })
-    }
-
     /// Goes through the populations from the input on.
     fn pipeline(&self, tried: &mut u64, progress: &mut impl FnMut(&str)) -> Result<Vec<Option<Fit>>> {
         let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
         let mut fits = self.starts.to_vec();
         let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
-        let mut converted: Vec<Trace> = self.trained.iter().map(earlier).collect();
-        let mut known = true;
+        let as_trained: Vec<Trace> = self.trained.iter().map(earlier).collect();
         for node in order {
             let population = graph.population(node);
             let PopulationKind::Srm(srm) = &population.kind else { continue };
@@ -449,23 +388,12 @@ impl Material<'_> {
             }
             progress(&population.name);
             let output = node == graph.output();
-            // What only inputs drive is the same in every pipeline.
-            let inputs_only = graph
-                .projections()
-                .filter(|(_, _, target, _)| *target == node)
-                .all(|(_, source, _, _)| matches!(graph.population(source).kind, PopulationKind::Input));
-            if !inputs_only && !known {
-                // What follows is calibrated on what the populations before it will really send.
-                let so_far = Ladder::new(graph, &fits)?;
-                converted = self.samples.par_iter().map(|sample| so_far.run(Rung::MACHINE, sample, false)).collect();
-            }
             let count_weight = if output { 0.5 } else { 0.2 };
-            let task = task(graph, node, layer, (self.samples, &converted, self.trained), count_weight);
-            let shape = best_shape(&task, graph, node, srm, tried);
+            let task = task(graph, node, layer, (self.samples, &as_trained, self.trained), count_weight);
+            let shape = best_shape(&task, graph, (node, srm), self.most, tried);
             let mut fit = fit_of(&shape, srm, timestep_ms);
             fit.greatest_input = Some(task.greatest_input(&shape.candidate(srm, timestep_ms)));
             fits[node.index()] = Some(fit);
-            known = false;
         }
         Ok(fits)
     }
@@ -513,7 +441,7 @@ fn scored(
     }
 }
 
-/// What arrives at a population from its converted sources, and what it should send, in the converted network's time.
+/// What arrives at a population from its sources, and what it should send, in the converted network's time.
 fn task(
     graph: &Graph,
     node: NodeIndex,
@@ -569,9 +497,15 @@ fn task(
     Task { neurons, arrivals, wanted, count_weight }
 }
 
-fn best_shape(task: &Task, graph: &Graph, node: NodeIndex, srm: &SrmParameters, tried: &mut u64) -> Shape {
+fn best_shape(
+    task: &Task,
+    graph: &Graph,
+    (node, srm): (NodeIndex, &SrmParameters),
+    most: usize,
+    tried: &mut u64,
+) -> Shape {
     let timestep_ms = graph.facts().timestep_ms;
-    let sketch = task.sketch();
+    let (sketch, drawing) = (task.part(SKETCH), task.part(DRAWING));
     let into =
         || graph.projections().filter(|(_, _, target, _)| *target == node).map(|(_, _, _, projection)| projection);
     let latest = into().map(|projection| u32::from(projection.delay.get())).max().unwrap_or(0);
@@ -581,7 +515,11 @@ fn best_shape(task: &Task, graph: &Graph, node: NodeIndex, srm: &SrmParameters, 
     };
     // All to all: windows have fewer, which then cost more.
     let synapses = graph.projections().map(sources).sum::<f64>() * task.neurons as f64;
-    let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { MOST };
+    let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { most };
+    let fan_in = (synapses / task.neurons.max(1) as f64) as usize;
+    // With few synapses, copies cost next to nothing.
+    let most = if 2.0 * most as f64 * synapses <= FEW_SYNAPSES { (2 * most).min(MOST) } else { most };
+    let most = most.min(MOST_SYNAPSES / fan_in.max(1)).max(1);
     let shape = |(keep_u, keep_v, copies): (f64, f64, Copies)| {
         // Random weights have no factor: the threshold takes its place.
         let unit = if most == 1 { copies.as_slice().first().map_or(1.0, |copy| copy.1) } else { 1.0 };
@@ -590,9 +528,12 @@ fn best_shape(task: &Task, graph: &Graph, node: NodeIndex, srm: &SrmParameters, 
     };
     let shapes: Vec<Shape> =
         copies::candidates(sketch.arrived(), srm, timestep_ms, (most, room)).into_iter().map(shape).collect();
+    let rated = |task: &Task, shape: &Shape, copied: &[Vec<f64>]| {
+        task.distance(&shape.candidate(srm, timestep_ms), copied) + shape.price(synapses)
+    };
     let ranked = |task: &Task, shapes: &[Shape], tried: &mut u64| {
         *tried += shapes.len() as u64;
-        let distance = |shape: &Shape| task.distance(&shape.candidate(srm, timestep_ms)) + shape.price(synapses);
+        let distance = |shape: &Shape| rated(task, shape, &task.copied(&shape.copies));
         let distances: Vec<f64> = shapes.par_iter().map(distance).collect();
         let mut order: Vec<usize> = (0..shapes.len()).collect();
         order.sort_by(|&a, &b| distances[a].total_cmp(&distances[b]));
@@ -600,10 +541,15 @@ fn best_shape(task: &Task, graph: &Graph, node: NodeIndex, srm: &SrmParameters, 
     };
     let descend = |task: &Task, from: (Shape, f64), steps: &[f64], tried: &mut u64| {
         let mut best = from;
+        let copied = task.copied(&from.0.copies);
         for &step in steps {
             // Few enough rounds to end, more than enough to get anywhere in range.
             for _ in 0..12 {
-                let next = ranked(task, &near(&best.0, step), tried).first().copied();
+                let near = near(&best.0, step);
+                *tried += near.len() as u64;
+                let distances: Vec<f64> = near.par_iter().map(|shape| rated(task, shape, &copied)).collect();
+                let next =
+                    near.into_iter().zip(distances).reduce(|best, next| if next.1 < best.1 { next } else { best });
                 match next {
                     Some(next) if next.1 < best.1 - 1e-6 => best = next,
                     _ => break,
@@ -614,8 +560,8 @@ fn best_shape(task: &Task, graph: &Graph, node: NodeIndex, srm: &SrmParameters, 
     };
     let few: Vec<(Shape, f64)> = ranked(&sketch, &shapes, tried).into_iter().take(3).collect();
     let found: Vec<Shape> = few.into_iter().map(|from| descend(&sketch, from, &[1.1, 1.05], tried).0).collect();
-    let best = ranked(task, &found, tried)[0];
-    descend(task, best, &[1.02], tried).0
+    let best = ranked(&drawing, &found, tried)[0];
+    descend(&drawing, best, &[1.02], tried).0
 }
 
 /// Shapes one step away.
@@ -644,8 +590,6 @@ fn fit_of(shape: &Shape, srm: &SrmParameters, timestep_ms: f64) -> Fit {
         threshold: candidate.threshold,
         copies: shape.copies.as_slice().to_vec(),
         own: candidate.own.iter().map(|&weight| vec![weight]).collect(),
-        gains: Vec::new(),
-        biases: Vec::new(),
         greatest_input: None,
     }
 }

@@ -20,6 +20,9 @@ use crate::ir::spikes::{Engine, Sample};
 /// Samples on which overflows are counted, with the slow interpreter.
 const COUNTED: usize = 4;
 
+/// Calibration samples on which the kinds of integers are told apart.
+const TOLD_APART: usize = 20;
+
 /// A stage and how near the network is after it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StageRow {
@@ -29,6 +32,10 @@ pub struct StageRow {
     pub distance: Distance,
     /// Whether the result has it.
     pub kept: bool,
+    /// Coincidence beyond the stage before; none for the first.
+    pub gain: Option<f64>,
+    /// Coincidence that real numbers would add in the place of what the stage chooses; none for the start.
+    pub left: Option<f64>,
 }
 
 /// What a layer lost.
@@ -77,8 +84,10 @@ pub struct Converted {
     pub stages: Vec<StageRow>,
     /// Layer by layer.
     pub layers: Vec<LayerLoss>,
-    /// What each kind of integer still costs.
+    /// What each kind of integer still costs, on some of the calibration samples.
     pub left: Vec<Left>,
+    /// How near the integers are on the same samples.
+    pub left_from: Distance,
     /// On the calibration samples.
     pub calibration: Measured,
     /// The steps between the network and its integers.
@@ -127,46 +136,79 @@ impl Converted {
 ///
 /// # Errors
 /// As `compile::frontend::quantise`.
-pub fn convert(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> Result<Converted> {
+pub fn convert(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<Converted> {
     let Steps { fits, stages, ladder } = match graph.has_srm() {
-        true => by_search(graph, samples, progress)?,
+        true => by_search(graph, samples, most, progress)?,
         false => by_exponents(graph)?,
     };
     let output = output_layer(ladder.deployed());
     let costly: Vec<Cause> =
         ladder.causes().iter().copied().filter(|cause| !matches!(cause, Cause::Untruncated | Cause::Kernel)).collect();
+    let from = (&ladder, trained(&ladder));
     let mut rungs: Vec<(&Ladder, Rung)> = vec![(&ladder, Rung::MACHINE)];
-    rungs.extend(stages.iter().map(|(_, _, ladder)| (ladder, Rung::MACHINE)));
-    rungs.extend(costly.iter().map(|&cause| (&ladder, Rung::MACHINE.without(cause))));
-    let mut all = attribution::measured((&ladder, trained(&ladder)), &rungs, &output, samples).into_iter();
+    rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, Rung::MACHINE))));
+    let mut all = attribution::measured(from, &rungs, &output, samples).into_iter();
     let none = attribution::Measured { distance: Distance::EQUAL, layers: Vec::new() };
     let calibration = by_layer(&ladder, all.next().unwrap_or(none), samples.len());
-    let row = |(stage, measured): ((String, bool, Ladder), attribution::Measured)| StageRow {
-        name: stage.0,
-        distance: measured.distance,
-        kept: stage.1,
-    };
-    let stages: Vec<StageRow> = stages.into_iter().zip(all.by_ref()).map(row).collect();
+    let distances_of_stages: Vec<Distance> = stages
+        .iter()
+        .map(|stage| stage.ladder.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
+        .collect();
+    let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(TOLD_APART).max(1)).copied().collect();
+    let mut rungs = vec![Rung::MACHINE];
+    rungs.extend(costly.iter().map(|&cause| Rung::MACHINE.without(cause)));
+    let distances = attribution::distances(&ladder, trained(&ladder), &rungs, &output, &some);
+    let left_from = distances.first().copied().unwrap_or(Distance::EQUAL);
     let left: Vec<Left> =
-        costly.into_iter().zip(all).map(|(cause, measured)| Left { cause, without: measured.distance }).collect();
+        costly.into_iter().zip(distances.into_iter().skip(1)).map(|(cause, without)| Left { cause, without }).collect();
+    let row = |(place, stage): (usize, StageIntegers)| {
+        let distance = distances_of_stages[place];
+        let before = place.checked_sub(1).map(|before| distances_of_stages[before]);
+        let own = left.iter().filter(|left| stage.decides.contains(&left.cause));
+        let added = own.map(|left| left.without.coincidence - left_from.coincidence);
+        StageRow {
+            name: stage.name,
+            distance,
+            kept: stage.kept,
+            gain: before.map(|before| distance.coincidence - before.coincidence),
+            left: added.reduce(f64::max).map(|added| added.max(0.0)),
+        }
+    };
+    let stages: Vec<StageRow> = stages.into_iter().enumerate().map(row).collect();
     let network = ladder.deployed().clone();
-    let layers = losses(&network, &calibration, &left, samples);
-    Ok(Converted { network, fits, stages, layers, left, calibration, ladder })
+    let layers = losses(&network, &calibration, (&left, left_from), samples);
+    Ok(Converted { network, fits, stages, layers, left, left_from, calibration, ladder })
 }
 
 /// A conversion before it is measured.
 struct Steps {
     fits: Vec<Option<Fit>>,
-    /// Each stage's name, whether the result has it, and its integers.
-    stages: Vec<(String, bool, Ladder)>,
+    stages: Vec<StageIntegers>,
     ladder: Ladder,
 }
 
-fn by_search(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> Result<Steps> {
-    let SearchResult { conversion, stages, .. } = search::search(graph, samples, progress)?;
+/// A stage before it is measured.
+struct StageIntegers {
+    name: String,
+    /// Whether the result has it.
+    kept: bool,
+    /// Its integers; none where they are the result.
+    ladder: Option<Ladder>,
+    /// The kinds of integers that it chooses.
+    decides: &'static [Cause],
+}
+
+fn by_search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<Steps> {
+    let SearchResult { conversion, stages, .. } = search::search(graph, samples, most, progress)?;
     let last = stages.iter().position(|(_, of_stage, _)| *of_stage == conversion).unwrap_or(0);
     let row = |(place, (stage, of_stage, _)): (usize, &(search::Stage, Conversion, _))| {
-        Ok((stage.name().to_string(), place <= last, of_stage.ladder(graph)?))
+        let ladder = if place == last { None } else { Some(of_stage.ladder(graph)?) };
+        let decides: &[Cause] = match stage {
+            search::Stage::Start => &[],
+            search::Stage::Shape => &[Cause::HardReset, Cause::Decays, Cause::Calibration],
+            search::Stage::Rounding => &[Cause::Weights],
+        };
+        Ok(StageIntegers { name: stage.name().to_string(), kept: place <= last, ladder, decides })
     };
     let stages = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
     let ladder = conversion.ladder(graph)?;
@@ -175,8 +217,11 @@ fn by_search(graph: &Graph, samples: &[&Sample], progress: impl FnMut(&str)) -> 
 
 fn by_exponents(graph: &Graph) -> Result<Steps> {
     let fits = analytic::starts(graph);
-    let row =
-        |(name, detail): (&str, Detail)| Ok((name.to_string(), true, Ladder::with_exponents(graph, &fits, detail)?));
+    let row = |(name, detail): (&str, Detail)| {
+        let ladder = if detail == Detail::Groups { None } else { Some(Ladder::with_exponents(graph, &fits, detail)?) };
+        let decides: &[Cause] = if detail == Detail::Zero { &[] } else { &[Cause::Weights] };
+        Ok(StageIntegers { name: name.to_string(), kept: true, ladder, decides })
+    };
     let stages = [
         ("analytic start", Detail::Zero),
         ("a scale a population, an exponent a projection", Detail::Projections),
@@ -188,7 +233,12 @@ fn by_exponents(graph: &Graph) -> Result<Steps> {
 }
 
 /// What each layer lost, and what to do about it.
-fn losses(network: &Quantised, measured: &Measured, left: &[Left], samples: &[&Sample]) -> Vec<LayerLoss> {
+fn losses(
+    network: &Quantised,
+    measured: &Measured,
+    (left, from): (&[Left], Distance),
+    samples: &[&Sample],
+) -> Vec<LayerLoss> {
     let clipped = clipped(network, samples);
     let most = left.iter().max_by(|a, b| a.without.coincidence.total_cmp(&b.without.coincidence));
     let rows = measured.layers.iter().map(|(name, coincidence, spikes)| {
@@ -203,7 +253,7 @@ fn losses(network: &Quantised, measured: &Measured, left: &[Left], samples: &[&S
             (_, _, 1..) => {
                 Some("its voltages clip: raise vmin_exp, or divide its weights and threshold by 2".to_string())
             }
-            (_, Some(coincidence), 0) if *coincidence < 0.95 => most.map(|left| advice(left.cause, measured, left)),
+            (_, Some(coincidence), 0) if *coincidence < 0.95 => most.map(|left| advice(left.cause, from, left)),
             _ => None,
         };
         let weight_exp = into.map(|projection| projection.format.exponent.get().into()).collect();
@@ -213,8 +263,8 @@ fn losses(network: &Quantised, measured: &Measured, left: &[Left], samples: &[&S
 }
 
 /// The one change that would recover most.
-fn advice(cause: Cause, measured: &Measured, left: &Left) -> String {
-    let (now, then) = (measured.distance.coincidence, left.without.coincidence);
+fn advice(cause: Cause, from: Distance, left: &Left) -> String {
+    let (now, then) = (from.coincidence, left.without.coincidence);
     let change = match cause {
         Cause::HardReset => "the hard reset costs most: train with neurons that reset (nsim train, Loihi neurons)",
         Cause::Weights => "weight rounding costs most: fine-tune, or spread large weights over two synapses",

@@ -141,8 +141,8 @@ impl AgreeReport<'_> {
             json!({
                 "name": name, "du": fit.du.get(), "dv": fit.dv.get(), "refractory": fit.refractory.get(),
                 "threshold": rounded(fit.threshold),
-                "gains": fit.gains.iter().map(|&x| rounded(x)).collect::<Vec<_>>(),
-                "biases": fit.biases.iter().map(|&x| rounded(x)).collect::<Vec<_>>(),
+                "delays": fit.copies.iter().map(|copy| copy.0).collect::<Vec<_>>(),
+                "factors": fit.copies.iter().map(|copy| rounded(copy.1)).collect::<Vec<_>>(),
             })
         });
         let search = self.found.map(|found| {
@@ -200,25 +200,13 @@ impl AgreeReport<'_> {
     fn conversion_text(&self) -> String {
         let mut out = String::new();
         for (name, fit) in self.fits {
-            let spread = |each: &[f64], neutral: f64| match each {
-                [] => "none".to_string(),
-                each => {
-                    let (low, high) = each.iter().fold((f64::MAX, f64::MIN), |(l, h), &x| (l.min(x), h.max(x)));
-                    if low == neutral && high == neutral {
-                        "none".to_string()
-                    } else {
-                        format!("{low:.3} to {high:.3}")
-                    }
-                }
-            };
             out += &format!(
-                "'{name}' becomes du {}, dv {}, refractory {}, threshold {:.4}, gains {}, biases {}\n",
+                "'{name}' becomes du {}, dv {}, refractory {}, threshold {:.4}, {} of what comes in\n",
                 fit.du,
                 fit.dv,
                 fit.refractory,
                 fit.threshold,
-                spread(&fit.gains, 1.0),
-                spread(&fit.biases, 0.0)
+                count(fit.copies.len() as u64, "delayed copy"),
             );
         }
         if let Some(found) = self.found {

@@ -30,11 +30,13 @@ fn rounded(x: f64) -> f64 {
     format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
-const STAGES: [Column<StageRow>; 5] = [
+const STAGES: [Column<StageRow>; 7] = [
     ("stage", |row| row.name.clone()),
     ("kept", |row| if row.kept { "yes" } else { "no" }.to_string()),
     ("classes agree", |row| four(row.distance.class_agreement)),
     ("coincidence", |row| four(row.distance.coincidence)),
+    ("gain", |row| or_empty(row.gain.map(four))),
+    ("left to gain", |row| or_empty(row.left.map(four))),
     ("potential rmse", |row| or_empty(row.distance.potential_rmse.map(four))),
 ];
 
@@ -80,6 +82,8 @@ impl ConvertReport<'_> {
             let mut object = distance(&row.distance);
             object["name"] = row.name.as_str().into();
             object["kept"] = row.kept.into();
+            object["gain"] = row.gain.map(rounded).into();
+            object["left"] = row.left.map(rounded).into();
             object
         };
         let layer = |layer: &LayerLoss| {
@@ -124,7 +128,11 @@ impl ConvertReport<'_> {
         let calibration = &self.converted.calibration;
         let mut out = format!("{}, {}.\n\n", self.model, count(calibration.samples as u64, "calibration sample"));
         out += &markdown_of(&self.converted.stages, &STAGES);
-        out += "\nThe most that is left to gain, with real numbers in the place of one kind of integer:\n\n";
+        out += &format!(
+            "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on the same samples, \
+             {}):\n\n",
+            four(self.converted.left_from.coincidence)
+        );
         out += &markdown_of(&self.converted.left, &LEFT);
         if let Some(held) = self.held_out {
             out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), sentence(held));

@@ -3,6 +3,7 @@
 use crate::cli::args::input::InputArgs;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::convert::calibration::{self, RunInput};
+use crate::convert::copies;
 use crate::convert::search::{self, SearchResult};
 use crate::error::Error;
 use crate::ir::graph::Graph;
@@ -18,6 +19,28 @@ pub enum Conversion {
     Analytic,
 }
 
+/// What a conversion may cost.
+#[derive(Debug, Clone, clap::Args)]
+pub struct CopiesArgs {
+    /// At most so many delayed copies of what comes in to a spike response population, each with synapses of its own; twice as
+    /// many where they are few
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = copies::USUAL as u32,
+        value_parser = clap::value_parser!(u32).range(1..=copies::MOST as i64)
+    )]
+    pub delayed_copies: u32,
+}
+
+impl CopiesArgs {
+    /// The greatest number of copies.
+    #[must_use]
+    pub fn most(&self) -> usize {
+        self.delayed_copies as usize
+    }
+}
+
 /// How a spike response network becomes integers, and on which samples it is searched for.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ConversionArgs {
@@ -27,6 +50,9 @@ pub struct ConversionArgs {
     /// Samples for the search, as --input takes them [default: the scene with another seed, or the first input samples]
     #[arg(long, value_name = "SOURCE")]
     pub calibrate: Vec<String>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub copies: CopiesArgs,
 }
 
 impl ConversionArgs {
@@ -54,7 +80,9 @@ impl ConversionArgs {
                 samples.iter().take(wanted).copied().collect()
             }
         };
-        let found = search::search(graph, &calibration, |population| tracing::info!("searching '{population}'"))?;
+        let found = search::search(graph, &calibration, self.copies.most(), |population| {
+            tracing::info!("searching '{population}'")
+        })?;
         Ok((found.conversion.fits.clone(), Some(found)))
     }
 }

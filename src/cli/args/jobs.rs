@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
 use crate::base::names::fits_pattern;
+use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
@@ -13,6 +14,7 @@ use crate::compile::{
     self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, kept, mapping_file,
 };
 use crate::convert::calibration::{self, RunInput};
+use crate::convert::copies;
 use crate::convert::search::search;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::{Network, PopulationDesc};
@@ -44,6 +46,9 @@ pub struct JobArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub prune: PruneArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub copies: CopiesArgs,
 }
 
 impl JobArgs {
@@ -52,7 +57,8 @@ impl JobArgs {
     pub fn for_model(model: &str) -> Self {
         let target = "nahuku-32".to_string();
         let prune = PruneArgs { prune: Vec::new() };
-        JobArgs { model: model.to_string(), target, mapping: None, relays: false, prune }
+        let copies = CopiesArgs { delayed_copies: copies::USUAL as u32 };
+        JobArgs { model: model.to_string(), target, mapping: None, relays: false, prune, copies }
     }
 
     /// An error about the saved mapping, with its file and what to do.
@@ -271,7 +277,7 @@ const CALIBRATION_SAMPLES: usize = 60;
 
 /// A network in integers: spike response neurons as `nsim convert` has them, on samples of the model's own scene, or by
 /// analysis where it has none. Deterministic, so that a saved mapping fits the same network again.
-fn converted(network: &Network) -> Result<Front, Error> {
+fn converted(network: &Network, most_copies: usize) -> Result<Front, Error> {
     if !has_srm(network) {
         return Ok(compile::front(network)?);
     }
@@ -286,7 +292,7 @@ fn converted(network: &Network) -> Result<Front, Error> {
         return Ok(start.into());
     };
     let samples: Vec<&Sample> = stimulus.samples.iter().collect();
-    let found = search(&graph, &samples, |_| ())?;
+    let found = search(&graph, &samples, most_copies, |_| ())?;
     tracing::warn!(
         "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes agree in \
          {:.4}, coincidence {:.3}; `nsim convert -o` keeps them",
@@ -302,7 +308,7 @@ fn converted(network: &Network) -> Result<Front, Error> {
 /// # Errors
 /// [`Error`] when the network or what it is pruned for cannot be used.
 pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<Front, Error> {
-    let front = converted(network)?;
+    let front = converted(network, args.copies.most())?;
     let is_probed = |name: &str| probed.iter().any(|pattern| fits_pattern(pattern, name));
     let populations = front.quantised().populations().enumerate();
     let probed: Vec<PopulationId> =

@@ -9,6 +9,7 @@ use std::time::Instant;
 use sha2::{Digest, Sha256};
 
 use crate::base::diagnostic::Diagnostic;
+use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::input::{InputArgs, select};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -43,6 +44,8 @@ pub struct Args {
     /// How many samples to convert on
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     calibration_samples: u32,
+    #[command(flatten)]
+    copies: CopiesArgs,
     /// The model file to write; its arrays go beside it as .safetensors
     #[arg(short, long, value_name = "LOIHI.ron")]
     output: Option<PathBuf>,
@@ -78,7 +81,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         }
     };
     let start = Instant::now();
-    let converted = staged::convert(&graph, &calibration, |population| tracing::info!("searching '{population}'"))?;
+    let converted = staged::convert(&graph, &calibration, args.copies.most(), |population| {
+        tracing::info!("searching '{population}'")
+    })?;
     let seconds = start.elapsed().as_secs_f64();
     let held = (!held_out.is_empty()).then(|| converted.on(&held_out));
     let hash: String =

@@ -14,9 +14,7 @@
 use crate::base::fixed::{DECAY_ONE, Decay, Delay, Refractory, SignMode};
 use crate::desc::neurons::NeuronKind;
 use crate::desc::spanned::Spanned;
-use crate::ir::graph::{
-    Graph, NeuronParameters, PerCompartment, PopulationKind, Projection, ProjectionKind, SrmParameters, Values,
-};
+use crate::ir::graph::{Graph, NeuronParameters, PopulationKind, Projection, ProjectionKind, SrmParameters, Values};
 
 /// The counterpart of a population of spike response neurons.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,11 +32,6 @@ pub struct Fit {
     /// Synapses of each compartment onto itself in the units of the weights: those of delay 0, 1, .., for each one weight for
     /// all or one each.
     pub own: Vec<Vec<f64>>,
-    /// Factors of each compartment's incoming weights; none: all 1. Only for populations whose projections are all
-    /// `Dense` or `Sparse`.
-    pub gains: Vec<f64>,
-    /// Bias of each compartment in the units of the weights; none: all 0.
-    pub biases: Vec<f64>,
     /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all weights.
     pub greatest_input: Option<f64>,
 }
@@ -176,8 +169,6 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
         threshold: matched_threshold(srm, timestep_ms, keep(decay), keep(decay)),
         copies: vec![(0, 1.0)],
         own: Vec::new(),
-        gains: Vec::new(),
-        biases: Vec::new(),
         greatest_input: None,
     }
 }
@@ -193,17 +184,13 @@ pub fn starts(graph: &Graph) -> Vec<Option<Fit>> {
 }
 
 fn parameters(fit: &Fit) -> NeuronParameters {
-    let bias = match fit.biases.as_slice() {
-        [] => Values::constant(0.0),
-        each => Values { each: PerCompartment::Each(each.to_vec()), ..Values::constant(0.0) },
-    };
     NeuronParameters {
         kind: NeuronKind::Loihi,
         given: vec![
             ("du", Values::constant(fit.du.get().into())),
             ("dv", Values::constant(fit.dv.get().into())),
             ("vth", Values::constant(fit.threshold)),
-            ("bias", bias),
+            ("bias", Values::constant(0.0)),
             ("refractory", Values::constant(fit.refractory.get().into())),
         ],
         start_step: 0,
@@ -227,16 +214,15 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),
         (other, _) => other.clone(),
     });
-    let copy = |projection: &Projection, fit: &Fit, (delay, factor): (u32, f64)| {
+    let copy = |projection: &Projection, (delay, factor): (u32, f64)| {
         let late = i64::from(projection.delay.get()) + i64::from(delay);
-        let gains = if projection.kind.has_own_weights() { fit.gains.as_slice() } else { &[] };
         let kind = match &projection.kind {
-            kind if factor == 1.0 && gains.is_empty() => kind.clone(),
+            kind if factor == 1.0 => kind.clone(),
             ProjectionKind::SumPool2d { window, weight } => {
                 let weight = Spanned { value: weight.value * factor, ..weight.clone() };
                 ProjectionKind::SumPool2d { window: *window, weight }
             }
-            kind => kind.map_weights(|target, weight| weight * factor * gains.get(target).copied().unwrap_or(1.0)),
+            kind => kind.map_weights(|_, weight| weight * factor),
         };
         Projection { kind, delay: Delay::new(late).unwrap_or(Delay::MAX), ..projection.clone() }
     };
@@ -245,11 +231,11 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         let Some(fit) = &fits[target.index()] else { continue };
         for &of in fit.copies.iter().skip(1) {
             let name = format!("{} ({} steps later)", projection.name, of.0);
-            added.push((source, target, Projection { name, ..copy(projection, fit, of) }));
+            added.push((source, target, Projection { name, ..copy(projection, of) }));
         }
     }
     let changed = kinds.with_projections(|target, projection| match &fits[target.index()] {
-        Some(fit) => copy(projection, fit, fit.copies.first().copied().unwrap_or((0, 1.0))),
+        Some(fit) => copy(projection, fit.copies.first().copied().unwrap_or((0, 1.0))),
         None => projection.clone(),
     });
     for (node, population) in graph.populations() {

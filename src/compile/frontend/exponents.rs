@@ -39,15 +39,17 @@ const SPAN: i64 = 2;
 const THRESHOLD: f64 = 65_536.0;
 
 /// How finely exponents are chosen.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Detail {
     /// Exponent 0 wherever the file says none, at the scale S0.
     Zero,
     /// One for each projection.
     Projections,
     /// One for each group of weights of like size.
-    #[default]
     Groups,
+    /// The same, and what rounding a delayed copy leaves goes to the next ([`super::carry`]).
+    #[default]
+    Carried,
 }
 
 /// What is left open is chosen.
@@ -233,11 +235,7 @@ fn groups(projection: &Projection, sources: u32, scale: f64, detail: Detail) -> 
     let squares: f64 = used.iter().map(|synapse| synapse.2 * synapse.2).sum();
     let largest = used.iter().fold(0.0, |most: f64, synapse| most.max(synapse.2.abs()));
     let heavy = all.len() <= SMALL || largest > HEAVY * (squares / used.len().max(1) as f64).sqrt();
-    if detail != Detail::Groups
-        || !heavy
-        || !projection.kind.has_own_weights()
-        || all.len() > MOST_SPLIT
-        || top == least
+    if detail < Detail::Groups || !heavy || !projection.kind.has_own_weights() || all.len() > MOST_SPLIT || top == least
     {
         return vec![with(projection.kind.clone(), top)];
     }

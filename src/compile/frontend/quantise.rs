@@ -20,7 +20,8 @@ use crate::base::fixed::{
     BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
     WeightBits, WeightExponent,
 };
-use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId};
+use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
+use crate::compile::frontend::carry;
 use crate::compile::frontend::exponents::{Detail, assigned};
 use crate::desc::network::{Semantics, WeightRounding};
 use crate::desc::neurons::{Conversion, ParameterField};
@@ -36,7 +37,7 @@ use crate::neuron;
 /// # Errors
 /// A diagnostic at the first number that fits no field, with its place in the model file.
 pub fn quantise(graph: &Graph) -> Result<Quantised> {
-    quantise_with(graph, Detail::Groups)
+    quantise_with(graph, Detail::default())
 }
 
 /// The same with exponents chosen this finely.
@@ -68,10 +69,13 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         let (name, payload) = (population.name.clone(), population.payload);
         populations.push(Population { name, shape: population.shape, units, payload });
     }
-    let projections = graph
+    let mut projections: IdVec<ProjectionId, Projection> = graph
         .projections()
         .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]))
         .collect::<Result<_, _>>()?;
+    if detail >= Detail::Carried {
+        carry::carry(graph, &populations, &scales, &mut projections);
+    }
     let facts = graph.facts();
     let parts = Parts {
         name: facts.name.clone(),
