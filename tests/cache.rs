@@ -160,7 +160,7 @@ fn fields_of_model_target_and_constants_are_set() {
     let hop = " --set constants.hop_ew_energy=0 --set constants.hop_ns_energy=0";
     assert!(energy("") >= energy(hop));
     for (wrong, says) in [
-        ("nothing=1", "set.path"),
+        ("nothing=1", "field named `nothing`"),
         ("populations.c.du=1", "populations has no c"),
         ("populations.a.vth=x", "model."),
         ("target.nothing=1", "nothing"),

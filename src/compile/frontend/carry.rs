@@ -226,6 +226,6 @@ mod tests {
     fn what_all_copies_leave_together_is_within_half_a_step() {
         let most = |errors: Vec<f64>| errors.into_iter().fold(0.0, f64::max);
         let (each, carried) = (most(left(Detail::Groups)), most(left(Detail::Carried)));
-        assert!(carried <= 0.5 + 1e-9 && each > 0.8, "{carried} {each}");
+        assert!(carried <= 0.5 + 1e-9 && each > 0.5, "{carried} {each}");
     }
 }

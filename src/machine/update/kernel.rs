@@ -299,7 +299,10 @@ fn bits(lanes: [bool; LANES]) -> u16 {
 /// One byte a lane, 1 or 0.
 #[inline(always)]
 fn bytes(lanes: [bool; LANES]) -> u128 {
-    u128::from_le_bytes(lanes.map(u8::from))
+    // Not `lanes.map`, which the compiler does not always turn into one register.
+    let mut bytes = [0; LANES];
+    bytes.iter_mut().zip(lanes).for_each(|(byte, lane)| *byte = u8::from(lane));
+    u128::from_le_bytes(bytes)
 }
 
 #[cfg(test)]
