@@ -217,11 +217,12 @@ impl Products {
                 }
             }
         }
+        // Computed below the diagonal.
         for i in 0..n {
-            between[i][i] *= 1.0 + 1e-9;
-            for j in 0..i {
-                between[j][i] = between[i][j];
-            }
+            let (above, rest) = between.split_at_mut(i);
+            let Some(row) = rest.first_mut() else { break };
+            row[i] *= 1.0 + 1e-9;
+            above.iter_mut().zip(&*row).for_each(|(other, &product)| other[i] = product);
         }
         Products { between, right }
     }

@@ -81,7 +81,7 @@ impl ConversionArgs {
             }
         };
         let found = search::search(graph, &calibration, self.copies.most(), |population| {
-            tracing::info!("searching '{population}'")
+            tracing::info!("searching '{population}'");
         })?;
         Ok((found.conversion.fits.clone(), Some(found)))
     }

@@ -82,7 +82,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     };
     let start = Instant::now();
     let converted = staged::convert(&graph, &calibration, args.copies.most(), |population| {
-        tracing::info!("searching '{population}'")
+        tracing::info!("searching '{population}'");
     })?;
     let seconds = start.elapsed().as_secs_f64();
     let held = (!held_out.is_empty()).then(|| converted.on(&held_out));

@@ -200,7 +200,7 @@ mod tests {
         let keep = |delay: u32| libm::pow(1.0 - 300.0 / 4096.0, f64::from(32 - delay));
         let mut left = vec![0.0; 120];
         let mut coarsest: f64 = 0.0;
-        for projection in network.projections().iter() {
+        for projection in network.projections() {
             let format = projection.format;
             coarsest = coarsest.max(f64::from(format.scaled(format.sign.step(format.bits))));
             for source in 0..40 {
