@@ -28,7 +28,7 @@ pub(super) struct Message {
 
 /// Where a program's messages go, and those of the groups of cores that do what its do.
 ///
-/// Messages wait for each other on the chips that exchange them, a [`Region`]; those of different regions never meet. Of regions
+/// Messages wait for each other on the chips that exchange them, a region; those of different regions never meet. Of regions
 /// that are alike one is followed.
 #[derive(Debug, Clone)]
 pub struct MessageRoutes {
