@@ -5,12 +5,14 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 seed="${1:-31}"
 failed=0
+report=$(mktemp)
+trap 'rm -f "$report"' EXIT
 check() {
-    local report
-    report=$(target/release/nsim run "$1" --engine fast --input "$2" --format json 2>/dev/null)
+    target/release/nsim run "$1" --engine fast --input "$2" --format json > "$report" 2> /dev/null
     python3 - "$1" "$report" <<'PY' || failed=1
 import json, sys
-overflow = json.loads(sys.argv[2])["overflow"]
+with open(sys.argv[2]) as file:
+    overflow = json.load(file)["overflow"]
 print(f"{sys.argv[1]}: {overflow['q_wrapped']} accumulators and {overflow['u_wrapped']} currents wrapped, "
       f"{overflow['v_clipped']} voltages clipped")
 sys.exit(any(overflow[key] for key in ("q_wrapped", "u_wrapped", "v_clipped")))
