@@ -544,6 +544,29 @@ fn energy_is_of_as_many_copies_as_a_mapping_has() {
 }
 
 #[test]
+fn map_and_energy_expect_the_same_of_a_mapping_at_the_same_rates() {
+    let folder = tempfile::tempdir().unwrap();
+    let saved = folder.path().join("mapping.ron").display().to_string();
+    let small = write(folder.path(), "small.ron", MODEL);
+    let noise = "scene:noise?samples=3&steps=50&seed=4&rate=0.1";
+    let jobs =
+        [("vtsnn-slip", "scene:noise?samples=2&steps=150&rate=0.02", "32"), (&small, noise, "1"), (&small, noise, "7")];
+    for (model, input, copies) in jobs {
+        let map = ["map", model, "--copies", copies, "--profile", input];
+        let mapped = object(&[&map[..], &["-o", &saved, "--force"]].concat(), 0);
+        let loaded = object(&["map", model, "--mapping", &saved, "--profile", input], 0);
+        let energy = object(&["energy", model, "--mapping", &saved, "--input", input], 0);
+        assert_eq!(energy["copies"], mapped["copies"], "{model}");
+        for key in ["energy_uj", "chip_energy_uj", "step_us", "static_mw", "cores", "cores_powered"] {
+            let [made, kept, run] = [&mapped, &loaded, &energy].map(|object| &object["expected"][key]);
+            assert!(made.as_f64().is_some_and(|figure| figure > 0.0), "{model} {copies} {key}: {made}");
+            assert_eq!((made, made), (kept, run), "{model} {copies} {key}");
+        }
+        assert_eq!(mapped["expected"]["cores_powered"], energy["cores_powered"]);
+    }
+}
+
+#[test]
 fn nothing_is_compared_in_vain() {
     for wrong in [&["--steps", "0"][..], &["--against", "golden", "--svg", "causes.svg"]] {
         let folder = tempfile::tempdir().unwrap();

@@ -7,7 +7,7 @@ use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::explore::{self, remedy};
-use crate::compile::{self, CompileError, DEFAULT_RATE, Effort, Form, Objective, Options, Strategy};
+use crate::compile::{self, CompileError, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Strategy};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::drive::inputs;
@@ -113,19 +113,21 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     if !args.profile.is_empty() {
         Form::require_written("--profile", front.quantised(), options.copies)?;
     }
+    let rates = match args.profile.as_slice() {
+        [] => Rates::assumed(DEFAULT_RATE),
+        inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
+    };
     let (compiled, pruned) = match mapping.as_ref() {
         Some(file) => {
             let mapped = compile::load(front, &target, &options, file, form);
+            // A stored mapping stays what it is; what it costs follows the rates that are asked for.
+            let mapped = mapped.map(|mapped| Mapping { rates: rates.copies(options.copies), ..mapped });
             let mapped = mapped.map_err(|error| args.job.with_mapping_file(error));
             let pruned = mapped.as_ref().ok().and_then(|mapped| mapped.one.pruned().cloned());
             (mapped, pruned)
         }
         None => {
             let one = front.quantised().clone();
-            let rates = match args.profile.as_slice() {
-                [] => Rates::assumed(DEFAULT_RATE),
-                inputs => profile(&one, inputs, network.file().scene.as_deref())?,
-            };
             if args.pareto.is_some() {
                 candidates = explore::candidates(&front, &target, &options, &rates, form).unwrap_or_default();
             }

@@ -4,7 +4,8 @@
 //! messages of [`UNIT`] steps: integers, so that sums are the same in any order.
 
 use crate::base::id::Id;
-use crate::ir::quantised::SpikeSource;
+use crate::ir::quantised::{Quantised, SpikeSource};
+use crate::ir::source_counts::SourceCounts;
 
 /// Steps that a rate counts the spikes of.
 pub const UNIT: f64 = 1e6;
@@ -38,6 +39,17 @@ impl Rates {
     pub fn profile(channels: &[u64], compartments: &[u64], steps: u64) -> Self {
         let rate = |&spikes: &u64| ((spikes as f64 * UNIT / steps.max(1) as f64).round() as u64).max(LEAST);
         Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
+    }
+
+    /// From what was counted in so many steps of one network, or of several copies that all did the same.
+    ///
+    /// # Panics
+    /// When the counts are of fewer channels or compartments than the network has.
+    #[must_use]
+    pub fn of_copy(counts: &SourceCounts, network: &Quantised, steps: u64) -> Self {
+        let channels = &counts.channels.as_slice()[..network.channels() as usize];
+        let compartments = &counts.compartments.as_slice()[..network.compartments() as usize];
+        Rates::profile(channels, compartments, steps)
     }
 
     /// The rate of a source by number, channels first.

@@ -133,6 +133,7 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
         baselines,
         early_exit: job.early_exit,
         detail: Detail::default(),
+        expected: None,
         constants: constant_entries(&job.target.constants()[job.case.preset]),
         notes,
     }

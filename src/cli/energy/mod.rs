@@ -132,6 +132,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     });
     energy.notes.extend(others.notes);
     energy.detail = workload.detail(&run);
+    energy.expected = Some(workload.expected(&run)?);
     output::warn_all(&energy.detail.warnings);
     if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
         io::write::text(path, context.force, &svg)?;

@@ -9,6 +9,7 @@ use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::compile::Compiled;
+use crate::compile::explore::cost_estimate::Score;
 use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use crate::desc::target::Target;
 use crate::drive::cores::core_rows;
@@ -20,6 +21,7 @@ use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::drive::{Keep, inputs};
 use crate::error::Error;
 use crate::io;
+use crate::ir::firing_rates::Rates;
 use crate::ir::spikes::{Copies, Sample, Stimulus};
 use crate::report::detail::Detail;
 
@@ -112,6 +114,15 @@ impl<'j> Workload<'j> {
             Finished { network, ran: Ran::Program(program), sums: &sums, samples: &samples, outcomes: &run.outcomes };
         let warnings = warnings(finished);
         Detail { cores: core_rows(program, &run.activity, Some(&run.meter)), sums, warnings }
+    }
+
+    /// What a mean step is expected to cost, by the target's own constants, at the rates of the run.
+    ///
+    /// # Errors
+    /// A constant that no integer holds.
+    pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
+        let rates = Rates::of_copy(&run.counts, &self.compiled.one, run.activity.steps());
+        Ok(self.compiled.score_at(&rates, self.target)?)
     }
 
     /// Runs all samples.

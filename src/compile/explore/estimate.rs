@@ -2,12 +2,13 @@
 
 use crate::base::diagnostic::Result;
 use crate::compile::explore::box_costs::PlacedBoxes;
-use crate::compile::explore::cost_estimate::{Score, expected, score_of};
+use crate::compile::explore::cost_estimate::{Score, expected, score_at, score_of};
 use crate::compile::explore::traffic::{self, Links, Traffic};
-use crate::compile::mapping::{Mapping, Synapses};
+use crate::compile::mapping::{Compiled, Mapping, Synapses};
 use crate::compile::partition::box_fan_out::everywhere;
 use crate::compile::partition::boxes::Boxes;
 use crate::desc::target::Target;
+use crate::ir::firing_rates::Rates;
 
 impl Mapping {
     fn at_places<'a>(&'a self, boxes: &'a Boxes) -> PlacedBoxes<'a> {
@@ -46,5 +47,16 @@ impl Mapping {
                 self.at_places(boxes).score(&rates, traffic, target, self.options.copies)
             }
         }
+    }
+}
+
+impl Compiled {
+    /// What a mean step is expected to cost when the sources of each copy spike at these rates.
+    ///
+    /// # Errors
+    /// A diagnostic when the target's constants cannot be used or there are none.
+    pub fn score_at(&self, rates: &Rates, target: &Target) -> Result<Score> {
+        let copies = self.options.copies;
+        score_at(&self.program, &self.placement, copies, &rates.copies(copies), target)
     }
 }

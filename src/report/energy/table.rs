@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 
 use super::compared::Comparison;
 use super::format::{fixed, plain, short, two_digits, unknown};
+use crate::compile::explore::cost_estimate::Score;
 use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Convention, EnergyRow, Estimate};
@@ -125,6 +126,8 @@ pub struct EnergyReport {
     pub constants: Vec<ConstantEntry>,
     /// By population, input and core, and what to warn of.
     pub detail: Detail,
+    /// What `nsim map` expects of a mean step of this mapping, given how often each source spiked in the run.
+    pub expected: Option<Score>,
     /// What is not known and why, for people; also on stderr when the output is for programs.
     pub notes: Vec<String>,
 }
@@ -181,6 +184,7 @@ impl EnergyReport {
             "packing": self.comparison.packing,
             "early_exit": self.early_exit,
             "constants": self.constants,
+            "expected": self.expected,
             "notes": self.notes,
         });
         self.detail.add_to(&mut object);
@@ -362,6 +366,15 @@ impl EnergyReport {
         out.push_str(&self.breakdown());
         out.push_str(&self.detail.populations_text(self.timesteps));
         out.push_str(&self.detail.slowest_text(SLOWEST_SHOWN));
+        if let Some(Score { energy_uj, step_us, .. }) = self.expected {
+            out += &wrapped(&format!(
+                "At these mean rates nsim map --profile expects {} uJ of all copies and {} us of a timestep: every \
+                 compartment active, spikes spread evenly.",
+                short(energy_uj),
+                short(step_us)
+            ));
+            out.push('\n');
+        }
         out.push_str(&self.comparison.text(name));
         if let Some(saved) = self.early_exit {
             let _ = writeln!(
