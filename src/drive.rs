@@ -11,6 +11,7 @@ pub mod populations;
 pub mod priced;
 pub mod samples;
 pub mod steps;
+pub mod timeline;
 pub mod warnings;
 
 use decision::{Decision, EarlyExit};

@@ -28,7 +28,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 40] = [
+const WRITING: [Case; 42] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --svg m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -51,6 +51,8 @@ const WRITING: [Case; 40] = [
     case("run i/GEN.ron --input i/labels.ron --steps s.npy --probe i* --probe *.v -o p", "a", "b"),
     case("run i/GEN.ron --input scene:noise?samples=2&steps=9 --steps s.csv --format json", "a", "b"),
     case("energy i/GEN.ron --baseline --input scene:noise?samples=1&steps=9 --steps s.csv", "a", "b"),
+    case("report i/GEN.ron --baseline --input scene:noise?samples=1&steps=9 -o page.html", "a", "b"),
+    case("report i/GEN.json i/one.json -o page.html", "one", "two"),
     case("train i/t.ron --set seed=GEN --log l.csv -o m.ron", "1", "2"),
     case("train i/t.ron --set seed=1 --checkpoint GEN.st -o m.ron --format json", "1", "2"),
     case("train i/t.ron --seed GEN --log - -o m.ron", "1", "2"),
@@ -225,6 +227,9 @@ fn prepare(i: &Path) {
     put("events.bs2", &(0..40u8).flat_map(|at| [at % 6, at % 2, 0, at, 0]).collect::<Vec<u8>>());
     // The corpus has a byte before each file, which says how it is read.
     put("events.aedat4", &std::fs::read(root.join("tests/fuzz/corpus/events/aedat4_zstd")).unwrap()[1..]);
+    for name in ["one", "two"] {
+        put(&format!("{name}.json"), format!("{{\"schema\": \"nsim.run/1\", \"model\": \"{name}\"}}").as_bytes());
+    }
     let page = |mark: &str| format!("# A page\n<!-- {mark} x -->\nold\n<!-- end {mark} x -->\nmore\n");
     put("page.md", ["agree", "convert", "pareto"].map(page).concat().as_bytes());
     let here = i.parent().unwrap();
@@ -419,7 +424,7 @@ fn every_command_writes_all_or_nothing_and_says_what_it_could_not_read() {
     let all = std::env::var("NSIM_FAULTS").is_ok_and(|value| value == "all");
     let stride = |slow: bool| match (all, slow) {
         (true, false) => 1,
-        (true, true) => 3,
+        (true, true) => 100,
         (false, false) => 7,
         (false, true) => u64::MAX,
     };
@@ -466,8 +471,9 @@ fn every_command_writes_all_or_nothing_and_says_what_it_could_not_read() {
 fn every_option_that_writes_is_tried() {
     const READ: [&str; 8] =
         ["--mapping", "--calibrate", "--image", "--neuron", "--constants", "--deployment", "--against", "--input"];
-    let commands =
-        ["map", "run", "energy", "agree", "convert", "scene", "train", "import", "export", "inspect", "stress"];
+    let commands = [
+        "map", "run", "energy", "report", "agree", "convert", "scene", "train", "import", "export", "inspect", "stress",
+    ];
     let benches = ["step", "map", "early", "pareto", "published"].map(|name| format!("bench {name}"));
     for command in commands.map(str::to_string).iter().chain(&benches) {
         let help = run(Path::new("."), &format!("{command} --help"), None).printed;

@@ -17,6 +17,7 @@ pub mod map;
 pub mod output;
 pub mod probes;
 pub mod process;
+pub mod report;
 pub mod run;
 pub mod scene;
 pub mod stress;
@@ -79,6 +80,7 @@ enum Command {
     Run(run::Args),
     /// Estimate power, latency and energy of a network, and compare with other hardware
     Energy(energy::args::EnergyArgs),
+    Report(report::Args),
     Agree(agree::Args),
     Convert(convert::Args),
     Bench(bench::Args),
@@ -106,6 +108,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Map(args) => map::run(args, context),
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
+        Command::Report(args) => report::run(args, context),
         Command::Agree(args) => agree::run(args, context),
         Command::Convert(args) => convert::run(args, context),
         Command::Bench(args) => bench::run(args, context),

@@ -70,7 +70,7 @@ impl StepLayout {
 }
 
 /// A meter that keeps the rows of its sample, or writes them.
-struct Recorder<'r, 'w> {
+pub(super) struct Recorder<'r, 'w> {
     meter: StepMeter,
     layout: &'r StepLayout,
     /// Copies that are run, and copies that there are.
@@ -81,7 +81,18 @@ struct Recorder<'r, 'w> {
     direct: Option<&'r Mutex<StepWriter<'w>>>,
 }
 
-impl Recorder<'_, '_> {
+impl<'r> Recorder<'r, '_> {
+    /// One that keeps the rows of what all copies of a mapping do.
+    pub(super) fn kept(metered: &Metered<'_>, settings: Arc<MeterSettings>, layout: &'r StepLayout) -> Self {
+        let copies = (metered.copies_run().into(), metered.copies().into());
+        Recorder { meter: StepMeter::new(settings), layout, copies, cells: Vec::new(), direct: None }
+    }
+
+    /// The rows, one after the other.
+    pub(super) fn into_rows(self) -> Vec<u64> {
+        self.cells
+    }
+
     fn add_row(&mut self, step: &StepActivity) {
         let layout = self.layout;
         let start = self.cells.len();

@@ -7,6 +7,8 @@ use std::fs::Metadata;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
+use sha2::{Digest, Sha256};
+
 use super::budget::MOST_TEXT;
 use super::disk::{self, Input};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
@@ -99,6 +101,33 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     }
     refuse_pointer(path, &bytes)?;
     Ok(bytes)
+}
+
+/// SHA-256 of bytes, in hexadecimal digits.
+#[must_use]
+pub fn sha256(bytes: &[u8]) -> String {
+    digits(&Sha256::digest(bytes))
+}
+
+/// SHA-256 of a file, read in pieces.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
+pub fn sha256_of_file(path: &Path) -> Result<String> {
+    let (mut file, _) = open(path)?;
+    let (mut hash, mut piece) = (Sha256::new(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut piece) {
+            Ok(0) => return Ok(digits(&hash.finalize())),
+            Ok(read) => hash.update(&piece[..read]),
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => return Err(unreadable(path, &error)),
+        }
+    }
+}
+
+fn digits(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The text of a RON file.

@@ -117,6 +117,14 @@ impl Sample {
         }
     }
 
+    /// The first so many steps, or all of a shorter sample.
+    #[must_use]
+    pub fn beginning(&self, steps: u32) -> Sample {
+        let first = self.first[..=steps.min(self.steps()) as usize].to_vec();
+        let spikes = first.last().map_or(0, |&end| end as usize);
+        Sample { label: self.label, first, channels: self.channels[..spikes].to_vec() }
+    }
+
     /// Number of timesteps.
     #[must_use]
     pub fn steps(&self) -> u32 {

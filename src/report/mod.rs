@@ -11,6 +11,7 @@ pub mod detail;
 pub mod energy;
 pub mod inspect;
 pub mod map;
+pub mod page;
 pub mod run;
 pub mod sanafe;
 pub mod scene;

@@ -336,7 +336,16 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
         6 | 7 => [words("run"), vec![model], words("--input"), vec![source]].concat(),
         8 => [words("export"), vec![model], words("-o out.nir")].concat(),
         9 => [words("run"), vec![model], words("--engine golden --input"), vec![source]].concat(),
-        10 => [words("energy"), vec![model], words("--samples 0..1 --input"), vec![source]].concat(),
+        10 => match draw.below(4) {
+            0 => [words("report"), vec![model], words("-o out.html --samples 0..1 --input"), vec![source]].concat(),
+            1 => {
+                let mut bytes = br#"{"schema": "nsim.run/1", "model": "m", "populations": [{"name": "a"}]}"#.to_vec();
+                mutate(draw, &mut bytes);
+                std::fs::write(folder.join("r.json"), bytes).unwrap();
+                words("report r.json r.json -o out.html")
+            }
+            _ => [words("energy"), vec![model], words("--samples 0..1 --input"), vec![source]].concat(),
+        },
         11 => [words("agree"), vec![model], words("--attribution off --steps 20 --input"), vec![source]].concat(),
         12 => {
             // What shipped trainings train on takes minutes.

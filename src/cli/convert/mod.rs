@@ -6,8 +6,6 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use sha2::{Digest, Sha256};
-
 use crate::base::diagnostic::Diagnostic;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::input::{InputArgs, select};
@@ -86,8 +84,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     })?;
     let seconds = start.elapsed().as_secs_f64();
     let held = (!held_out.is_empty()).then(|| converted.on(&held_out));
-    let hash: String =
-        Sha256::digest(network.source().text().as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
+    let hash = io::text::sha256(network.source().text().as_bytes());
     let mut files = Vec::new();
     if let Some(path) = &args.output {
         let kept: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();

@@ -31,10 +31,9 @@ EXAMPLES:
   nsim energy --calibrate vtsnn-realtime          a table that names nothing to fit is only compared
   nsim energy slip-tactile --input tactile=recording.npy --format json";
 
-/// Options of `nsim energy`.
+/// What is run, on what, and how it is priced: what `nsim energy` and `nsim report` have in common.
 #[derive(Debug, Clone, Args)]
-#[command(after_help = EXAMPLES)]
-pub struct EnergyArgs {
+pub struct CostArgs {
     /// The network and the hardware.
     #[command(flatten)]
     pub job: JobArgs,
@@ -69,15 +68,6 @@ pub struct EnergyArgs {
     #[cfg(feature = "nvml")]
     #[arg(long, value_name = "COMMAND")]
     pub gpu_command: Option<String>,
-    /// A chart of where the energy goes
-    #[arg(long, value_name = "FILE.svg")]
-    pub svg: Option<PathBuf>,
-    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part
-    #[arg(long, value_name = "FILE.csv|FILE.npy")]
-    pub steps: Option<PathBuf>,
-    /// The mapped program, its chip and the first sample as files for SANA-FE
-    #[arg(long, value_name = "DIR")]
-    pub export_sanafe: Option<PathBuf>,
     /// Preset of constants: of those that the target names (its first when left out), or a file
     #[arg(long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
@@ -88,6 +78,30 @@ pub struct EnergyArgs {
     /// How long messages take: every message through finite buffers, or the longest route and the busiest link
     #[arg(long, default_value = Transport::default().name(), value_parser = one_of(&Transport::ALL, Transport::name))]
     pub transport: Transport,
+    /// Whether the simulator skips work that cannot change anything; no figure depends on it
+    #[arg(long, default_value = "on")]
+    pub skip: Switch,
+    /// Say what ending a sample would save when an output leads by so many spikes, or when no other can overtake it
+    #[arg(long, value_name = "MARGIN|certain")]
+    pub early_exit: Option<Rule>,
+}
+
+/// Options of `nsim energy`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct EnergyArgs {
+    /// What is run and priced.
+    #[command(flatten)]
+    pub cost: CostArgs,
+    /// A chart of where the energy goes
+    #[arg(long, value_name = "FILE.svg")]
+    pub svg: Option<PathBuf>,
+    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part
+    #[arg(long, value_name = "FILE.csv|FILE.npy")]
+    pub steps: Option<PathBuf>,
+    /// The mapped program, its chip and the first sample as files for SANA-FE
+    #[arg(long, value_name = "DIR")]
+    pub export_sanafe: Option<PathBuf>,
     /// Fit the constants that tables of measurements name to all of their cells, instead of a report; -o takes the preset
     #[arg(long, value_name = "TABLE", num_args = 1..)]
     pub calibrate: Vec<String>,
@@ -97,10 +111,4 @@ pub struct EnergyArgs {
     /// Print the whole report, not its headline: parts, intervals, comparisons, sources, notes
     #[arg(long)]
     pub full: bool,
-    /// Whether the simulator skips work that cannot change anything; no figure depends on it
-    #[arg(long, default_value = "on")]
-    pub skip: Switch,
-    /// Say what ending a sample would save when an output leads by so many spikes, or when no other can overtake it
-    #[arg(long, value_name = "MARGIN|certain")]
-    pub early_exit: Option<Rule>,
 }

@@ -63,9 +63,9 @@ impl<'a> Bench<'a> {
     /// The rows that each of these presets predicts, in the convention of the table.
     fn rows(&self, presets: &[Constants]) -> Result<Vec<Vec<EnergyRow>>, Error> {
         let tables = presets.iter().map(CostTable::new).collect::<Result<Vec<_>, _>>()?;
-        let mut metered = self.workload.metered(tables, &self.deployment, self.args.transport);
+        let mut metered = self.workload.metered(tables, &self.deployment, self.args.cost.transport);
         metered.timing.followed = presets.len();
-        let skip = self.args.skip == Switch::On;
+        let skip = self.args.cost.skip == Switch::On;
         let run = self.workload.simulate(metered, None, skip, self.context)?;
         let timestep_ms = self.workload.compiled.one.parts().timestep_ms;
         let case = |preset| Case {
@@ -212,13 +212,13 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let tables = args.calibrate.iter().map(load).collect::<Result<Vec<_>, _>>()?;
     let mut jobs = Vec::with_capacity(tables.len());
     for table in &tables {
-        let asked = JobArgs { model: table.model.clone(), target: table.target.clone(), ..args.job.clone() };
+        let asked = JobArgs { model: table.model.clone(), target: table.target.clone(), ..args.cost.job.clone() };
         match jobs::prepare(&asked, Wanted::Mapped, table.copies)? {
             Prepared::Ready(job) => jobs.push(job),
             Prepared::DoesNotFit(refusal) => return refusal.say(CalibrationReport::nothing(&table.name), context),
         }
     }
-    let workloads = tables.iter().zip(&jobs).map(|(table, job)| Workload::new(job, table.copies, &args.input));
+    let workloads = tables.iter().zip(&jobs).map(|(table, job)| Workload::new(job, table.copies, &args.cost.input));
     let workloads = workloads.collect::<Result<Vec<_>, _>>()?;
     let start = start(args, &tables)?;
     let bench = |(table, workload)| Bench::new(args, table, workload, context);
@@ -272,7 +272,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
 
 /// Where the fit starts: the preset that is asked for, else the first table's with what all tables give.
 fn start(args: &EnergyArgs, tables: &[MeasurementsFile]) -> Result<Constants, Error> {
-    if let Some(asked) = &args.constants {
+    if let Some(asked) = &args.cost.constants {
         return Ok(io::target::load_constants(asked)?);
     }
     let name = tables.first().map_or("", |table| table.start.value.as_str());

@@ -1,9 +1,10 @@
 //! `nsim energy`: what was typed -> a simulated run -> its report, or constants fitted to a table.
 //!
-//! [`options`] says what the options stand for, [`workload`] runs, [`job`] makes the report, [`calibrate`] fits.
+//! [`options`] says what the options stand for, [`workload`] runs, [`job`] makes the report of [`evaluate`], [`calibrate`] fits.
 
 pub mod args;
 pub mod calibrate;
+pub mod evaluate;
 pub mod job;
 pub mod options;
 pub mod other_hardware;
@@ -12,22 +13,13 @@ pub mod workload;
 use std::path::PathBuf;
 
 use self::args::EnergyArgs;
-use self::job::{EnergyJob, per_decision, saved};
-use self::options::{DeploymentArg, DeploymentSource, HostArg, baselines, tables, with_preset};
-use self::other_hardware::OneCopy;
-use self::workload::Workload;
-use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use self::evaluate::{Evaluated, evaluate};
 use crate::cli::args::steps;
-use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
-use crate::cost::estimate::{Case, step_price};
-use crate::cost::{CostTable, Deployment, MeterSettings};
-use crate::drive::decision::{EarlyExit, Rule};
 use crate::error::Error;
 use crate::io;
 use crate::ir::spikes::Copies;
-use crate::report::energy::table::nothing;
 use crate::report::sanafe::Export;
 
 /// The command.
@@ -38,124 +30,36 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     if !args.calibrate.is_empty() {
         return calibrate::run(args, context);
     }
-    let asked = baselines(args.baseline.as_deref())?;
     let taken = output::check_files(None, &args.svg, context)?;
     io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
-    let (mode, convention) = (args.mode, args.convention);
-    let shipped = io::published::scenario::shipped_for(&args.job.model)?;
-    let source = DeploymentSource::load(&args.deployment, &args.job.model, shipped.as_ref())?;
-    let deployed = match &source {
-        DeploymentSource::Scenario(_, scenario) => Some(&**scenario),
-        _ => None,
-    };
-    let scenario = deployed.or(shipped.as_ref()).filter(|_| args.job.mapping.is_none());
-    let copies = args.copies.or(scenario.map(|scenario| scenario.copies.value));
-    let job = match jobs::prepare_probed(&args.job, Wanted::Mapped, copies, &[])? {
-        Prepared::Ready(job) => job,
-        Prepared::DoesNotFit(refusal) => {
-            let copies = copies.unwrap_or(1);
-            return refusal.say(nothing(copies, mode, convention), context);
+    let reported = |evaluated: Evaluated<'_>| {
+        let Evaluated { energy, workload, run, deployment } = evaluated;
+        if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
+            io::write::text(path, context.force, &svg)?;
         }
-    };
-    let copies = job.copies();
-    let workload = Workload::new(&job, copies, &args.input)?;
-    let (compiled, target) = (workload.compiled, workload.target);
-    let (target, preset) = with_preset(target.clone(), args.constants.as_deref(), deployed, args.accounting)?;
-    let (target, tables) = tables(target, preset.as_deref())?;
-    let placement = &compiled.placement;
-    let model = &compiled.one.parts().name;
-    let deployment = source.deployment(model, copies, placement, &target)?;
-    let deployment = Deployment { host: deployment.host.filter(|_| args.host == HostArg::Board), ..deployment };
-    let other = match (&args.deployment, &shipped) {
-        (DeploymentArg::Packed, Some(job)) if job.copies.value == copies => {
-            Some(Deployment::from_scenario("paper", job))
+        if let Some(folder) = &args.export_sanafe {
+            let Copies { copies, channels } = workload.shown();
+            let (table, sample) = (&run.meter.tables()[0], workload.samples()[0].copies(copies, channels));
+            let tiles_used = deployment.tiles_used;
+            let export = Export { compiled: workload.compiled, table, sample: &sample, tiles_used };
+            let mut batch = io::write::Batch::new(context.force);
+            for (path, text) in sanafe_files(folder).iter().zip(export.files()?) {
+                batch.add(path, |out| out.write_all(text.as_bytes()))?;
+            }
+            batch.commit()?;
         }
-        (DeploymentArg::Packed, _) => None,
-        _ => Some(Deployment::from_placement("packed", placement, target.chip(), copies)),
-    };
-    let price = step_price(&tables[0], &deployment, copies, mode);
-    let metered = workload.metered(tables, &deployment, args.transport);
-    let metered = MeterSettings { distribution: Some((0, price)), ..metered };
-    // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
-    let rule = args.early_exit.unwrap_or(Rule::Certain);
-    let watched = EarlyExit::watched(rule, &compiled.one);
-    let (watched, skip) = (Some(watched), args.skip == Switch::On);
-    let run = match &args.steps {
-        Some(steps) => {
-            workload.simulate_recorded((metered, deployment.cores_powered), watched, skip, steps, context)?
+        if !taken {
+            let csv = || if context.format == Format::Csv { energy.csv() } else { energy.paper_csv() };
+            let text = || if args.full { energy.text() } else { energy.headline() };
+            output::print(context.format, text, || energy.json(), csv)?;
         }
-        None => workload.simulate(metered, watched, skip, context)?,
-    };
-    let case = Case::new(&run.activity, &run.meter, &deployment, compiled.one.parts().timestep_ms);
-    let steps_per_sample = workload.steps_per_sample();
-    let alone = match asked.cpu && copies > 1 {
-        true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, 1)?),
-        false => None,
-    };
-    let program = match &alone {
-        None => Some(&compiled.program),
-        Some(Prepared::Ready(job)) => job.program(),
-        Some(Prepared::DoesNotFit(_)) => None,
-    };
-    let one = OneCopy {
-        network: &compiled.one,
-        program,
-        samples: &workload.samples(),
-        steps: steps_per_sample,
-        timestep: case.timestep,
-    };
-    #[cfg_attr(not(feature = "nvml"), allow(unused_mut))]
-    let mut others = other_hardware::rows(&asked, one, mode, convention, args.cpu_watts);
-    #[cfg(feature = "nvml")]
-    if let Some(command) = &args.gpu_command {
-        other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
-    }
-    let ends = run.meter.tables().len() - 1;
-    let by_status = CostTable::by_status(&target.constants()[0])?;
-    let by_status = Some(&by_status);
-    let case = Case { ends, by_status, mode, convention, steps_per_sample, ..case };
-    let decision = per_decision(rule, &case, &run.outcomes);
-    let mut energy = job::report(&EnergyJob {
-        model,
-        target: &target,
-        case,
-        samples: run.outcomes.len() as u64,
-        seed: workload.seed,
-        input: &workload.origin,
-        baselines: &others.rows,
-        per_decision: Some(&decision),
-        other: other.as_ref(),
-        scenario: deployed,
-        accounting: args.accounting,
-        early_exit: args.early_exit.map(|rule| saved(rule, &case, &run.outcomes)),
-    });
-    energy.notes.extend(others.notes);
-    energy.detail = workload.detail(&run);
-    energy.expected = Some(workload.expected(&run)?);
-    output::warn_all(&energy.detail.warnings);
-    if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
-        io::write::text(path, context.force, &svg)?;
-    }
-    if let Some(folder) = &args.export_sanafe {
-        let Copies { copies, channels } = workload.shown();
-        let (table, sample) = (&run.meter.tables()[0], workload.samples()[0].copies(copies, channels));
-        let export = Export { compiled, table, sample: &sample, tiles_used: deployment.tiles_used };
-        let mut batch = io::write::Batch::new(context.force);
-        for (path, text) in sanafe_files(folder).iter().zip(export.files()?) {
-            batch.add(path, |out| out.write_all(text.as_bytes()))?;
+        if context.format != Format::Text {
+            energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
         }
-        batch.commit()?;
-    }
-    if !taken {
-        let csv = || if context.format == Format::Csv { energy.csv() } else { energy.paper_csv() };
-        let text = || if args.full { energy.text() } else { energy.headline() };
-        output::print(context.format, text, || energy.json(), csv)?;
-    }
-    if context.format != Format::Text {
-        energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
-    }
-    Ok(Answer::Yes)
+        Ok(Answer::Yes)
+    };
+    evaluate(&args.cost, args.steps.as_deref(), context, reported)
 }
 
 /// The files of an export.
@@ -167,11 +71,15 @@ fn sanafe_files(folder: &std::path::Path) -> [PathBuf; 2] {
 mod tests {
     use clap::Parser;
 
+    use super::job::EnergyJob;
+    use super::options::{DeploymentArg, DeploymentSource, tables};
     use super::*;
     use crate::base::diagnostic::SourceText;
     use crate::cli::args::values::SampleRange;
+    use crate::cost::Deployment;
     use crate::cost::baseline::{Baseline, tests::vtsnn};
     use crate::cost::deployment::tests::paper;
+    use crate::cost::estimate::Case;
     use crate::cost::estimate::tests::{MS, run};
     use crate::desc::published::baseline::Mode;
     use crate::desc::published::scenario::Convention;
@@ -271,7 +179,7 @@ mod tests {
 
     #[test]
     fn defaults_are_those_of_the_contract() {
-        let args = args(&[]).unwrap();
+        let args = args(&[]).unwrap().cost;
         let scenario = io::published::scenario::shipped_for(&args.job.model).unwrap().unwrap();
         assert_eq!((scenario.copies.value, scenario.target), (32, args.job.target.clone()));
         assert_eq!(
@@ -286,13 +194,14 @@ mod tests {
 
     #[test]
     fn arguments_parse_or_are_refused() {
-        let given = args(&["m.ron", "--samples", "3..5", "--deployment", "saved.ron", "--baseline", "a,b"]).unwrap();
+        let given =
+            args(&["m.ron", "--samples", "3..5", "--deployment", "saved.ron", "--baseline", "a,b"]).unwrap().cost;
         assert_eq!(
             (given.input.samples, given.deployment),
             (Some(SampleRange(3..5)), DeploymentArg::File("saved.ron".into()))
         );
         assert_eq!(given.baseline, Some(vec!["a".to_string(), "b".to_string()]));
-        assert_eq!(args(&["--baseline"]).unwrap().baseline, Some(vec![]));
+        assert_eq!(args(&["--baseline"]).unwrap().cost.baseline, Some(vec![]));
         for wrong in
             [["--samples", "5..3"], ["--samples", "5"], ["--copies", "0"], ["--repeat", "0"], ["--mode", "fast"]]
         {

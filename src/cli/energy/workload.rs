@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::base::id::CompartmentId;
 use crate::base::units::Picoseconds;
 use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
 use crate::cli::args::jobs::Job;
@@ -17,6 +18,7 @@ use crate::drive::decision::EarlyExit;
 use crate::drive::populations::ByPopulation;
 use crate::drive::priced::{Metered, SampleRun, steps_per_sample};
 use crate::drive::samples::{Run, Running};
+use crate::drive::timeline::Timeline;
 use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::drive::{Keep, inputs};
 use crate::error::Error;
@@ -123,6 +125,19 @@ impl<'j> Workload<'j> {
     pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
         let rates = Rates::of_copy(&run.counts, &self.compiled.one, run.activity.steps());
         Ok(self.compiled.score_at(&rates, self.target)?)
+    }
+
+    /// A sample step by step, which so many powered cores pay for, with the potentials of these compartments of the first copy.
+    ///
+    /// # Errors
+    /// As [`Workload::simulate`].
+    pub fn timeline(
+        &self,
+        priced: (MeterSettings, u64),
+        sample: &Sample,
+        potentials: &[CompartmentId],
+    ) -> Result<Timeline, Error> {
+        Ok(Timeline::new(&self.metered, &self.compiled.one, priced, sample, potentials)?)
     }
 
     /// Runs all samples.

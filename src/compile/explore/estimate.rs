@@ -59,4 +59,10 @@ impl Compiled {
         let copies = self.options.copies;
         score_at(&self.program, &self.placement, copies, &rates.copies(copies), target)
     }
+
+    /// The messages over each link when the sources of each copy spike at these rates.
+    #[must_use]
+    pub fn links_at(&self, rates: &Rates) -> Links {
+        traffic::of_program(&self.program, &rates.copies(self.options.copies)).links()
+    }
 }

@@ -47,7 +47,8 @@ pub enum Unit {
 
 impl Unit {
     /// Of what is counted, how many make a unit of what is written.
-    fn divisor(self) -> u64 {
+    #[must_use]
+    pub fn divisor(self) -> u64 {
         match self {
             Unit::Count => 1,
             Unit::Microseconds => 1_000_000,

@@ -1,0 +1,245 @@
+//! `nsim report`: a run, or results that were saved, as one page.
+//!
+//! Output: an HTML file that opens without a network. A model is run and priced as `nsim energy` does; of its first sample
+//! every step is shown. A model in real numbers is also compared with itself as it was trained.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::agree::compare::{Side, compare_networks, machine_trace, output_layer, real_trace};
+use crate::agree::ladder::layers;
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::CompartmentId;
+use crate::cli::context::{Answer, Context, Format};
+use crate::cli::energy::args::CostArgs;
+use crate::cli::energy::evaluate::{Evaluated, evaluate};
+use crate::cli::output;
+use crate::compile::frontend::real_and_integers;
+use crate::compile::{Options, compile};
+use crate::convert::staged::is_real;
+use crate::desc::stimulus::{InputArg, InputSource};
+use crate::error::Error;
+use crate::io;
+use crate::ir::firing_rates::Rates;
+use crate::ir::quantised::{Quantised, Units};
+use crate::ir::source_counts::SourceCounts;
+use crate::neuron;
+use crate::report::agree::AgreeReport;
+use crate::report::page::sample::Watched;
+use crate::report::page::{Origin, Provenance, Sections, fit, html, network, sample};
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim report -o report.html                      the shipped network: fit, spikes, power, time, energy
+  nsim report model.ron --input spikes.npy -o report.html
+  nsim report vtsnn-slip-srm -o report.html       a trained network, and how its deployed form agrees with it
+  nsim report a.json b.json -o compared.html      two results of nsim energy or nsim run --format json, side by side";
+
+/// Write a page that shows a run: fit onto cores, spikes, potentials, power, time, energy, and what was compared
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    #[command(flatten)]
+    cost: CostArgs,
+    /// A second result to compare with, where MODEL is one: an object that nsim energy or nsim run printed
+    #[arg(value_name = "RESULT.json")]
+    other: Option<PathBuf>,
+    /// Where to write the page
+    #[arg(short, long, value_name = "FILE.html")]
+    output: PathBuf,
+}
+
+/// Samples of which the trained and the deployed network are compared.
+const COMPARED: usize = 40;
+/// Compartments of a population whose potentials are drawn.
+const WATCHED_OF_EACH: usize = 3;
+/// Compartments whose potentials are drawn.
+const WATCHED: usize = 12;
+/// A network with more synapses is not compared with its trained form.
+const MOST_COMPARED: u64 = 4_000_000;
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Error`] when an input cannot be used or the page cannot be written.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    if context.format != Format::Text {
+        return Err(Error::Usage("nsim report writes a page; for data use nsim energy --format json".to_string()));
+    }
+    let is_page =
+        |path: &Path| path.extension().is_some_and(|end| ["html", "htm"].iter().any(|e| end.eq_ignore_ascii_case(e)));
+    if !is_page(&args.output) && !io::text::is_standard_stream(&args.output) {
+        return Err(Error::Usage(format!("{}: a page is HTML; name it .html", args.output.display())));
+    }
+    io::write::check_all_free([&args.output], context.force)?;
+    if is_result(&args.cost.job.model) {
+        return saved(args, context);
+    }
+    if let Some(other) = &args.other {
+        return Err(Error::Usage(format!(
+            "{}: a second file is compared with a first that is a result, too",
+            other.display()
+        )));
+    }
+    evaluate(&args.cost, None, context, |evaluated| page(args, &evaluated, context))
+}
+
+fn is_result(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
+}
+
+/// A page of one or two results that were saved.
+fn saved(args: &Args, context: Context) -> Result<Answer, Error> {
+    let (mut results, mut origins) = (Vec::new(), Vec::new());
+    for path in [Some(Path::new(&args.cost.job.model)), args.other.as_deref()].into_iter().flatten() {
+        let text = io::text::read_text(path)?;
+        let wrong = |message: String| {
+            let help = "give what nsim energy or nsim run printed with --format json";
+            Error::Input(Diagnostic::new("report.result", message).in_file(path).help(help).into())
+        };
+        let result: Value = serde_json::from_str(text.text()).map_err(|error| wrong(format!("no JSON: {error}")))?;
+        let schema = result["schema"].as_str().unwrap_or_default();
+        if !["nsim.energy/1", "nsim.run/1"].contains(&schema) {
+            return Err(wrong(format!("holds '{schema}', not nsim.energy/1 or nsim.run/1")));
+        }
+        origins.push(origin("result", &path.display().to_string(), text.text().as_bytes()));
+        results.push(result);
+    }
+    let names: Vec<String> =
+        results.iter().map(|result| result["model"].as_str().unwrap_or("a run").to_string()).collect();
+    let sections = Sections { results, ..Sections::default() };
+    write(args, &names.join(" beside "), &sections, origins, context)
+}
+
+/// The page of a run.
+fn page(args: &Args, evaluated: &Evaluated<'_>, context: Context) -> Result<Answer, Error> {
+    let Evaluated { energy, workload, run, deployment } = evaluated;
+    let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
+    let samples = workload.samples();
+    let rates = Rates::of_copy(&run.counts, network, run.activity.steps());
+    let mut sections = Sections {
+        results: vec![energy.json()],
+        network: network::json(network),
+        fit: fit::json(compiled, target, &compiled.links_at(&rates)),
+        confusion: sample::confusion(network, &samples, &run.outcomes),
+        ..Sections::default()
+    };
+    if let (Some(first), Some(outcome)) = (samples.first(), run.outcomes.first()) {
+        let (ids, watched) = watched(network, &run.counts);
+        let tables = run.meter.tables()[..1].to_vec();
+        let settings = workload.metered(tables, deployment, args.cost.transport);
+        let timeline = workload.timeline((settings, deployment.cores_powered), first, &ids)?;
+        sections.sample = sample::json(network, &timeline, &watched, first, outcome);
+    }
+    let file = io::model::load_model(&args.cost.job.model)?;
+    let (graph, _) = real_and_integers(&file)?;
+    if is_real(&graph) && network.synapses() <= MOST_COMPARED {
+        let some = &samples[..samples.len().min(COMPARED)];
+        let one = match compile(network.clone(), target, &Options::default()) {
+            Ok(one) => one,
+            Err(error) => return Err(error.into()),
+        };
+        let (real, machine) = (real_trace(&graph, network.compartments()), machine_trace(network, &one.program)?);
+        let of_both = layers(network);
+        let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
+        let output = output_layer(network);
+        let agreement = output::with_progress(context, some.len(), "samples compared", |done| {
+            compare_networks(sides, &output, some, None, done)
+        })?;
+        let report = AgreeReport {
+            model: &network.parts().name,
+            against: "the trained network",
+            input: &workload.origin,
+            seed: workload.seed,
+            samples: some.len(),
+            same_class: agreement.same_class,
+            accuracy: agreement.accuracy,
+            layers: &agreement.layers,
+            found: None,
+            fits: &[],
+            attribution: None,
+            attribution_samples: 0,
+        };
+        sections.agreement = report.json();
+    }
+    let mut origins = vec![origin("model", &args.cost.job.model, file.source().text().as_bytes())];
+    for argument in &args.cost.input.input {
+        if let Ok(InputArg { source: InputSource::Path(path), .. }) = InputArg::parse(argument)
+            && path.is_file()
+        {
+            origins.push(origin_of_file("input", &path)?);
+        }
+    }
+    for path in [Some(Path::new(&args.cost.job.target)), args.cost.job.mapping.as_deref()].into_iter().flatten() {
+        if path.is_file() {
+            origins.push(origin_of_file(
+                if args.cost.job.mapping.as_deref() == Some(path) { "mapping" } else { "target" },
+                path,
+            )?);
+        }
+    }
+    let title = format!("{} on {}", network.parts().name, target.name());
+    write(args, &title, &sections, origins, context)
+}
+
+/// The compartments whose potentials are drawn: of the output, then of each population, those that spike most.
+fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Watched>) {
+    let thresholds = neuron::thresholds(network);
+    let (mut ids, mut watched) = (Vec::new(), Vec::new());
+    let output = network.parts().output;
+    let others = network.populations().ids().filter(|&id| id != output);
+    for id in std::iter::once(output).chain(others) {
+        let population = &network.populations()[id];
+        let Units::Compartments { first, .. } = population.units else { continue };
+        let mut numbers: Vec<u32> = (first.0..first.0 + population.shape.len()).collect();
+        numbers.sort_by_key(|&number| std::cmp::Reverse(counts.compartments[CompartmentId(number)]));
+        let most =
+            if id == output { WATCHED_OF_EACH.max(network.parts().classes.len().min(6)) } else { WATCHED_OF_EACH };
+        numbers.truncate(most);
+        numbers.sort_unstable();
+        for number in numbers.into_iter().take(WATCHED.saturating_sub(ids.len())) {
+            ids.push(CompartmentId(number));
+            let index = network.index_shown(id, number - first.0);
+            watched.push(Watched {
+                name: format!("{}[{index}]", population.name),
+                threshold: thresholds[number as usize],
+            });
+        }
+    }
+    (ids, watched)
+}
+
+fn origin(what: &'static str, name: &str, bytes: &[u8]) -> Origin {
+    Origin { what, name: name.to_string(), sha256: io::text::sha256(bytes) }
+}
+
+fn origin_of_file(what: &'static str, path: &Path) -> Result<Origin, Error> {
+    Ok(Origin { what, name: path.display().to_string(), sha256: io::text::sha256_of_file(path)? })
+}
+
+fn write(
+    args: &Args,
+    title: &str,
+    sections: &Sections,
+    origins: Vec<Origin>,
+    context: Context,
+) -> Result<Answer, Error> {
+    let quoted = |word: String| match word.chars().all(|c| c.is_alphanumeric() || "-_./:=,+".contains(c)) {
+        true => word,
+        false => format!("'{}'", word.replace('\'', "'\\''")),
+    };
+    // Replacing a file is no part of what is in it.
+    let words = std::env::args_os()
+        .skip(1)
+        .filter(|word| word != "--force")
+        .map(|word| quoted(word.to_string_lossy().into_owned()));
+    let command = std::iter::once("nsim".to_string()).chain(words).collect::<Vec<_>>().join(" ");
+    let page = html(title, sections, &Provenance { command, origins });
+    io::write::text(&args.output, context.force, &page)?;
+    if !io::text::is_standard_stream(&args.output) {
+        let size = page.len() as f64 / f64::from(1 << 20);
+        io::write::stdout(&format!("{}: {title}, {size:.1} MiB\n", args.output.display()))?;
+    }
+    Ok(Answer::Yes)
+}

@@ -1,0 +1,112 @@
+//! A run as one page that opens in any browser without a network: `nsim report`.
+//!
+//! Input: what a run did and cost, as JSON; its network, mapping and first sample. Output: HTML with everything in it: the data,
+//! the program that draws them (`page.js`), and Apache ECharts (`assets/echarts`, Apache License 2.0), unchanged. What is drawn
+//! is reduced where it would be too much to look at; the page says by how much.
+
+pub mod fit;
+pub mod network;
+pub mod sample;
+
+use serde_json::{Value, json};
+
+const TEMPLATE: &str = include_str!("page.html");
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
+const CHARTS: &str = include_str!("../../../assets/echarts/echarts.min.js");
+
+/// A file or source that a page was made from.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Origin {
+    /// What it is: model, target, input, mapping.
+    pub what: &'static str,
+    /// Its path or name.
+    pub name: String,
+    /// SHA-256 of its bytes, in hexadecimal digits.
+    pub sha256: String,
+}
+
+/// Where a page comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Provenance {
+    /// The command as it was typed.
+    pub command: String,
+    /// What it read.
+    pub origins: Vec<Origin>,
+}
+
+/// Sections of a page; what is null is left out.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Sections {
+    /// `nsim.energy/1` or `nsim.run/1`; two where two are compared.
+    pub results: Vec<Value>,
+    /// [`network::json`].
+    pub network: Value,
+    /// [`fit::json`].
+    pub fit: Value,
+    /// [`sample::json`].
+    pub sample: Value,
+    /// [`sample::confusion`].
+    pub confusion: Value,
+    /// `nsim.agree/1` against the trained network.
+    pub agreement: Value,
+}
+
+/// The page.
+#[must_use]
+pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String {
+    let Sections { results, network, fit, sample, confusion, agreement } = sections;
+    let data = json!({
+        "schema": "nsim.report/1",
+        "nsim": env!("CARGO_PKG_VERSION"),
+        "title": title,
+        "command": provenance.command,
+        "origins": provenance.origins,
+        "results": results,
+        "network": network,
+        "fit": fit,
+        "sample": sample,
+        "confusion": confusion,
+        "agreement": agreement,
+    });
+    // Within a script nothing ends it but its closing tag.
+    let data = data.to_string().replace("</", "<\\/");
+    let parts = [("title", escaped(title)), ("style", STYLE.to_string()), ("charts", CHARTS.to_string())];
+    let parts = parts.into_iter().chain([("data", data), ("script", SCRIPT.to_string())]);
+    let mut rest = TEMPLATE;
+    let mut page = String::with_capacity(TEMPLATE.len() + CHARTS.len() + (1 << 20));
+    for (name, text) in parts {
+        let mark = format!("{{{{{name}}}}}");
+        if let Some((before, after)) = rest.split_once(&mark) {
+            page += before;
+            page += &text;
+            rest = after;
+        }
+    }
+    page + rest
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_holds_its_data_once_and_nothing_of_it_ends_a_script() {
+        let name = "</script><b>& \u{2028} {{data}}";
+        let sections = Sections { results: vec![json!({ "model": name })], ..Sections::default() };
+        let origin = Origin { what: "model", name: name.to_string(), sha256: "00".to_string() };
+        let provenance = Provenance { command: format!("nsim report '{name}'"), origins: vec![origin] };
+        let page = html(name, &sections, &provenance);
+        assert!(!page.contains("{{style}}") && !page.contains("{{script}}") && page.contains("echarts"));
+        let (_, data) = page.split_once("<script type=\"application/json\" id=\"data\">").unwrap();
+        let (data, _) = data.split_once("</script>").unwrap();
+        let read: Value = serde_json::from_str(data).unwrap();
+        assert_eq!((&read["results"][0]["model"], &read["title"]), (&json!(name), &json!(name)));
+        assert_eq!(page.matches("<title>").count(), 1);
+        assert!(page.contains("<title>&lt;/script&gt;&lt;b&gt;&amp; "));
+    }
+}
