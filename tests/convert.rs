@@ -15,11 +15,16 @@ use nsim::base::id::ChannelId;
 use nsim::base::rng;
 use nsim::compile::frontend::lower::lower;
 use nsim::compile::frontend::quantise::quantise;
+use nsim::convert::fine_tune::Task;
 use nsim::convert::{model_file, staged};
 use nsim::desc::network::{Network, NetworkFile};
+use nsim::desc::training::TrainingFile;
+use nsim::golden::Golden;
 use nsim::ir::graph::Graph;
 use nsim::ir::quantised::{Quantised, Units};
-use nsim::ir::spikes::Sample;
+use nsim::ir::spikes::{Engine, Sample};
+use nsim::train::fit::Example;
+use nsim::train::plan::plan;
 
 fn graph(populations: &str, projections: &str) -> Graph {
     let text = format!(
@@ -108,6 +113,94 @@ fn heavy_weights_cost_less_with_their_own_exponent() {
     let converted = staged::convert(&real(), &few, 16, |_| ()).unwrap();
     let gained: Vec<f64> = converted.stages.iter().map(|row| row.distance.coincidence).collect();
     assert!(gained[2] > gained[0], "{gained:?}");
+}
+
+/// What describes [`srm`] as a network to train.
+const TRAINING: &str = "Training(name: \"n\", timestep_ms: 1.0, inputs: [(name: \"in\", shape: [30])], \
+    layers: [(name: \"h\", from: [\"in\"], size: 8), (name: \"o\", from: [\"h\"], size: 3)], \
+    neuron: Srm(tau_sr_ms: Same(10), tau_ref_ms: 1, scale_ref: 2, theta: 10), loss: SpikeCount(right: 20, wrong: 2), \
+    optimiser: Adam(rate: 0.1), last_rate: 0.5, batch: 4, epochs: 9, seed: 3)";
+
+/// Three classes: a third of the channels spikes more.
+fn labelled(seeds: std::ops::Range<u64>) -> Vec<Sample> {
+    let one = |seed: u64| {
+        let class = (seed % 3) as u32;
+        let all = (0..120).flat_map(|t| (0..30).map(move |c| (t, ChannelId(c))));
+        let rate = |c: u32| if c / 10 == class { 0.07 } else { 0.05 };
+        let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
+        Sample::new(120, &events, Some(class)).unwrap()
+    };
+    seeds.map(one).collect()
+}
+
+fn right(network: &Quantised, samples: &[Sample]) -> usize {
+    let mut engine = Golden::new(network);
+    let output = &network.populations()[network.parts().output];
+    let first = output.first_compartment().unwrap().0;
+    let mut right = 0;
+    for sample in samples {
+        let mut counts = vec![0; output.shape.len() as usize];
+        engine.begin(sample.steps());
+        for step in 0..sample.steps() {
+            engine.step(sample.at(step));
+            engine.spikes().iter().filter_map(|c| c.0.checked_sub(first)).for_each(|c| counts[c as usize] += 1);
+        }
+        let most = *counts.iter().max().unwrap();
+        let class = counts.iter().position(|&count| count == most).filter(|_| most > 0);
+        right += usize::from(class.map(|class| class as u32) == sample.label());
+    }
+    right
+}
+
+#[test]
+fn fine_tuning_starts_at_the_integers_and_keeps_what_golden_confirms() {
+    let (graph, all) = (srm(), labelled(0..60));
+    let few: Vec<&Sample> = all.iter().take(20).collect();
+    let converted = staged::convert(&graph, &few, 8, |_| ()).unwrap();
+    let source = SourceText::new("t.ron", TRAINING);
+    let file = TrainingFile::parse(&source).unwrap();
+    let task = || {
+        let of = (&converted.fits[..], converted.detail);
+        Task::new(&graph, of, &file, plan(&file, &source).unwrap()).unwrap()
+    };
+    let examples: Vec<Example> =
+        all.iter().map(|sample| Example::from_sample(&converted.network, sample).unwrap()).collect();
+    let (shown, held) = examples.split_at(48);
+    let nothing = task().run((shown, held), 0, &|| (), |_| ()).unwrap();
+    let start = task().integers(&nothing.weights).unwrap();
+    assert_eq!(numbers(start.deployed()), numbers(&converted.network));
+    assert_eq!(nothing.kept, 0);
+    let mut kept = Vec::new();
+    let tuned = task().run((shown, held), 4, &|| (), |best| kept.push(best.epoch)).unwrap();
+    assert_eq!((kept.first(), kept.last()), (Some(&0), Some(&tuned.kept)));
+    assert_eq!((tuned.rows.len(), tuned.samples), (5, 48));
+    // Counted by the golden interpreter.
+    let share = |right: usize, of: usize| right as f64 / of as f64;
+    let (before, after) = tuned.scores();
+    let unseen = tuned.held_out.unwrap();
+    let integers = task().integers(&tuned.weights).unwrap();
+    for (ladder, train, held) in [(start, before, unseen.before), (integers, after, unseen.after)] {
+        assert_eq!(train.accuracy, share(right(ladder.deployed(), &all[..48]), 48));
+        assert_eq!(held.accuracy, share(right(ladder.deployed(), &all[48..]), 12));
+    }
+    assert!(tuned.kept > 0 && after.loss < before.loss, "{:?}", tuned.rows);
+    // Threads and repetition change nothing.
+    let again = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let again = again.install(|| task().run((shown, held), 4, &|| (), |_| ()).unwrap());
+    assert_eq!((again.weights, again.rows), (tuned.weights, tuned.rows));
+}
+
+#[test]
+fn fine_tuning_refuses_what_the_training_file_does_not_describe() {
+    let graph = srm();
+    for (from, to) in [("size: 8", "size: 7"), ("[30]", "[29]"), ("theta: 10", "theta: 9"), ("Same(10)", "Same(11)")] {
+        let source = SourceText::new("t.ron", TRAINING.replace(from, to));
+        let file = TrainingFile::parse(&source).unwrap();
+        let starts = nsim::compile::frontend::analytic::starts(&graph);
+        let of = (&starts[..], nsim::compile::frontend::exponents::Detail::Carried);
+        let error = Task::new(&graph, of, &file, plan(&file, &source).unwrap()).unwrap_err();
+        assert_eq!(error.code, "convert.fine-tune", "{to}");
+    }
 }
 
 /// 20 seeded inputs of 15 %, as [samples, channels, steps] of bytes.

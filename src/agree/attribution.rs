@@ -7,7 +7,8 @@
 
 use rayon::prelude::*;
 
-use super::ladder::{Cause, Ladder, Rung};
+use super::causes::{Cause, Rung};
+use super::ladder::Ladder;
 use super::metrics::TrainSums;
 use super::trace::{Comparison, Layer};
 use crate::ir::spikes::Sample;

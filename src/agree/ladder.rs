@@ -1,7 +1,7 @@
 //! A ladder of networks from the trained one to the machine, each differing from the last in one thing.
 //!
 //! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output: [`Trace`]s of the network with
-//! any set of the [`Cause`]s switched on. One simulation serves all rungs: potentials and thresholds are in register units
+//! any set of the [`Cause`]s switched on. One simulation ([`super::state`], [`super::links`]) serves all rungs: potentials and thresholds are in register units
 //! throughout, so that two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as `reference`
 //! with truncated kernels does, with all causes it equals the machine bit for bit.
 //!
@@ -21,71 +21,12 @@ use crate::ir::graph::{self, Graph, NeuronParameters, PopulationKind, SrmParamet
 use crate::ir::quantised::{self, Quantised, Reset, Units};
 use crate::ir::spikes::Sample;
 use crate::neuron::RealForm;
-use crate::reference::kernel::{Alpha, EPSILON};
 use crate::reference::synapses::Synapses;
 
+use super::causes::{Cause, Rung};
+use super::links::{Link, integer_synapses};
+use super::state::{Neuron, State};
 use super::trace::{Layer, Trace};
-use crate::base::names::named_variants;
-
-/// Something in which the machine differs from the trained network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Cause {
-    /// The response and refractory kernels without end instead of cut.
-    Untruncated,
-    /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step longer at the end.
-    Kernel,
-    /// A hard reset and a refractory period instead of the refractory kernel.
-    HardReset,
-    /// Decays in 4096ths.
-    Decays,
-    /// The thresholds and synapses onto itself that a search chose instead of those of the analysis.
-    Calibration,
-    /// Integer weights, thresholds and biases.
-    Weights,
-    /// Integer state: rounding toward zero, wrapping, clipping.
-    State,
-}
-
-named_variants!(Cause {
-    Untruncated = "exact-kernel",
-    Kernel = "cuba-kernel",
-    HardReset = "hard-reset",
-    Decays = "quantised-decays",
-    Calibration = "calibration",
-    Weights = "quantised-weights",
-    State = "integer-state",
-});
-
-/// Which causes are switched on.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Rung([bool; 7]);
-
-impl Rung {
-    /// The trained network.
-    pub const TRAINED: Rung = Rung([false; 7]);
-    /// The machine.
-    pub const MACHINE: Rung = Rung([true; 7]);
-
-    /// Whether a cause is on.
-    #[must_use]
-    pub fn has(self, cause: Cause) -> bool {
-        self.0[cause as usize]
-    }
-
-    /// The same with one less.
-    #[must_use]
-    pub fn without(mut self, cause: Cause) -> Rung {
-        self.0[cause as usize] = false;
-        self
-    }
-
-    /// The same with one more.
-    #[must_use]
-    pub fn with(mut self, cause: Cause) -> Rung {
-        self.0[cause as usize] = true;
-        self
-    }
-}
 
 /// What a population was before it was converted.
 #[derive(Debug, Clone)]
@@ -101,75 +42,6 @@ struct Population {
     count: u32,
     /// Register units for a real unit.
     scale: f64,
-}
-
-#[derive(Debug)]
-struct Link {
-    source: usize,
-    target: usize,
-    /// Several: of delayed copies, whose weights from one source then follow one another.
-    delays: Vec<u32>,
-    /// Whether it stands for what a hard reset takes.
-    restores: bool,
-    /// In register units.
-    synapses: Synapses<f64>,
-}
-
-impl Link {
-    /// Adds a spike that arrives without delay at this step to what arrives at its targets.
-    fn deliver(&self, neuron: u32, step: u32, arrivals: &mut [Vec<f64>]) {
-        let slots = arrivals.len();
-        let slot = |delay: u32| (step + delay) as usize % slots;
-        match (&self.synapses, self.delays.as_slice()) {
-            (synapses, [delay]) => _ = synapses.deliver(neuron, &mut arrivals[slot(*delay)]),
-            (Synapses::Dense { targets, weights }, delays) => {
-                let all = *targets as usize;
-                let row = &weights[neuron as usize * all..(neuron as usize + 1) * all];
-                for (weights, &delay) in row.chunks(all / delays.len()).zip(delays) {
-                    arrivals[slot(delay)].iter_mut().zip(weights).for_each(|(sum, weight)| *sum += weight);
-                }
-            }
-            _ => {}
-        }
-    }
-
-    /// Dense links from one population to another as one: a spike then reads memory in order.
-    fn merged(links: Vec<Link>) -> Vec<Link> {
-        let mut merged: Vec<Vec<Link>> = Vec::new();
-        for link in links {
-            let fits = |first: &&mut Vec<Link>| {
-                let dense = |link: &Link| matches!(link.synapses, Synapses::Dense { .. });
-                let ends = |link: &Link| (link.source, link.target, link.restores);
-                first.first().is_some_and(|first| dense(first) && dense(&link) && ends(first) == ends(&link))
-            };
-            match merged.iter_mut().find(fits) {
-                Some(bundle) => bundle.push(link),
-                None => merged.push(vec![link]),
-            }
-        }
-        merged.into_iter().filter_map(Link::bundle).collect()
-    }
-
-    fn bundle(mut links: Vec<Link>) -> Option<Link> {
-        if links.len() < 2 {
-            return links.pop();
-        }
-        let delays = links.iter().flat_map(|link| link.delays.clone()).collect();
-        let (source, target, restores) = (links[0].source, links[0].target, links[0].restores);
-        let mut rows = Vec::new();
-        let mut width = 0;
-        for link in &links {
-            if let Synapses::Dense { targets, weights } = &link.synapses {
-                rows.push(weights.chunks((*targets as usize).max(1)));
-                width += targets;
-            }
-        }
-        let mut weights = Vec::new();
-        while let Some(row) = rows.iter_mut().map(Iterator::next).collect::<Option<Vec<&[f64]>>>() {
-            row.into_iter().for_each(|part| weights.extend_from_slice(part));
-        }
-        Some(Link { source, target, delays, restores, synapses: Synapses::Dense { targets: width, weights } })
-    }
 }
 
 /// A network in every form at once.
@@ -194,22 +66,6 @@ pub struct Ladder {
     rounded: OnceLock<Quantised>,
     calibrated: Quantised,
     causes: Vec<Cause>,
-}
-
-/// A compartment as a rung has it.
-#[derive(Debug, Clone, Copy)]
-struct Neuron {
-    keep_u: f64,
-    keep_v: f64,
-    threshold: f64,
-    bias: f64,
-    refractory: u32,
-    clip: (f64, f64),
-}
-
-fn wrapped(x: f64, bits: i32) -> f64 {
-    let half = f64::from(1 << bits);
-    if x >= -half && x < half { x } else { (x + half).rem_euclid(2.0 * half) - half }
 }
 
 impl Ladder {
@@ -343,7 +199,7 @@ impl Ladder {
                 target,
                 delays: vec![projection.delay.get().into()],
                 restores: analytic::stands_for_reset(&projection.name),
-                synapses: integer(projection, self.populations[source].count, rescale * payload),
+                synapses: integer_synapses(projection, self.populations[source].count, rescale * payload),
             }
         };
         network.projections().iter().map(link).collect()
@@ -486,12 +342,22 @@ impl Ladder {
         }
     }
 
+    /// A population of a rung at rest; none for inputs.
+    fn state(&self, population: usize, rung: Rung) -> Option<State> {
+        let of = &self.populations[population];
+        let neurons = || (0..of.count).map(|index| self.neuron(population, index, rung)).collect();
+        let (response, start_step) = match of.origin.as_ref()? {
+            Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0),
+            Origin::Loihi(p) => (None, p.start_step),
+        };
+        Some(State::new(neurons(), response, start_step, self.test, rung))
+    }
+
     /// What the network of a rung does in a sample.
     #[must_use]
     pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
         let steps = sample.steps();
-        let mut states: Vec<Option<State>> =
-            (0..self.populations.len()).map(|index| State::new(self, index, rung)).collect();
+        let mut states: Vec<Option<State>> = (0..self.populations.len()).map(|index| self.state(index, rung)).collect();
         let mut arrivals: Vec<Vec<Vec<f64>>> = self
             .populations
             .iter()
@@ -557,191 +423,4 @@ pub fn layers(network: &Quantised) -> Vec<Layer> {
 /// A fit without what only a search would choose: the peaks matched, no synapse onto itself.
 fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
     Fit { threshold: analytic::matched_threshold_of(srm, timestep_ms, fit), own: Vec::new(), ..fit.clone() }
-}
-
-/// Integer synapses as what they add to the accumulator.
-fn integer(projection: &quantised::Projection, sources: u32, factor: f64) -> Synapses<f64> {
-    let mut synapses = Vec::new();
-    for source in 0..sources {
-        projection.connectivity.for_each_from(source, |target, weight| {
-            if weight != 0 {
-                synapses.push((source, target, f64::from(projection.format.scaled(weight)) * factor));
-            }
-        });
-    }
-    Synapses::list(sources, synapses)
-}
-
-/// A population of a rung while it runs.
-#[derive(Debug)]
-struct State {
-    neurons: Vec<Neuron>,
-    start_step: u32,
-    /// Whether input spikes count a step later.
-    late: bool,
-    strict: bool,
-    integers: bool,
-    hard: bool,
-    u: Vec<f64>,
-    v: Vec<f64>,
-    /// With truncated kernels: the response's taps, the inputs of the past, and what resets and biases left.
-    taps: Vec<f64>,
-    past: Vec<Vec<f64>>,
-    newest: usize,
-    left: Vec<f64>,
-    /// The refractory kernel relative to the threshold: decay, factor, taps when truncated, and its state.
-    nu: Alpha,
-    nu_taps: Vec<f64>,
-    nu_first: Vec<f64>,
-    nu_second: Vec<f64>,
-    spiked: Vec<f64>,
-    own: Vec<Vec<u32>>,
-    held: Vec<u32>,
-    now: u32,
-    shown: Vec<f64>,
-}
-
-impl State {
-    fn new(ladder: &Ladder, population: usize, rung: Rung) -> Option<State> {
-        let of = &ladder.populations[population];
-        let origin = of.origin.as_ref()?;
-        let count = of.count as usize;
-        let neurons: Vec<Neuron> = (0..of.count).map(|index| ladder.neuron(population, index, rung)).collect();
-        let (srm, nu) = match origin {
-            Origin::Srm(srm, _) => (true, Alpha { peak: -srm.scale_ref, tau: srm.tau_ref_ms / ladder.timestep_ms }),
-            Origin::Loihi(_) => (false, Alpha { peak: 0.0, tau: 1.0 }),
-        };
-        let hard = !srm || rung.has(Cause::HardReset);
-        let truncated = srm && !rung.has(Cause::Untruncated) && !rung.has(Cause::Kernel);
-        // (k + 1) r^k, cut where the alpha kernel that it is falls below SLAYER's limit.
-        let taps: Vec<f64> = match (truncated, origin) {
-            (true, Origin::Srm(srm, _)) => {
-                let alpha = Alpha { peak: 1.0, tau: srm.tau_sr_ms / ladder.timestep_ms };
-                let length = alpha.truncated(EPSILON, 100_000).len().saturating_sub(1);
-                let r = neurons.first().map_or(0.0, |n| n.keep_u);
-                (0..length).map(|k| (k as f64 + 1.0) * libm::pow(r, k as f64)).collect()
-            }
-            _ => Vec::new(),
-        };
-        // SLAYER's limit is for the kernel with its factor, threshold included.
-        let nu_taps = match (truncated, origin) {
-            (true, Origin::Srm(srm, _)) => nu.truncated(EPSILON / srm.theta, 100_000),
-            _ => Vec::new(),
-        };
-        let start_step = match origin {
-            Origin::Srm(..) => 0,
-            Origin::Loihi(p) => p.start_step,
-        };
-        Some(State {
-            start_step,
-            late: srm && !rung.has(Cause::Kernel),
-            strict: hard && ladder.test == ThresholdTest::Strict,
-            integers: rung.has(Cause::State),
-            hard,
-            u: vec![0.0; count],
-            v: vec![0.0; count],
-            past: vec![vec![0.0; count]; taps.len().max(1)],
-            taps,
-            newest: 0,
-            left: vec![0.0; count],
-            nu,
-            nu_taps,
-            nu_first: vec![0.0; count],
-            nu_second: vec![0.0; count],
-            spiked: vec![0.0; count],
-            own: vec![Vec::new(); count],
-            held: vec![0; count],
-            now: 0,
-            shown: vec![0.0; count],
-            neurons,
-        })
-    }
-
-    fn clear(&mut self) {
-        for zero in
-            [&mut self.u, &mut self.v, &mut self.left, &mut self.nu_first, &mut self.nu_second, &mut self.spiked]
-        {
-            zero.fill(0.0);
-        }
-        self.past.iter_mut().for_each(|row| row.fill(0.0));
-        self.own.iter_mut().for_each(Vec::clear);
-        self.held.fill(0);
-    }
-
-    /// The refractory response of a neuron in register units.
-    fn refractory(&mut self, i: usize) -> f64 {
-        let threshold = self.neurons[i].threshold;
-        let relative = if self.nu_taps.is_empty() {
-            let r = self.nu.decay();
-            self.nu_first[i] = r * self.nu_first[i] + self.spiked[i];
-            self.nu_second[i] = r * (self.nu_second[i] + self.nu_first[i]);
-            self.nu.gain() * self.nu_second[i]
-        } else {
-            let ago = |&spike: &u32| self.nu_taps.get((self.now - spike) as usize).copied().unwrap_or(0.0);
-            self.own[i].iter().rev().take(self.nu_taps.len()).map(ago).sum()
-        };
-        relative * threshold
-    }
-
-    fn step(&mut self, arrivals: &[f64], mut spike: impl FnMut(u32)) {
-        let integers = self.integers;
-        let narrow = |x: f64| if integers { x.trunc() } else { x };
-        let truncated = !self.taps.is_empty();
-        if truncated {
-            let rows = self.past.len();
-            self.newest = (self.newest + rows - 1) % rows;
-            self.past[self.newest].copy_from_slice(arrivals);
-        }
-        for (i, &arrived) in arrivals.iter().enumerate() {
-            let n = self.neurons[i];
-            let x = narrow(arrived);
-            let q = if self.integers { wrapped(x, 21) } else { x };
-            let free = if truncated {
-                self.past[self.newest][i] = q;
-                let rows = self.past.len();
-                let response: f64 =
-                    self.taps.iter().enumerate().map(|(k, tap)| tap * self.past[(self.newest + k) % rows][i]).sum();
-                self.left[i] = narrow(n.keep_v * self.left[i]) + n.bias;
-                narrow(response) + self.left[i]
-            } else {
-                let u = narrow(n.keep_u * self.u[i]) + q;
-                self.u[i] = if self.integers { wrapped(u, 23) } else { u };
-                let input = self.u[i] + n.bias;
-                let input = if self.integers { wrapped(input, 23) } else { input };
-                narrow(n.keep_v * self.v[i]) + input
-            };
-            let mut v = free.clamp(n.clip.0, n.clip.1);
-            if !truncated {
-                self.v[i] = v;
-            }
-            if !self.hard {
-                let own = self.refractory(i);
-                v += if self.integers { own.trunc() } else { own };
-            }
-            let held = self.hard && self.held[i] > 0;
-            let over = if self.strict { v > n.threshold } else { v >= n.threshold };
-            let fires = over && !held;
-            self.shown[i] = v;
-            if self.hard && (held || fires) {
-                // The reset leaves 0 here, and what it took away decays as the voltage does.
-                self.held[i] = if fires { n.refractory - 1 } else { self.held[i] - 1 };
-                if truncated {
-                    self.left[i] -= free;
-                } else {
-                    self.v[i] = 0.0;
-                }
-                if held {
-                    self.shown[i] = 0.0;
-                }
-            }
-            self.spiked[i] = f64::from(u8::from(fires));
-            if fires {
-                if !self.hard {
-                    self.own[i].push(self.now);
-                }
-                spike(i as u32);
-            }
-        }
-        self.now += 1;
-    }
 }

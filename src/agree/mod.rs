@@ -7,7 +7,10 @@
 //! Results do not depend on threads: samples are taken in parallel, their sums added in the order of the run.
 
 pub mod attribution;
+pub mod causes;
 pub mod compare;
 pub mod ladder;
+mod links;
 pub mod metrics;
+mod state;
 pub mod trace;

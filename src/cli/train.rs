@@ -139,20 +139,10 @@ fn examples(
     let stimulus = inputs::stimulus(network, sources, None, None)?;
     let mut examples = Vec::with_capacity(stimulus.samples.len());
     for (index, sample) in stimulus.samples.iter().enumerate() {
-        let label = sample.label().ok_or_else(|| {
+        let example = Example::from_sample(network, sample);
+        examples.push(example.ok_or_else(|| {
             Diagnostic::new("train.label", format!("{what} sample {index} has no label")).in_file(config)
-        })?;
-        let inputs = network.inputs().map(|(_, population)| {
-            let units = population.shape.len();
-            let first = population.first_channel().map_or(0, |channel| channel.0);
-            let within = |step| {
-                let units = sample.at(step).iter().filter_map(move |channel| channel.0.checked_sub(first));
-                units.filter(move |&unit| unit < population.shape.len()).map(move |unit| (step, unit))
-            };
-            let events = (0..sample.steps()).flat_map(within).collect();
-            Raster::from_events(units as usize, sample.steps() as usize, events)
-        });
-        examples.push(Example { inputs: inputs.collect(), label });
+        })?);
     }
     Ok(examples)
 }

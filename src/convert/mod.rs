@@ -2,6 +2,7 @@
 
 pub mod calibration;
 pub mod copies;
+pub mod fine_tune;
 pub mod model_file;
 pub mod search;
 pub mod staged;

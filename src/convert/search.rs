@@ -18,8 +18,9 @@ use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
+use crate::agree::causes::{Cause, Rung};
 use crate::agree::compare::output_layer;
-use crate::agree::ladder::{Cause, Ladder, Rung};
+use crate::agree::ladder::Ladder;
 use crate::agree::metrics::{TrainSums, coincidence};
 use crate::agree::trace::{Comparison, Layer, Trace};
 use crate::base::diagnostic::Result;

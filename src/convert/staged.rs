@@ -6,8 +6,9 @@
 //! integer, all others staying (`agree::ladder`).
 
 use crate::agree::attribution::{self, Distance};
+use crate::agree::causes::{Cause, Rung};
 use crate::agree::compare::output_layer;
-use crate::agree::ladder::{Cause, Ladder, Rung};
+use crate::agree::ladder::Ladder;
 use crate::base::diagnostic::Result;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::exponents::Detail;
@@ -92,6 +93,8 @@ pub struct Converted {
     pub calibration: Measured,
     /// The steps between the network and its integers.
     pub ladder: Ladder,
+    /// How finely their exponents and weights were chosen.
+    pub detail: Detail,
 }
 
 /// Whether a network has real numbers that are to become integers.
@@ -125,9 +128,15 @@ impl Converted {
     /// How far the integers are from the trained network on other samples.
     #[must_use]
     pub fn on(&self, samples: &[&Sample]) -> Measured {
+        self.compared(&self.ladder, samples)
+    }
+
+    /// How far other integers of the same populations are from the trained network.
+    #[must_use]
+    pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
         let (ladder, output) = (&self.ladder, output_layer(self.ladder.deployed()));
         let on =
-            attribution::measured((ladder, trained(ladder)), &[(ladder, Rung::MACHINE)], &output, samples).remove(0);
+            attribution::measured((ladder, trained(ladder)), &[(integers, Rung::MACHINE)], &output, samples).remove(0);
         by_layer(ladder, on, samples.len())
     }
 }
@@ -137,7 +146,7 @@ impl Converted {
 /// # Errors
 /// As `compile::frontend::quantise`.
 pub fn convert(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<Converted> {
-    let Steps { fits, stages, ladder } = match graph.has_srm() {
+    let Steps { fits, detail, stages, ladder } = match graph.has_srm() {
         true => by_search(graph, samples, most, progress)?,
         false => by_exponents(graph)?,
     };
@@ -177,12 +186,13 @@ pub fn convert(graph: &Graph, samples: &[&Sample], most: usize, progress: impl F
     let stages: Vec<StageRow> = stages.into_iter().enumerate().map(row).collect();
     let network = ladder.deployed().clone();
     let layers = losses(&network, &calibration, (&left, left_from), samples);
-    Ok(Converted { network, fits, stages, layers, left, left_from, calibration, ladder })
+    Ok(Converted { network, fits, stages, layers, left, left_from, calibration, ladder, detail })
 }
 
 /// A conversion before it is measured.
 struct Steps {
     fits: Vec<Option<Fit>>,
+    detail: Detail,
     stages: Vec<StageIntegers>,
     ladder: Ladder,
 }
@@ -212,7 +222,7 @@ fn by_search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnM
     };
     let stages = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
     let ladder = conversion.ladder(graph)?;
-    Ok(Steps { fits: conversion.fits, stages, ladder })
+    Ok(Steps { fits: conversion.fits, detail: conversion.detail, stages, ladder })
 }
 
 fn by_exponents(graph: &Graph) -> Result<Steps> {
@@ -229,7 +239,7 @@ fn by_exponents(graph: &Graph) -> Result<Steps> {
     ];
     let stages = stages.into_iter().map(row).collect::<Result<_>>()?;
     let ladder = Ladder::new(graph, &fits)?;
-    Ok(Steps { fits, stages, ladder })
+    Ok(Steps { fits, detail: Detail::default(), stages, ladder })
 }
 
 /// What each layer lost, and what to do about it.

@@ -51,6 +51,17 @@ models!(
     "vtsnn-slip",
     "vtsnn-slip-srm",
 );
+/// The training files of shipped models.
+pub const TRAININGS: &[Shipped] = shipped!(
+    "models/train":
+    "container-tactile",
+    "container-tactile-srm",
+    "slip-tactile",
+    "slip-vision",
+    "vtsnn-container",
+    "vtsnn-slip",
+    "vtsnn-slip-srm",
+);
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
     shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");
@@ -160,7 +171,7 @@ mod tests {
 
     #[test]
     fn names_are_listed_once_and_files_bear_the_names_inside() {
-        for table in [MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, SCENARIOS] {
+        for table in [MODELS, TRAININGS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, SCENARIOS] {
             for (i, shipped) in table.iter().enumerate() {
                 assert!(table[..i].iter().all(|other| other.name != shipped.name), "{}", shipped.name);
                 assert!(shipped.text.contains(&format!("name: \"{}\"", shipped.name)), "{}", shipped.path);

@@ -43,6 +43,12 @@ pub enum SampleError {
 }
 
 impl Sample {
+    /// A sample without spikes.
+    #[must_use]
+    pub fn silent(steps: u32) -> Self {
+        Sample { label: None, first: vec![0; steps as usize + 1], channels: Vec::new() }
+    }
+
     /// A sample of `steps` timesteps from (step, channel) events in any order; an event given twice is one spike.
     ///
     /// # Errors

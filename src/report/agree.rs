@@ -4,8 +4,8 @@ use serde_json::{Value, json};
 
 use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of, wrapped};
 use crate::agree::attribution::{Attribution, LayerLoss, Share};
+use crate::agree::causes::Cause;
 use crate::agree::compare::LayerRow;
-use crate::agree::ladder::Cause;
 use crate::compile::frontend::analytic::Fit;
 use crate::convert::search::{ConversionScore, SearchResult};
 use crate::report::charts::plot::{self, Axis, Series};

@@ -4,7 +4,24 @@ use serde_json::{Value, json};
 
 use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of};
 use crate::agree::attribution::Distance;
+use crate::agree::ladder::Ladder;
+use crate::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore};
 use crate::convert::staged::{Converted, LayerLoss, Left, Measured, StageRow};
+
+/// Integers that were trained further.
+#[derive(Debug)]
+pub struct Tuned {
+    /// The epochs and their scores.
+    pub tuned: FineTuned,
+    /// Epochs that were asked for.
+    pub epochs: u32,
+    /// The integers that are kept.
+    pub integers: Ladder,
+    /// Where the training samples came from.
+    pub samples: Vec<String>,
+    /// How near the integers still are to the trained network on samples that no stage saw.
+    pub held_out: Option<Measured>,
+}
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -19,6 +36,8 @@ pub struct ConvertReport<'a> {
     pub converted: &'a Converted,
     /// How near it is on samples that no stage saw.
     pub held_out: Option<&'a Measured>,
+    /// What fine-tuning made of it.
+    pub tuned: Option<&'a Tuned>,
     /// The files that were written.
     pub files: &'a [String],
     /// Wall-clock seconds of the conversion.
@@ -54,6 +73,12 @@ const LAYERS: [Column<LayerLoss>; 4] = [
     ("exponents", |layer| exponents(layer)),
 ];
 
+const EPOCHS: [Column<FineTuneRow>; 3] = [
+    ("epoch", |row| row.epoch.to_string()),
+    ("accuracy", |row| four(row.score.accuracy)),
+    ("loss", |row| four(row.score.loss)),
+];
+
 fn exponents(layer: &LayerLoss) -> String {
     layer.weight_exp.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
 }
@@ -72,6 +97,72 @@ fn measured(measured: &Measured) -> Value {
     object["samples"] = measured.samples.into();
     object["layers"] = measured.layers.iter().map(layer).collect();
     object
+}
+
+fn score(score: &TaskScore) -> Value {
+    json!({ "accuracy": rounded(score.accuracy), "loss": rounded(score.loss) })
+}
+
+impl Tuned {
+    /// For a model's provenance.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
+        let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
+        let (before, after) = self.tuned.scores();
+        let unseen = held_out.map_or_else(String::new, |held| {
+            let change = change(&held.before, &held.after);
+            format!(", {change} on {} held-out samples (as trained {:.4})", held.samples, held.trained)
+        });
+        format!(
+            "fine-tuned for {} with seed {seed} on {samples} training samples of {}, SHA-256 of plan and samples {fingerprint}; epoch \
+             {kept} is kept; accuracy {} on the training samples{unseen}",
+            count(self.epochs, "epoch"),
+            self.samples.join(" "),
+            change(&before, &after),
+        )
+    }
+
+    fn json(&self) -> Value {
+        let FineTuned { kept, rows, samples, held_out, seed, fingerprint, .. } = &self.tuned;
+        let row = |row: &FineTuneRow| {
+            let mut object = score(&row.score);
+            object["epoch"] = row.epoch.into();
+            object
+        };
+        let unseen = held_out.map(|held| {
+            json!({
+                "samples": held.samples, "trained_accuracy": rounded(held.trained), "before": score(&held.before),
+                "after": score(&held.after),
+            })
+        });
+        let (before, after) = self.tuned.scores();
+        json!({
+            "epochs": self.epochs,
+            "kept": kept,
+            "seed": seed,
+            "input": self.samples,
+            "samples": samples,
+            "sha256": fingerprint,
+            "before": score(&before),
+            "after": score(&after),
+            "rows": rows.iter().map(row).collect::<Vec<_>>(),
+            "held_out": unseen,
+            "agreement": self.held_out.as_ref().map(measured),
+        })
+    }
+
+    fn text(&self) -> String {
+        let mut out = format!("fine-tuning\n{}\n\n{}\n", table_of(&self.tuned.rows, &EPOCHS, 0), self.sentence());
+        if let Some(held) = &self.held_out {
+            out += &format!("on {} after it: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
+        }
+        out
+    }
+
+    fn markdown(&self) -> String {
+        format!("\nFine-tuning:\n\n{}\nIt was {}.\n", markdown_of(&self.tuned.rows, &EPOCHS), self.sentence())
+    }
 }
 
 impl ConvertReport<'_> {
@@ -109,6 +200,7 @@ impl ConvertReport<'_> {
             "class_agreement": rounded(self.converted.calibration.distance.class_agreement),
             "calibration": measured(&self.converted.calibration),
             "held_out": self.held_out.map(measured),
+            "fine_tune": self.tuned.map(Tuned::json),
             "output": self.files,
             "seconds": rounded(self.seconds),
         })
@@ -137,6 +229,9 @@ impl ConvertReport<'_> {
         if let Some(held) = self.held_out {
             out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), sentence(held));
         }
+        if let Some(tuned) = self.tuned {
+            out += &tuned.markdown();
+        }
         out
     }
 
@@ -155,6 +250,9 @@ impl ConvertReport<'_> {
         out += &format!("\nwhat is left to gain\n{}\n\n", table_of(&self.converted.left, &LEFT, 1));
         if let Some(held) = self.held_out {
             out += &format!("on {}: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
+        }
+        if let Some(tuned) = self.tuned {
+            out += &tuned.text();
         }
         if !self.files.is_empty() {
             out += &format!("written: {}\n", self.files.join(", "));

@@ -77,6 +77,15 @@ pub struct Trace {
     pub spikes: Raster,
 }
 
+impl Trace {
+    /// What another network did that stands for spike response neurons, potentials `[step][neuron]`.
+    #[must_use]
+    pub fn of_stand_in(potential: Vec<f32>, spikes: Raster) -> Trace {
+        // Credit of spike response neurons does not depend on what a neuron did.
+        Trace { potential, state: Vec::new(), spikes }
+    }
+}
+
 impl Srm {
     /// Neurons with a response each and the refractory response of all; `kernel` says how they are applied, the first
     /// response being that of all when they are cut off.

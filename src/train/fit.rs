@@ -1,7 +1,12 @@
 //! The training loop: minibatches run on threads, gradients are summed in the order of samples, one step each.
 //!
+//! What runs forward is a [`Forward`]: the trained neurons themselves, or what stands for them once they are deployed; the
+//! gradient is taken at the potentials and spikes that it leaves, through the trained neurons' responses.
+//!
 //! Everything random is a function of (seed, entity, epoch), sums have a fixed order, and [`TrainingState`] is all that one
 //! epoch passes to the next: results depend neither on threads nor on where a run was interrupted and resumed.
+
+use std::convert::Infallible;
 
 use rayon::prelude::*;
 
@@ -13,6 +18,8 @@ use super::optimiser::{Moments, Optimiser};
 use super::raster::Raster;
 use crate::base::rng;
 use crate::desc::training::AugmentDesc;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::Sample;
 
 /// A labelled sample.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,6 +28,55 @@ pub struct Example {
     pub inputs: Vec<Raster>,
     /// Its class.
     pub label: u32,
+}
+
+impl Example {
+    /// A sample as the inputs of a network see it; none without a label.
+    #[must_use]
+    pub fn from_sample(network: &Quantised, sample: &Sample) -> Option<Example> {
+        let inputs = network.inputs().map(|(_, population)| {
+            let units = population.shape.len();
+            let first = population.first_channel().map_or(0, |channel| channel.0);
+            let within = |step| {
+                let units = sample.at(step).iter().filter_map(move |channel| channel.0.checked_sub(first));
+                units.filter(move |&unit| unit < population.shape.len()).map(move |unit| (step, unit))
+            };
+            let events = (0..sample.steps()).flat_map(within).collect();
+            Raster::from_events(units as usize, sample.steps() as usize, events)
+        });
+        Some(Example { inputs: inputs.collect(), label: sample.label()? })
+    }
+}
+
+/// What runs samples forward while a network is trained.
+pub trait Forward: Sync {
+    /// What runs, with the weights of a minibatch.
+    type Network: Sync;
+    /// Why there can be none.
+    type Error;
+
+    /// The network with these weights.
+    ///
+    /// # Errors
+    /// Where the weights have no such network.
+    fn network(&self, weights: &Weights) -> Result<Self::Network, Self::Error>;
+
+    /// Runs a sample and leaves the potentials and spikes of every layer in [`Workspace::traces`], in the trained network's time.
+    fn run(&self, network: &Self::Network, deployed: &Deployed, inputs: &[Raster], work: &mut Workspace);
+}
+
+/// The trained neurons themselves.
+impl Forward for Topology {
+    type Network = ();
+    type Error = Infallible;
+
+    fn network(&self, _: &Weights) -> Result<(), Infallible> {
+        Ok(())
+    }
+
+    fn run(&self, (): &(), deployed: &Deployed, inputs: &[Raster], work: &mut Workspace) {
+        self.forward(deployed, inputs, Spiking::Hard, work);
+    }
 }
 
 /// How a network is trained.
@@ -114,6 +170,20 @@ impl Plan {
 
     /// One epoch over the examples.
     pub fn epoch(&self, state: &mut TrainingState, examples: &[Example], workers: &mut Vec<Workspace>) {
+        let Ok(()) = self.epoch_through(&self.topology, state, examples, workers);
+    }
+
+    /// One epoch over the examples, run forward by another network than the trained one.
+    ///
+    /// # Errors
+    /// Where the weights have no such network; the epoch is then unfinished.
+    pub fn epoch_through<F: Forward>(
+        &self,
+        forward: &F,
+        state: &mut TrainingState,
+        examples: &[Example],
+        workers: &mut Vec<Workspace>,
+    ) -> Result<(), F::Error> {
         let epoch = u64::from(state.epoch);
         let order = permutation(examples.len(), self.seed, ORDER + epoch);
         workers.resize_with(self.batch.min(examples.len()), || Workspace::new(&self.topology));
@@ -123,10 +193,13 @@ impl Plan {
         let (mut loss, mut right) = (0.0, 0usize);
         for batch in order.chunks(self.batch) {
             let deployed = self.topology.deploy(&state.weights, Spiking::Hard);
+            let network = forward.network(&state.weights)?;
             let results: Vec<(f64, bool)> = batch
                 .par_iter()
                 .zip(&mut *workers)
-                .map(|(&index, work)| self.sample(&deployed, &examples[index], index as u64, epoch, work))
+                .map(|(&index, work)| {
+                    self.sample((forward, &network, &deployed), &examples[index], index as u64, epoch, work)
+                })
                 .collect();
             for gradient in &mut sum {
                 gradient.fill(0.0);
@@ -155,6 +228,7 @@ impl Plan {
         state.epoch += 1;
         let samples = examples.len().max(1) as f64;
         state.history.push(EpochRow { epoch: state.epoch, loss: loss / samples, accuracy: right as f64 / samples });
+        Ok(())
     }
 
     /// Clamps weights to the range of the mantissa, where the gradient can still move them.
@@ -167,9 +241,9 @@ impl Plan {
         }
     }
 
-    fn sample(
+    fn sample<F: Forward>(
         &self,
-        deployed: &Deployed,
+        (forward, network, deployed): (&F, &F::Network, &Deployed),
         example: &Example,
         index: u64,
         epoch: u64,
@@ -183,7 +257,7 @@ impl Plan {
                 &varied
             }
         };
-        self.topology.forward(deployed, inputs, Spiking::Hard, work);
+        forward.run(network, deployed, inputs, work);
         let output = std::mem::take(work.output_mut());
         let loss = self.loss.evaluate(&output, example.label, work.output_error());
         let right = class_of(&output.counts()) == Some(example.label);

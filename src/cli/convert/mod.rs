@@ -1,11 +1,14 @@
 //! `nsim convert MODEL`: a network with real numbers becomes integers, stage by stage, and is kept.
 //!
 //! Input: a model, calibration samples, held-out samples. Output: what each stage gained, what is left, and with `-o` a model
-//! file of integers whose provenance says how it was made.
+//! file of integers whose provenance says how it was made. With `--fine-tune` it is then trained for some epochs.
+
+mod fine_tuning;
 
 use std::path::PathBuf;
 use std::time::Instant;
 
+use self::fine_tuning::FineTuneArgs;
 use crate::base::diagnostic::Diagnostic;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::input::{InputArgs, select};
@@ -25,6 +28,8 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim convert vtsnn-slip-srm -o slip.ron                  spike response neurons to integers, searched on the model's scene
   nsim convert srm.ron --calibrate train.ron --input test.ron -o loihi.ron
+  nsim convert vtsnn-slip-srm --fine-tune 3 -o slip.ron    then train for three epochs with the integers in the forward pass
+  nsim convert srm.ron --fine-tune 5 --training srm-training.ron --train recordings/train -o loihi.ron
   nsim convert graph.nir --input spikes.npy --format json  only say how near it comes
   nsim agree srm.ron --against loihi.ron                   compare the network with what was kept";
 
@@ -44,6 +49,8 @@ pub struct Args {
     calibration_samples: u32,
     #[command(flatten)]
     copies: CopiesArgs,
+    #[command(flatten)]
+    tuning: FineTuneArgs,
     /// The model file to write; its arrays go beside it as .safetensors
     #[arg(short, long, value_name = "LOIHI.ron")]
     output: Option<PathBuf>,
@@ -85,8 +92,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let seconds = start.elapsed().as_secs_f64();
     let held = (!held_out.is_empty()).then(|| converted.on(&held_out));
     let hash = io::text::sha256(network.source().text().as_bytes());
-    let mut files = Vec::new();
-    if let Some(path) = &args.output {
+    let provenance = {
         let kept: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();
         let mut provenance = format!(
             "nsim convert {}; SHA-256 of its text {hash}; {} calibration samples of {}; stages: {}; on these {}",
@@ -102,7 +108,21 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         if let Some(before) = &graph.facts().provenance {
             provenance += &format!("; converted from: {before}");
         }
-        files = model_file::model(&graph, &converted.network, provenance)?.write(path, context.force)?;
+        provenance
+    };
+    let output = args.output.as_deref().map(|path| (path, provenance.as_str()));
+    let tuned = args.tuning.tune((&graph, &integers, &converted), &held_out, output, context)?;
+    let mut files = Vec::new();
+    match (&tuned, output) {
+        (Some(tuned), Some((path, provenance))) => {
+            let provenance = format!("{provenance}; {}", tuned.sentence());
+            files = model_file::model(&graph, tuned.integers.deployed(), provenance)?.write(path, context.force)?;
+        }
+        (None, Some((path, provenance))) => {
+            let provenance = provenance.to_string();
+            files = model_file::model(&graph, &converted.network, provenance)?.write(path, context.force)?;
+        }
+        (_, None) => {}
     }
     for layer in &converted.layers {
         if let Some(advice) = layer.advice.as_ref().filter(|_| layer.clipped > 0 || layer.coincidence.is_none()) {
@@ -115,6 +135,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         input: &stimulus.origin,
         converted: &converted,
         held_out: held.as_ref(),
+        tuned: tuned.as_ref(),
         files: &files,
         seconds,
     };

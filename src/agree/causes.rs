@@ -1,0 +1,63 @@
+//! The causes by which the machine differs from a trained network, and the sets of them that are switched on.
+
+use crate::base::names::named_variants;
+
+/// Something in which the machine differs from the trained network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cause {
+    /// The response and refractory kernels without end instead of cut.
+    Untruncated,
+    /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step longer at the end.
+    Kernel,
+    /// A hard reset and a refractory period instead of the refractory kernel.
+    HardReset,
+    /// Decays in 4096ths.
+    Decays,
+    /// The thresholds and synapses onto itself that a search chose instead of those of the analysis.
+    Calibration,
+    /// Integer weights, thresholds and biases.
+    Weights,
+    /// Integer state: rounding toward zero, wrapping, clipping.
+    State,
+}
+
+named_variants!(Cause {
+    Untruncated = "exact-kernel",
+    Kernel = "cuba-kernel",
+    HardReset = "hard-reset",
+    Decays = "quantised-decays",
+    Calibration = "calibration",
+    Weights = "quantised-weights",
+    State = "integer-state",
+});
+
+/// Which causes are switched on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Rung([bool; 7]);
+
+impl Rung {
+    /// The trained network.
+    pub const TRAINED: Rung = Rung([false; 7]);
+    /// The machine.
+    pub const MACHINE: Rung = Rung([true; 7]);
+
+    /// Whether a cause is on.
+    #[must_use]
+    pub fn has(self, cause: Cause) -> bool {
+        self.0[cause as usize]
+    }
+
+    /// The same with one less.
+    #[must_use]
+    pub fn without(mut self, cause: Cause) -> Rung {
+        self.0[cause as usize] = false;
+        self
+    }
+
+    /// The same with one more.
+    #[must_use]
+    pub fn with(mut self, cause: Cause) -> Rung {
+        self.0[cause as usize] = true;
+        self
+    }
+}
