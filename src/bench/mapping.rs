@@ -3,13 +3,14 @@
 //! Input: a network and how to map it. Output: a [`MeasuredMapping`] for each way: what it uses, how far spikes go at an
 //! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
 //! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row. A
-//! network that is mapped by its kernels is not run, and its energy and time are the expected ones.
+//! network that is mapped by its kernels is not run, and its energy and time are the expected ones. A network that cannot
+//! fit gives a [`Refusal`]: every reason, and how soon it was given.
 
 use std::time::Instant;
 
 use crate::base::units::Picoseconds;
 use crate::bench::networks::BenchNetwork;
-use crate::bench::suite::{STEPS, SuiteCase};
+use crate::bench::suite::{STEPS, SuiteCase, Ways};
 use crate::compile::explore::traffic::Traffic;
 use crate::compile::{
     CompileError, Compiled, DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy, explore,
@@ -54,12 +55,30 @@ pub struct MeasuredMapping {
     pub peak_mib: Option<f64>,
 }
 
+/// A network that cannot fit, refused.
+#[derive(Debug, Clone)]
+pub struct Refusal {
+    /// The network.
+    pub network: &'static str,
+    /// The board.
+    pub target: String,
+    /// Every reason.
+    pub reasons: Vec<String>,
+    /// Seconds until it was refused, the network itself not included.
+    pub seconds: f64,
+    /// The process's peak memory, where the system tells it.
+    pub peak_mib: Option<f64>,
+}
+
 /// Why there is no row.
 #[derive(Debug, thiserror::Error)]
 pub enum MappingFailure {
     /// The network could not be mapped.
     #[error("{0} {1}: {2}")]
     Compile(&'static str, &'static str, #[source] Box<CompileError>),
+    /// The network was mapped, which cannot be.
+    #[error("{0} fits, though it is known not to")]
+    Fits(&'static str),
     /// It could not be run or priced.
     #[error("{0}: {1}")]
     Run(&'static str, String),
@@ -87,6 +106,9 @@ pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
     (Strategy::Multilevel, Objective::Latency, &[true]),
 ];
 
+/// As `nsim map` does unless it is told otherwise.
+const DEFAULT: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[true])];
+
 /// The ways in which a network is mapped whose synapses are not written out.
 const BY_KERNELS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
 
@@ -102,9 +124,11 @@ pub fn map_all(
     mut row: impl FnMut(MeasuredMapping),
 ) -> Result<(), MappingFailure> {
     let form = Form::for_network(&bench.network, case.copies);
-    let ways = match form {
-        Form::Written => &WAYS[..],
-        Form::Symbolic => &BY_KERNELS[..],
+    let ways = match (case.ways, form) {
+        (Ways::All, Form::Written) => &WAYS[..],
+        (Ways::All, Form::Symbolic) => &BY_KERNELS[..],
+        (Ways::Default, _) => &DEFAULT[..],
+        (Ways::Refused, _) => &[],
     };
     let rates = &Rates::assumed(DEFAULT_RATE);
     let front = || {
@@ -176,6 +200,29 @@ pub fn map_all(
         }
     }
     Ok(())
+}
+
+/// Why a network that cannot fit does not, by the default mapping.
+///
+/// # Errors
+/// [`MappingFailure`] where it is not refused.
+pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result<Refusal, MappingFailure> {
+    let options = Options { copies: case.copies, ..Options::default() };
+    let form = Form::for_network(&bench.network, case.copies);
+    reset_peak();
+    let begin = Instant::now();
+    let front = Front::from(bench.network.clone());
+    match explore::map(front, target, &options, &Rates::assumed(DEFAULT_RATE), form) {
+        Ok(_) => Err(MappingFailure::Fits(case.name)),
+        Err(CompileError::DoesNotFit(reasons)) => Ok(Refusal {
+            network: case.name,
+            target: target.name().to_string(),
+            reasons: reasons.iter().map(ToString::to_string).collect(),
+            seconds: begin.elapsed().as_secs_f64(),
+            peak_mib: peak_mib(),
+        }),
+        Err(other) => Err(MappingFailure::Compile(case.name, options.strategy.name(), Box::new(other))),
+    }
 }
 
 /// Mean energy and time of a step, once the spikes of the network's own compartments have been compared.

@@ -286,7 +286,7 @@ pub struct Random {
 }
 
 /// So many synapses of each source to random targets, with small weights of both signs.
-fn random_synapses(targets: u32, fan_out: u32, seed: u64) -> Connectivity {
+pub(super) fn random_synapses(targets: u32, fan_out: u32, seed: u64) -> Connectivity {
     Connectivity::Random { targets, fan_out, low: -8, high: 8, step: 2, seed, first_source: 0 }
 }
 

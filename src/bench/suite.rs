@@ -25,13 +25,19 @@
 //!   connections. Degrees have heavy tails: out-degrees are drawn from a Pareto distribution with exponent 1.6 from 40 to 10,000,
 //!   in-degrees fall as 1 / sqrt(j) and are 4,000 at most, because a core has 4,096 input axons. Delays are 18 steps, 1.8 ms of 0.1 ms
 //!   as in the model of Shiu et al. 2024. Mapped with relays.
+//! - `copies-32000`: 32,000 copies of 12 -> 10 -> 1, dense, which share nothing.
+//! - `microcircuit`: as many neurons as the model of a cortical microcircuit (Potjans & Diesmann 2014) has, 77,169, with as many
+//!   synapses each as its mean, 3,873, drawn evenly: 1.11 * 2^28. Refused on `pohoiki-springs`; `microcircuit-wide` is the same with
+//!   delays of 15 steps, 1.5 ms of 0.1 ms, on a board whose cores have 65,536 input and output axons, with relays.
 //! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 / sqrt(j), as hubs of preferential
 //!   attachment do (Barabasi & Albert 1999); no compartment takes more than 2,000, so that its input axons fit a core.
 
 use crate::base::fixed::{OutOfRange, SignMode};
 use crate::base::id::PopulationId;
 use crate::base::rng;
-use crate::bench::networks::{BenchNetwork, BuildError, Builder, Random, independent_spikes, random, vtsnn};
+use crate::bench::networks::{
+    BenchNetwork, BuildError, Builder, Random, independent_spikes, random, random_synapses, vtsnn,
+};
 use crate::ir::graph::Window;
 use crate::ir::quantised::Connectivity;
 
@@ -39,6 +45,17 @@ use crate::ir::quantised::Connectivity;
 pub const STEPS: u32 = 16;
 /// Of each channel, one step in so many has a spike.
 const RARE: u64 = 20;
+
+/// In which ways a network is mapped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ways {
+    /// By every strategy, placed and unplaced, and for short steps.
+    All,
+    /// As `nsim map` does unless it is told otherwise.
+    Default,
+    /// In none: it is refused.
+    Refused,
+}
 
 /// A network to map.
 #[derive(Debug, Clone)]
@@ -51,6 +68,10 @@ pub struct SuiteCase {
     pub large: bool,
     /// Whether it is mapped with relays.
     pub relays: bool,
+    /// How it is mapped.
+    pub ways: Ways,
+    /// Input and output axons of a core, where they are not those of the board.
+    pub axons: Option<u32>,
     make: fn(&'static str) -> Result<BenchNetwork, BuildError>,
 }
 
@@ -67,11 +88,14 @@ impl SuiteCase {
 /// All networks, small ones first.
 #[must_use]
 pub fn cases() -> Vec<SuiteCase> {
-    let case = |name, make| SuiteCase { name, copies: 1, large: false, relays: false, make };
+    let case =
+        |name, make| SuiteCase { name, copies: 1, large: false, relays: false, ways: Ways::All, axons: None, make };
     vec![
         case("vtsnn-slip", slip),
         case("container-tactile", container),
         SuiteCase { copies: 32, ..case("vtsnn-slip-x32", slip) },
+        SuiteCase { copies: 32_000, ways: Ways::Default, ..case("copies-32000", small_copy) },
+        SuiteCase { ways: Ways::Refused, ..case("microcircuit", |name| microcircuit(name, 0)) },
         case("lenet", lenet),
         case("dvs-gesture", gesture),
         case("cifar-conv", cifar),
@@ -92,6 +116,13 @@ pub fn cases() -> Vec<SuiteCase> {
         SuiteCase { large: true, ..case("scale-free-1m", |name| scale_free(name, 1_000_000)) },
         SuiteCase { large: true, ..case("conv-10m", convolutions) },
         SuiteCase { large: true, relays: true, ..case("fly-140k", fly) },
+        SuiteCase {
+            large: true,
+            relays: true,
+            ways: Ways::Default,
+            axons: Some(65_536),
+            ..case("microcircuit-wide", |name| microcircuit(name, 14))
+        },
     ]
 }
 
@@ -113,6 +144,26 @@ fn container(name: &'static str) -> Result<BenchNetwork, BuildError> {
     net.dense((touch, hidden), (-16, 32), 1)?;
     net.dense((hidden, out), (-32, 48), 2)?;
     bench(net, "nahuku-32")
+}
+
+fn small_copy(name: &'static str) -> Result<BenchNetwork, BuildError> {
+    let mut net = Builder::new(name);
+    let input = net.input("input", 12);
+    let (hidden, out) = (net.loihi("hidden", 10, 60, 1)?, net.loihi("out", 1, 60, 1)?);
+    net.dense((input, hidden), (-16, 32), 1)?;
+    net.dense((hidden, out), (-32, 48), 2)?;
+    let network = net.build()?;
+    let period = independent_spikes(&network, STEPS, (1, RARE))?;
+    Ok(BenchNetwork { network, period, target: "pohoiki-springs" })
+}
+
+fn microcircuit(name: &'static str, delay: i64) -> Result<BenchNetwork, BuildError> {
+    const COMPARTMENTS: u32 = 77_169;
+    const SYNAPSES: u32 = 3_873;
+    let (mut net, _, neurons) = Builder::driven(name, COMPARTMENTS)?;
+    net.connect((neurons, neurons), 0, SignMode::Mixed, random_synapses(COMPARTMENTS, SYNAPSES, 2))?;
+    net.delay_last(delay)?;
+    bench(net, "pohoiki-springs")
 }
 
 /// Layers that grow one by one.
@@ -358,7 +409,9 @@ mod tests {
 
     #[test]
     fn every_network_can_be_built_and_its_layers_fire() {
-        for case in cases().into_iter().filter(|case| !case.large && !case.name.contains("100k")) {
+        for case in
+            cases().into_iter().filter(|case| !case.large && case.ways != Ways::Refused && !case.name.contains("100k"))
+        {
             let bench = case.build().unwrap();
             let network = &bench.network;
             let mut engine = Golden::new(network);

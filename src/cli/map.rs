@@ -7,7 +7,7 @@ use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::explore::{self, remedy};
-use crate::compile::{self, CompileError, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Strategy};
+use crate::compile::{self, CompileError, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Reason, Strategy};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::drive::inputs;
@@ -100,15 +100,15 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         && !args.job.prune.asked()
         && let Err(CompileError::DoesNotFit(reasons)) = compile::shapes::check(&network, &target, options.copies)
     {
-        let model = &network.file().name;
-        let (pruned, remedies) = (&[][..], &[][..]);
-        let question = Question { model, target: &target, options: &options, pruned, remedies, scenario: None };
-        let outcome = Outcome::DoesNotFit(&reasons);
-        let json = || report::json(question, outcome);
-        output::print(context.format, || report::text(question, outcome), json, || Ok(report::csv(outcome)))?;
-        return Ok(Answer::No);
+        return refuse(&network.file().name, &target, &options, &reasons, context);
     }
-    let front = jobs::with_relays(&args.job, jobs::front(&args.job, &network, &[])?, &target)?;
+    let front = match jobs::with_relays(&args.job, jobs::front(&args.job, &network, &[])?, &target) {
+        Err(CompileError::DoesNotFit(reasons)) => {
+            return refuse(&network.file().name, &target, &options, &reasons, context);
+        }
+        relayed => relayed?,
+    };
+    let relays = front.relays().cloned();
     let form = Form::for_network(front.quantised(), options.copies);
     if !args.profile.is_empty() {
         Form::require_written("--profile", front.quantised(), options.copies)?;
@@ -149,11 +149,12 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let model = &network.file().name;
     let scenario = io::published::scenario::shipped_for(&args.job.model)?;
     let scenario = scenario.as_ref();
-    let question = Question { model, target: &target, options: &options, pruned, remedies: &remedies, scenario };
+    let (target, options, remedies, relays) = (&target, &options, &remedies[..], relays.as_ref());
+    let question = Question { model, target, options, pruned, remedies, relays, scenario };
     let outcome = match &mapped {
         Ok(mapped) => {
             let traffic = mapped.traffic();
-            Outcome::Fits(mapped, traffic, mapped.score(&traffic, &target)?)
+            Outcome::Fits(mapped, traffic, mapped.score(&traffic, target)?)
         }
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
@@ -162,7 +163,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
         }
         if let Some(path) = &args.svg {
-            io::write::text(path, context.force, &board::svg(mapped, &target, &mapped.links()))?;
+            io::write::text(path, context.force, &board::svg(mapped, target, &mapped.links()))?;
         }
         if let Some(path) = &args.pareto {
             io::write::text(path, context.force, &report::pareto_svg(model, &candidates))?;
@@ -179,6 +180,15 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         output::print(context.format, text, json, || Ok(report::csv(outcome)))?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
+}
+
+/// Prints why a network does not fit, where that is known before it is mapped.
+fn refuse(model: &str, target: &Target, options: &Options, reasons: &[Reason], context: Context) -> Result<Answer> {
+    let question = Question { model, target, options, pruned: &[], remedies: &[], relays: None, scenario: None };
+    let outcome = Outcome::DoesNotFit(reasons);
+    let json = || report::json(question, outcome);
+    output::print(context.format, || report::text(question, outcome), json, || Ok(report::csv(outcome)))?;
+    Ok(Answer::No)
 }
 
 /// Samples of a profile run at most.

@@ -36,7 +36,7 @@ pub use form::Form;
 pub use mapping::{Checked, Compiled, Mapping, Synapses};
 pub use options::{DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy};
 pub use reason::Reason;
-pub use stages::{Front, Partitioned, Placed, Unchecked};
+pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked};
 
 /// A network in integers.
 ///

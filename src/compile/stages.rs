@@ -3,6 +3,7 @@
 //! A [`Front`] is partitioned, a [`Partitioned`] network placed, a [`Placed`] one emitted, an [`Unchecked`] mapping checked.
 //! Comparing mappings begins again at any of them.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use crate::base::diagnostic::Diagnostic;
@@ -24,6 +25,7 @@ use crate::compile::partition::boxes::{self, Boxes};
 use crate::compile::partition::members::Members;
 use crate::compile::partition::{self, partition, within_bounds};
 use crate::compile::place::{self, anneal};
+use crate::compile::resources::even_draws;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::resource::Resource;
@@ -56,11 +58,23 @@ impl Clock {
 pub struct Front {
     one: Quantised,
     clock: Clock,
+    relays: Option<AddedRelays>,
+}
+
+/// Relays that were added to a network.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct AddedRelays {
+    /// How many.
+    pub relays: u32,
+    /// Levels of the deepest tree of them.
+    pub levels: u32,
+    /// By population of the model, the steps by which its spikes come later, where they do.
+    pub later: BTreeMap<String, u32>,
 }
 
 impl From<Quantised> for Front {
     fn from(one: Quantised) -> Self {
-        Front { one, clock: Clock::default() }
+        Front { one, clock: Clock::default(), relays: None }
     }
 }
 
@@ -73,13 +87,19 @@ impl Front {
         let mut clock = Clock::default();
         let graph = clock.stage("lower", || lower(network))?;
         let one = clock.stage("quantise", || integers(&graph))?;
-        Ok(Front { one, clock })
+        Ok(Front { one, clock, relays: None })
     }
 
     /// The network.
     #[must_use]
     pub fn quantised(&self) -> &Quantised {
         &self.one
+    }
+
+    /// The relays that it has besides those of the model, if any.
+    #[must_use]
+    pub fn relays(&self) -> Option<&AddedRelays> {
+        self.relays.as_ref()
     }
 
     /// The network.
@@ -101,10 +121,15 @@ impl Front {
     /// spike alike. Populations then have notes that say how many relays, and how many steps later their spikes come.
     ///
     /// # Errors
-    /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned.
+    /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned; [`CompileError::DoesNotFit`]
+    /// when relays cannot help.
     pub fn relay(mut self, target: &Target) -> Result<Front> {
         if self.one.pruned().is_some() {
             return Err(Diagnostic::new("map.relays", "a pruned network cannot be given relays").into());
+        }
+        let reasons = even_draws::reasons(&self.one, target, 1, true);
+        if !reasons.is_empty() {
+            return Err(CompileError::DoesNotFit(reasons));
         }
         let limits = target.limits();
         let of_core = limits[Resource::AxonsOut] / limits.axon_out_slots_off_chip.max(1);
@@ -113,9 +138,12 @@ impl Front {
             return Ok(self);
         }
         let relayed = self.clock.stage("relays", || relayed(&self.one, most))?;
-        let Relayed { network, later, .. } = relayed;
+        let Relayed { network, later, relays, levels } = relayed;
         let check = || relays::check(&self.one, &network, &later);
         self.clock.stage("check relays", check).map_err(CompileError::fault)?;
+        let populations = self.one.populations().iter().zip(&later).filter(|(_, later)| **later > 0);
+        let later = populations.map(|(population, &later)| (population.name.clone(), later)).collect();
+        self.relays = Some(AddedRelays { relays, levels, later }).filter(|added| added.relays > 0);
         self.one = network;
         Ok(self)
     }
@@ -138,7 +166,7 @@ impl Front {
     pub fn partition(self, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Partitioned> {
         let search = partition::Search::new(options, rates);
         let (front, all) = self.copied(target, options, search, form)?;
-        let Front { one, mut clock } = front;
+        let Front { one, mut clock, .. } = front;
         let (partition, boxes) = clock.stage("partition", || match form {
             Form::Written => Ok((partition(&one, &all, target, search)?, None)),
             Form::Symbolic => boxes::partition(&all, target, search.strategy, options.copies),
@@ -162,7 +190,7 @@ impl Front {
             Form::Symbolic => self,
         };
         let (front, all) = pruned.copied(target, options, partition::Search::new(options, &rates), form)?;
-        let Front { one, mut clock } = front;
+        let Front { one, mut clock, .. } = front;
         let (partition, placement, boxes) = clock.stage("mapping", || mapping_file::load(file, &all, target, form))?;
         Ok(Placed {
             partitioned: Partitioned { one, all, partition, boxes, rates, clock },
@@ -185,7 +213,7 @@ impl Front {
     ) -> Result<Placed> {
         let search = partition::Search::new(options, rates);
         let (front, all) = self.copied(target, options, search, Form::Written)?;
-        let Front { one, mut clock } = front;
+        let Front { one, mut clock, .. } = front;
         let partition = clock.stage("partition", || mapping_file::partition_on(&all, members, &sites, target))?;
         let mesh = Mesh::for_target(target);
         let placement = clock.stage("place", || Placement::new(mesh, sites)).map_err(CompileError::fault)?;

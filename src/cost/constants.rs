@@ -102,7 +102,7 @@ impl CostTable {
     }
 }
 
-/// A constant in the least unit of its kind: pJ in fJ, ns and us in ps, mW in nW.
+/// A constant in the least unit of its kind, rounded to it: pJ in fJ, ns and us in ps, mW in nW.
 pub(crate) fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u64, Diagnostic> {
     let (places, least) = match constant.unit {
         Unit::pJ => (3, "fJ"),
@@ -114,29 +114,24 @@ pub(crate) fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u
     let value = constant.value.value;
     decimal(value, places).ok_or_else(|| {
         Diagnostic::new(
-            "target.constant-digits",
-            format!(
-                "preset {preset}: {field} {value} {:?} is not a whole number of {least} from 0 to 10^15",
-                constant.unit
-            ),
+            "target.constant-range",
+            format!("preset {preset}: {field} {value} {:?} is not from 0 to 10^15 {least}", constant.unit),
         )
-        .help(format!("give it with at most {places} digits after the point"))
     })
 }
 
-/// `value * 10^places` when that is a whole number from 0 to 10^15. The shortest decimal that reads back as `value` is
-/// what the file said, up to 15 digits, so no binary rounding enters.
+/// `value * 10^places`, rounded to a whole number, when that is from 0 to 10^15. The shortest decimal that reads back as
+/// `value` is what the file said, up to 15 digits, so no binary rounding enters.
 fn decimal(value: f64, places: usize) -> Option<u64> {
     if !(0.0..=1e15).contains(&value) {
         return None;
     }
     let text = format!("{value}");
     let (whole, fraction) = text.split_once('.').unwrap_or((&text, ""));
-    if fraction.len() > places {
-        return None;
-    }
-    let digits = format!("{}{fraction:0<places$}", whole.trim_start_matches('-'));
-    digits.parse().ok().filter(|&integer: &u64| integer <= 1_000_000_000_000_000)
+    let (kept, rest) = fraction.split_at(places.min(fraction.len()));
+    let digits = format!("{}{kept:0<places$}", whole.trim_start_matches('-'));
+    let up = u64::from(rest.as_bytes().first().is_some_and(|&digit| digit >= b'5'));
+    digits.parse().ok().map(|integer: u64| integer + up).filter(|&integer| integer <= 1_000_000_000_000_000)
 }
 
 #[cfg(test)]
@@ -156,14 +151,17 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn decimals_convert_exactly_or_not_at_all() {
+    fn decimals_convert_exactly_or_to_the_nearest() {
         assert_eq!(decimal(23.6, 3), Some(23_600));
         assert_eq!(decimal(0.113, 6), Some(113_000));
         assert_eq!(decimal(0.0, 3), Some(0));
         assert_eq!(decimal(-0.0, 3), Some(0));
         assert_eq!(decimal(135.04, 6), Some(135_040_000));
         assert_eq!(decimal(1e9, 6), Some(1_000_000_000_000_000));
-        for refused in [0.0001, 23.6001, -1.0, f64::NAN, f64::INFINITY, 1e13] {
+        for (value, rounded) in [(0.0001, 0), (0.0005, 1), (23.6001, 23_600), (23.59951, 23_600), (1.0 / 3.0, 333)] {
+            assert_eq!(decimal(value, 3), Some(rounded), "{value}");
+        }
+        for refused in [-1.0, f64::NAN, f64::INFINITY, 1e13] {
             assert_eq!(decimal(refused, 3), None, "{refused}");
         }
         // 0.001 to 99.999: each is itself in thousandths, though hardly any is a binary fraction.
@@ -217,14 +215,13 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn more_digits_than_a_femtojoule_are_refused_by_name() {
+    fn more_digits_than_a_femtojoule_are_rounded_and_what_is_below_zero_is_refused_by_name() {
         let mut constants = preset("davies2018");
         constants.hop_ew_energy.value = 3.0001.into();
+        assert_eq!(CostTable::new(&constants).unwrap().hop_ew_energy, table("davies2018").hop_ew_energy);
+        constants.hop_ew_energy.value = (-3.0).into();
         let problem = CostTable::new(&constants).unwrap_err();
-        assert_eq!(
-            problem.message,
-            "preset davies2018: hop_ew_energy 3.0001 pJ is not a whole number of fJ from 0 to 10^15"
-        );
+        assert_eq!(problem.message, "preset davies2018: hop_ew_energy -3 pJ is not from 0 to 10^15 fJ");
     }
 
     #[test]

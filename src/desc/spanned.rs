@@ -183,8 +183,25 @@ pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Re
 
 /// Parses a text in which the inside of lists may have been blanked out byte for byte; [`list_at`] reads those.
 pub(crate) fn parse_blanked<T: DeserializeOwned>(source: &SourceText, text: &str, code: &'static str) -> Result<T> {
+    attempt(text, source.text()).map_err(|Malformed { span, message }| {
+        let others = other_missing_fields::<T>(source.text(), text, &Malformed { span, message: message.clone() });
+        let place = |&(at, _): &(usize, String)| source.position(at).line;
+        let others: Vec<String> = others.iter().map(|one| format!("{} (line {})", one.1, place(one))).collect();
+        let also = if others.is_empty() { String::new() } else { format!("; also missing: {}", others.join(", ")) };
+        Diagnostic::new(code, message + &also).at(source, span)
+    })
+}
+
+/// Why a text cannot be read, and where.
+struct Malformed {
+    span: Span,
+    message: String,
+}
+
+/// Parses a text; `written` is the same without blanks.
+fn attempt<T: DeserializeOwned>(text: &str, written: &Arc<str>) -> Result<T, Malformed> {
     let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
-    let written = WRITTEN.replace(Some(source.text().clone()));
+    let written = WRITTEN.replace(Some(written.clone()));
     INNERMOST.set(None);
     let result = options().from_str::<T>(text);
     TEXT.set(before);
@@ -194,8 +211,82 @@ pub(crate) fn parse_blanked<T: DeserializeOwned>(source: &SourceText, text: &str
             let end = offset_of(text, error.span.end);
             Span { start: offset_of(text, error.span.start).min(end), end }
         });
-        Diagnostic::new(code, plain(&error.code)).at(source, span)
+        Malformed { span, message: plain(&error.code) }
     })
+}
+
+/// Values of every kind that a field can have, one of which is likely to do for a while.
+const FILLERS: [&str; 8] = ["0", "\"x\"", "[]", "[0]", "(1, 1)", "()", "true", "x"];
+/// Texts longer than this are not read again to find more missing fields.
+const MOST_BYTES: usize = 1 << 20;
+/// Missing fields that are named at most.
+const MOST_MISSING: usize = 40;
+
+/// Field and owner of RON's message that a field is missing.
+fn missing_field(message: &str) -> Option<(&str, &str)> {
+    let (field, rest) = message.split_once("missing field named `")?.1.split_once('`')?;
+    Some((field, rest.split_once("in `")?.1.split_once('`')?.0))
+}
+
+/// Fields that are missing besides the first, and where. RON ends at the first one, so that is filled in and the text is read
+/// again, until something else is wrong.
+fn other_missing_fields<T: DeserializeOwned>(
+    written: &str,
+    text: &str,
+    Malformed { span, message }: &Malformed,
+) -> Vec<(usize, String)> {
+    let (mut written, mut text, mut found) = (written.to_string(), text.to_string(), Vec::new());
+    let (mut at, mut missing) = (span.start, missing_field(message).map(|(field, _)| field.to_string()));
+    // Where values were filled in, and how long they are.
+    let mut filled: Vec<(Span, usize)> = Vec::new();
+    while let Some(field) = missing.take().filter(|_| text.len() <= MOST_BYTES && found.len() < MOST_MISSING) {
+        if text.get(..at).is_none() {
+            break;
+        }
+        let comma = if text[..at].trim_end().ends_with([',', '(']) { "" } else { "," };
+        let mut fillers: Vec<String> = FILLERS.iter().map(ToString::to_string).collect();
+        let mut next = 0;
+        while let Some(filler) = fillers.get(next) {
+            next += 1;
+            let inserted = format!("{comma} {field}: {filler},");
+            let with = |text: &str| format!("{}{inserted}{}", &text[..at], &text[at..]);
+            let (now, now_written) = (with(&text), with(&written));
+            let Err(Malformed { span, message }) = attempt::<T>(&now, &now_written.as_str().into()) else {
+                return found;
+            };
+            let end = at + inserted.len();
+            let another = missing_field(&message);
+            let inside = (at..end).contains(&span.start);
+            if inside && another.is_none() {
+                // Of an enum the message names a variant.
+                let variant = message.split_once(", expected ").and_then(|(_, rest)| rest.split('`').nth(1));
+                if let Some(variant) = variant
+                    .filter(|name| message.contains("enum") && fillers.len() == FILLERS.len() && !name.is_empty())
+                {
+                    fillers.push(variant.to_string());
+                }
+                continue;
+            }
+            for (one, _) in filled.iter_mut().filter(|(one, _)| one.end > at) {
+                one.start += if one.start >= at { inserted.len() } else { 0 };
+                one.end += inserted.len();
+            }
+            filled.push((Span { start: at, end }, inserted.len()));
+            if let Some((field, owner)) = another {
+                // What a filled in value lacks is missing in no file.
+                if !filled.iter().any(|(one, _)| (one.start..one.end).contains(&span.start)) {
+                    let before = filled.iter().filter(|(one, _)| one.start < span.start);
+                    let before: usize = before.map(|(_, length)| length).sum();
+                    found.push((span.start - before, format!("`{field}` in `{owner}`")));
+                }
+                missing = Some(field.to_string());
+                at = span.start;
+            }
+            (text, written) = (now, now_written);
+            break;
+        }
+    }
+    found
 }
 
 /// RON's message in one line.
@@ -257,6 +348,48 @@ mod tests {
             (3, 3, 3)
         );
         assert_eq!(&source.text()[outer.inner.span.start..outer.inner.span.end], "[1, 22,\n  3]");
+    }
+
+    #[derive(serde::Deserialize)]
+    enum Kind {
+        Thin,
+    }
+
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Inner {
+        _size: Spanned<u64>,
+        _kind: Kind,
+        _pair: (u32, u32),
+    }
+
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Whole {
+        _inner: Inner,
+        _more: Vec<Inner>,
+        _name: Spanned<String>,
+        _other: Inner,
+        _last: bool,
+    }
+
+    #[test]
+    fn all_missing_fields_are_named_at_once() {
+        let text = "Whole(_inner: (_size: 3),\n _more: [(_kind: Thin,), ()],\n)";
+        let error = parse::<Whole>(&SourceText::new("t.ron", text), "t").err().unwrap();
+        let said = error.to_string();
+        let first = "missing field named `_kind` in `Inner`; also missing: `_pair` in `Inner` (line 1), ";
+        assert!(said.contains(first), "{said}");
+        let second = "`_size` in `Inner` (line 2), `_pair` in `Inner` (line 2), `_size` in `Inner` (line 2), ";
+        assert!(said.contains(second), "{said}");
+        // What a missing value would have to hold is not said.
+        let rest = "`_kind` in `Inner` (line 2), `_pair` in `Inner` (line 2), `_name` in `Whole` (line 3), `_other` in \
+            `Whole` (line 3), `_last` in `Whole` (line 3)";
+        assert!(said.contains(rest), "{said}");
+        assert_eq!(error.position().unwrap().line, 1);
+        let text = "Whole(_inner: (_size: 3), _wrong: 4)";
+        let said = parse::<Whole>(&SourceText::new("t.ron", text), "t").err().unwrap().to_string();
+        assert!(said.contains("`_kind`") && !said.contains("_wrong"), "{said}");
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::compile::explore::cost_estimate::Score;
 use crate::compile::explore::remedy::Remedy;
 use crate::compile::explore::search::{Found, front};
 use crate::compile::explore::traffic::Traffic;
-use crate::compile::{DEFAULT_RATE, Effort, Form, Mapping, Options, Reason, place};
+use crate::compile::{AddedRelays, DEFAULT_RATE, Effort, Form, Mapping, Options, Reason, place};
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
@@ -40,6 +40,8 @@ pub struct Question<'a> {
     pub pruned: &'a [PrunedRow],
     /// Changes that were tried and make it fit, when it does not.
     pub remedies: &'a [Remedy],
+    /// The relays that were added to it.
+    pub relays: Option<&'a AddedRelays>,
     /// The published job of the model, to compare with.
     pub scenario: Option<&'a ScenarioFile>,
 }
@@ -58,6 +60,19 @@ fn time_budget_s(options: &Options) -> Option<f64> {
     match options.effort {
         Effort::Work(_) => None,
         Effort::Within { budget_ms, .. } => Some(f64::from(budget_ms) / 1e3),
+    }
+}
+
+/// The relays that were added, in a sentence.
+fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
+    let (relays, levels) = (count(*relays, "relay"), count(*levels, "level"));
+    let of = |(name, steps): (&String, &u32)| format!("{name} {steps}");
+    match later.is_empty() {
+        true => format!("{relays} in {levels}; no spike comes later"),
+        false => format!(
+            "{relays} in {levels}; spikes come later, by so many steps: {}",
+            later.iter().map(of).collect::<Vec<_>>().join(", ")
+        ),
     }
 }
 
@@ -82,6 +97,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "seed": options.seed,
         "time_budget_s": time_budget_s(options),
         "pruned": pruned_json(pruned),
+        "relays": question.relays,
         "fits": mapping.is_some(),
         "cores_used": mapping.map(|mapping| mapping.partition.cores()),
         "chips_used": mapping.map(|mapping| mapping.placement.chips_used()),
@@ -345,6 +361,10 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 compiled.placed,
                 options.seed
             );
+            if let Some(added) = question.relays {
+                text += &wrapped(&relays_text(added));
+                text.push('\n');
+            }
             if let Some(seconds) = time_budget_s(options) {
                 let _ = writeln!(text, "the best found in {seconds} s on this machine; another run may find another\n");
             }
@@ -455,7 +475,7 @@ mod tests {
     use crate::compile::{CompileError, compile, explore, front as integers};
     use crate::ir::quantised::Quantised;
 
-    const KEYS: [&str; 26] = [
+    const KEYS: [&str; 27] = [
         "schema",
         "model",
         "target",
@@ -466,6 +486,7 @@ mod tests {
         "seed",
         "time_budget_s",
         "pruned",
+        "relays",
         "fits",
         "cores_used",
         "chips_used",
@@ -501,8 +522,15 @@ mod tests {
     fn both_answers_have_the_same_keys() {
         let options = Options { copies: 3, ..Options::default() };
         let board = target(2, 1, limits());
-        let question =
-            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], scenario: None };
+        let question = Question {
+            model: "slip",
+            target: &board,
+            options: &options,
+            pruned: &[],
+            remedies: &[],
+            relays: None,
+            scenario: None,
+        };
         let compiled = mapped(slip(3150), &board, &options).unwrap();
         let outcome = fits_with(&compiled, &board);
         let fits = json(question, outcome);
@@ -555,8 +583,15 @@ mod tests {
         let options = Options::default();
         let compiled = mapped(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);
-        let question =
-            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], scenario: None };
+        let question = Question {
+            model: "slip",
+            target: &board,
+            options: &options,
+            pruned: &[],
+            remedies: &[],
+            relays: None,
+            scenario: None,
+        };
         let spoken = text(question, fits_with(&compiled, &board));
         assert!(spoken.contains("and 42 more") && spoken.lines().count() < 40, "{spoken}");
     }

@@ -325,9 +325,9 @@ pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<Front
 /// The network with the relays that `--relays` asks for.
 ///
 /// # Errors
-/// [`Error`] when delays leave no time for them.
-pub fn with_relays(args: &JobArgs, front: Front, target: &Target) -> Result<Front, Error> {
-    if args.relays { Ok(front.relay(target)?) } else { Ok(front) }
+/// [`CompileError`] when delays leave no time for them, or they cannot help.
+pub fn with_relays(args: &JobArgs, front: Front, target: &Target) -> Result<Front, CompileError> {
+    if args.relays { front.relay(target) } else { Ok(front) }
 }
 
 /// Compiles a network, onto the cores of a saved mapping when there is one.
@@ -343,7 +343,10 @@ pub fn compiled(
     probed: &[&str],
 ) -> Result<Result<Compiled, CompileError>, Error> {
     args.prune.not_with_mapping(mapping.is_some())?;
-    let front = with_relays(args, front(args, network, probed)?, target)?;
+    let front = match with_relays(args, front(args, network, probed)?, target) {
+        Ok(front) => front,
+        Err(error) => return Ok(Err(error)),
+    };
     Ok(match mapping {
         Some(file) => {
             compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))

@@ -12,12 +12,13 @@ use self::early::EarlyArgs;
 use self::pareto::ParetoArgs;
 use self::published::PublishedArgs;
 use crate::bench::networks::{BenchNetwork, StandardNetwork};
-use crate::bench::suite::{self, SuiteCase};
+use crate::bench::suite::{self, SuiteCase, Ways};
 use crate::bench::{Budget, Environment, mapping, measure};
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::{CompileError, Options, compile};
+use crate::desc::resource::Resource;
 use crate::error::Error;
 use crate::io;
 use crate::ir::program::Program;
@@ -124,11 +125,20 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);
     let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
-    let rows = output::with_progress(context, cases.len() * ways, "mappings", |done| {
-        let mut rows = Vec::new();
+    let (rows, refused) = output::with_progress(context, cases.len() * ways, "mappings", |done| {
+        let (mut rows, mut refused) = (Vec::new(), Vec::new());
         for case in &cases {
             let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
-            let target = io::target::load_target(bench.target)?;
+            let mut target = io::target::load_target(bench.target)?;
+            if let Some(axons) = case.axons {
+                let limits = target.limits().clone();
+                target = target.with_limits(limits.with(Resource::AxonsIn, axons).with(Resource::AxonsOut, axons));
+            }
+            if case.ways == Ways::Refused {
+                let refusal = mapping::refuse(case, &bench, &target);
+                refused.push(refusal.map_err(|error| Error::Fault(error.to_string()))?);
+                continue;
+            }
             mapping::map_all(case, &bench, &target, args.time_budget, |row| {
                 tracing::info!("{} {} placed {}: {:.1} s", row.network, row.strategy.name(), row.placed, row.seconds);
                 rows.push(row);
@@ -136,9 +146,9 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
             })
             .map_err(|error| Error::Fault(error.to_string()))?;
         }
-        Ok::<_, Error>(rows)
+        Ok::<_, Error>((rows, refused))
     })?;
-    let report = MapReport { environment: &environment, rows: &rows };
+    let report = MapReport { environment: &environment, rows: &rows, refused: &refused };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }

@@ -45,6 +45,8 @@ pub struct Relayed {
     pub later: IdVec<PopulationId, u32>,
     /// How many relays there are.
     pub relays: u32,
+    /// Levels of the deepest tree.
+    pub levels: u32,
 }
 
 /// The network with relays for every compartment of more than `most` synapses.
@@ -53,13 +55,14 @@ pub struct Relayed {
 /// `map.relays`.
 pub fn relayed(network: &Quantised, most: u32) -> Result<Relayed, Diagnostic> {
     let later = network.populations().iter().map(|_| 0).collect();
-    let mut found = Relayed { network: network.clone(), later, relays: 0 };
+    let mut found = Relayed { network: network.clone(), later, relays: 0, levels: 0 };
     for _ in 0..MOST_LEVELS {
         let Some(next) = level(&found.network, most)? else { return Ok(found) };
         for (later, more) in found.later.iter_mut().zip(&next.later) {
             *later += more;
         }
-        found = Relayed { network: next.network, later: found.later, relays: found.relays + next.relays };
+        let (relays, levels) = (found.relays + next.relays, found.levels + 1);
+        found = Relayed { network: next.network, later: found.later, relays, levels };
     }
     Err(refused(format!("a tree of {MOST_LEVELS} levels of relays with {most} output axons each is not enough")))
 }
@@ -239,7 +242,7 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     let network = Quantised::new(parts)
         .and_then(|made| made.with_record(None))
         .map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))?;
-    Ok(Some(Relayed { network, later, relays }))
+    Ok(Some(Relayed { network, later, relays, levels: 1 }))
 }
 
 /// A name that no population has.

@@ -44,6 +44,7 @@ use crate::compile::partition::order::{Chips, Filler, Found, Indices, Segment, f
 use crate::compile::partition::refine::Effort;
 use crate::compile::reason::Reason;
 use crate::compile::resources::axon_sharing::Places;
+use crate::compile::resources::even_draws;
 use crate::compile::resources::exact::{usage, usage_with_fan_out};
 use crate::compile::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::compile::resources::incremental::Filling;
@@ -91,6 +92,8 @@ const WORK_PER_PIN: u64 = 60;
 const EVEN_SYNAPSES: u64 = 1 << 18;
 /// How many times as long as in the order of the file the busiest core may work, times the cores saved.
 const MOST_LONGER: f64 = 1.1;
+/// Synapses of a network whose tiles are also tried with fewer words.
+const FEW_SYNAPSES: u64 = 1 << 23;
 /// Passes of refinement on a level.
 const PASSES: usize = 3;
 /// Rounds of making tiles smaller because their output axons do not fit.
@@ -120,7 +123,10 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, form: Form, 
             (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
         }),
     };
-    let Some(bound) = bound else { return Ok(()) };
+    let Some(bound) = bound else {
+        let reasons = even_draws::reasons(one, target, copies, false);
+        return if reasons.is_empty() { Ok(()) } else { Err(CompileError::DoesNotFit(reasons)) };
+    };
     let mut reasons = vec![bound];
     if compartments <= room
         && let Err(CompileError::DoesNotFit(more)) = partition(one, one, target, search)
@@ -254,6 +260,24 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         let order: Vec<Segment> = tiled.iter().cloned().chain(whole_populations).collect();
         keep(filler.fewest_cores(&order, chips));
     }
+    if search.work > 0 && !tiled.is_empty() && network.synapses() <= FEW_SYNAPSES {
+        // Room that tiles leave may save a core of those that come behind.
+        let mut filling = Filling::new(network, &filler.fan_in, target.limits());
+        for population in network.populations().ids().filter(|&id| spatial[id]) {
+            let fewer = tiles::tiles_of_fewer_words(network, population, &mut filling, target.limits());
+            let Some(fewer) = fewer else { continue };
+            let mut fewer = Some(fewer);
+            let mut order: Vec<Segment> = Vec::new();
+            for segment in &tiled {
+                match segment.population == population {
+                    true => order.extend(fewer.take().into_iter().flatten()),
+                    false => order.push(segment.clone()),
+                }
+            }
+            order.extend(file_order(network).into_iter().filter(|segment| !spatial[segment.population]));
+            keep(filler.fewest_cores(&order, chips));
+        }
+    }
     if let Some(graph) = &graph {
         let grown = || {
             filler.fewest_cores(&with_ids(network, &tiled, &levels::grown(graph, &fixed, typical, search.end)), chips)
@@ -343,7 +367,7 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>) {
         kept
     });
     if search.explains && longest > MOST_LONGER {
-        tracing::info!(
+        tracing::warn!(
             "cores are saved against the order of the file, and the busiest is expected to work up to {longest:.2} times as long: \
              --strategy sequential has shorter steps"
         );

@@ -7,7 +7,7 @@
 //!   are tried for the whole network; the one with fewer cores is taken, on a tie the one that keeps segments whole,
 //!   because it sends fewer messages.
 //! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores are numbered chip by
-//!   chip, as [`crate::compile::place`] keeps them). The first filling ignores them; if a core then sends too much, each
+//!   chip, as [`crate::compile::place`] keeps them). The first filling ignores them, or in large networks what is not drawn evenly; if a core then sends too much, each
 //!   compartment is charged what it sent and a margin, which doubles from round to round, and the filling is repeated. It
 //!   ends because estimates only grow, and a core with a single compartment is never split.
 
@@ -20,6 +20,7 @@ use crate::compile::error::CompileError;
 use crate::compile::partition::members::{Members, row_of_chips};
 use crate::compile::reason::Reason;
 use crate::compile::resources::axon_sharing::Places;
+use crate::compile::resources::even_draws;
 use crate::compile::resources::fan_in::FanIn;
 use crate::compile::resources::fan_out::{
     ALONE, FanOut, MembersOfCores, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core,
@@ -173,6 +174,17 @@ impl Estimate {
     fn nothing(network: &Quantised) -> Self {
         Estimate { slots: vec![0; network.compartments() as usize], together: Vec::new() }
     }
+
+    /// What evenly drawn targets take, so that a large network need not be filled twice.
+    fn expected(network: &Quantised, target: &Target) -> Self {
+        let mut estimate = Estimate::nothing(network);
+        for (id, population) in network.populations().enumerate() {
+            let Some(first) = population.first_compartment() else { continue };
+            let of_population = first.index()..first.index() + population.shape.len() as usize;
+            estimate.slots[of_population].fill(even_draws::expected_slots(network, id, target));
+        }
+        estimate
+    }
 }
 
 /// Fills cores with one network's compartments.
@@ -250,7 +262,10 @@ impl<'a> Filler<'a> {
     /// As [`Filler::fewest_cores`].
     pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Found, CompileError> {
         let limits = self.target.limits();
-        let mut estimate = Estimate::nothing(self.network);
+        let mut estimate = match parts(order).is_some() {
+            true => Estimate::expected(self.network, self.target),
+            false => Estimate::nothing(self.network),
+        };
         for round in 0.. {
             let members = self.fill(order, &estimate, keep_whole)?;
             let fan_out = self.fan_out(&members, chips);

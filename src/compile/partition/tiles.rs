@@ -35,6 +35,12 @@ const TRIALS: usize = 60;
 /// Grids of as many cores that are tried one after the other.
 const OF_AS_MANY: usize = 3;
 
+/// The part of a core's words, as a divisor, that tiles of fewer words have to leave.
+const LEAST_SAVED: u64 = 8;
+/// Grids of as many cores whose words are counted, and those of them that are tried.
+const OF_FEWER_WORDS: usize = 64;
+const TRIALS_OF_FEWER_WORDS: usize = 4;
+
 /// Whether a population is one that is cut into tiles.
 #[must_use]
 pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
@@ -153,6 +159,35 @@ pub fn tiles(
     limits: &Limits,
     most: u32,
 ) -> Option<Vec<Segment>> {
+    chosen_tiles(network, population, filling, limits, (most, Rank::Messages))
+}
+
+/// Tiles on as many cores that take fewer words and may send more messages; `None` where there are none that leave room worth
+/// having.
+#[must_use]
+pub fn tiles_of_fewer_words(
+    network: &Quantised,
+    population: PopulationId,
+    filling: &mut Filling,
+    limits: &Limits,
+) -> Option<Vec<Segment>> {
+    chosen_tiles(network, population, filling, limits, (limits[Resource::Compartments], Rank::Words))
+}
+
+/// What is minimised among grids of as many cores.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Rank {
+    Messages,
+    Words,
+}
+
+fn chosen_tiles(
+    network: &Quantised,
+    population: PopulationId,
+    filling: &mut Filling,
+    limits: &Limits,
+    (most, rank): (u32, Rank),
+) -> Option<Vec<Segment>> {
     let description = &network.populations()[population];
     let formats = Formats::for_network(network);
     let layer = Layer::for_population(network, population, &formats, &Places::for_network(network))?;
@@ -172,9 +207,8 @@ pub fn tiles(
         fits.is_ok()
     };
     let all = grids(&orders[0], &formats, limits, most.min(limits[Resource::Compartments]).min(MOST_SLOTS));
-    let mut by_channel = false;
-    let found = first_that_fits(&all, TRIALS, |grid| {
-        // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
+    // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
+    let ways_of = |grid: &Grid| {
         let words = |layer: &Layer| {
             let middle = layer.middle(grid.size, &formats, limits);
             (layer.joined || !middle.exceeds(limits)).then_some(middle.usage[Resource::SynapseWords])
@@ -182,10 +216,36 @@ pub fn tiles(
         let mut ways: Vec<(u64, bool)> =
             orders.iter().filter_map(|layer| Some((words(layer)?, layer.by_channel))).collect();
         ways.sort_unstable();
-        let fitting = ways.into_iter().find(|(_, way)| fits(&cell(shape, grid.size, middle(shape, grid.size), *way)));
-        fitting.map(|(_, way)| by_channel = way).is_some()
+        ways
+    };
+    let mut fits_in_a_way = |grid: &Grid| {
+        let tile = |way| cell(shape, grid.size, middle(shape, grid.size), way);
+        ways_of(grid).into_iter().find(|&(_, way)| fits(&tile(way)))
+    };
+    let mut way = None;
+    let found = first_that_fits(&all, TRIALS, |grid| {
+        way = fits_in_a_way(grid);
+        way.is_some()
     });
-    found.map(|grid| segments(population, shape, grid.size, by_channel))
+    let (grid, (words, by_channel)) = found.zip(way)?;
+    if rank == Rank::Messages {
+        return Some(segments(population, shape, grid.size, by_channel));
+    }
+    let tiles = |grid: &Grid| {
+        let along = |length: u32, size: u32| u64::from(length.div_ceil(size));
+        along(shape.0, grid.size.0) * along(shape.1, grid.size.1) * along(shape.2, grid.size.2)
+    };
+    let most = (words * tiles(&grid)).saturating_sub(u64::from(limits[Resource::SynapseWords]) / LEAST_SAVED);
+    let as_many = all.iter().filter(|other| other.cores == grid.cores).take(OF_FEWER_WORDS);
+    let words_of = |other: &Grid| ways_of(other).first().map(|(words, _)| words * tiles(other));
+    let mut others: Vec<(u64, Grid)> = as_many.filter_map(|other| Some((words_of(other)?, *other))).collect();
+    others.retain(|&(words, _)| words <= most);
+    others.sort_unstable();
+    let mut fitting = others.iter().take(TRIALS_OF_FEWER_WORDS).filter_map(|(_, other)| {
+        let (_, by_channel) = fits_in_a_way(other)?;
+        Some(segments(population, shape, other.size, by_channel))
+    });
+    fitting.next()
 }
 
 /// The first of these grids that fits, among those tried.

@@ -113,13 +113,15 @@ struct Spatial {
 #[derive(Debug, Clone, Default)]
 pub struct Places {
     populations: Vec<Spatial>,
+    /// Whether any of them are compartments.
+    of_compartments: bool,
 }
 
 impl Places {
     /// Of all populations over space from which a window goes out.
     #[must_use]
     pub fn for_network(network: &Quantised) -> Self {
-        let (mut populations, mut place) = (Vec::new(), 0);
+        let (mut populations, mut place, mut of_compartments) = (Vec::new(), 0, false);
         for (id, population) in network.populations().enumerate() {
             let is_window = |connectivity: &Connectivity| {
                 matches!(connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
@@ -131,18 +133,25 @@ impl Places {
                     let (end, positions) = (first + population.shape.len(), height * width);
                     populations.push(Spatial { first, end, positions, place });
                     place += positions;
+                    of_compartments |= population.first_compartment().is_some();
                 }
                 _ => {}
             }
         }
         populations.sort_unstable_by_key(|population| population.first);
-        Places { populations }
+        Places { populations, of_compartments }
     }
 
     /// Whether no source has a place.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.populations.is_empty()
+    }
+
+    /// Whether compartments have places, and not only input channels.
+    #[must_use]
+    pub fn are_of_compartments(&self) -> bool {
+        self.of_compartments
     }
 
     /// Whether the sources of a population have places.

@@ -47,10 +47,10 @@ pub struct SharedPlaces<'a> {
     pub members: &'a MembersOfCores,
 }
 
-/// Whether output axons depend on population axons.
+/// Whether output axons, which input channels have none of, depend on population axons.
 #[must_use]
 pub fn by_position(places: &Places, limits: &Limits) -> bool {
-    !places.is_empty() && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
+    places.are_of_compartments() && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
 }
 
 /// The core of each compartment of a membership.

@@ -113,6 +113,62 @@ type Packed = ((Widths, Group), [(Compression, u32); LISTS]);
 /// Places of a class, ascending, with their bases.
 type PlacesOfClass = Vec<(u32, u16)>;
 
+/// Input axons by source: a table of open addresses, small enough to stay in a cache where one of all sources would not.
+#[derive(Debug)]
+struct AxonTable {
+    /// Source, input axon, and the core by count on which it has it; a power of two of them, at most half of them in use.
+    slots: Vec<(u32, u32, u32)>,
+    held: usize,
+    /// The present core by count.
+    core: u32,
+}
+
+impl AxonTable {
+    fn new() -> Self {
+        AxonTable { slots: vec![(0, 0, 0); 1 << 10], held: 0, core: 1 }
+    }
+
+    fn clear(&mut self) {
+        (self.core, self.held) = (self.core.wrapping_add(1), 0);
+        if self.core == 0 {
+            *self = AxonTable::new();
+        }
+    }
+
+    /// The axon of a source; `next` if it had none, which it then has.
+    #[inline]
+    fn get_or_insert(&mut self, source: u32, next: u32) -> u32 {
+        let mask = self.slots.len() - 1;
+        // The upper bits of the product depend on all bits of the source.
+        let mut at = (source.wrapping_mul(0x9e37_79b1) >> (u32::BITS - self.slots.len().ilog2())) as usize;
+        loop {
+            let slot = &mut self.slots[at];
+            if slot.2 != self.core {
+                *slot = (source, next, self.core);
+                self.held += 1;
+                if self.held * 2 > self.slots.len() {
+                    self.grow();
+                }
+                return next;
+            }
+            if slot.0 == source {
+                return slot.1;
+            }
+            at = (at + 1) & mask;
+        }
+    }
+
+    #[cold]
+    fn grow(&mut self) {
+        let (more, core) = (2 * self.slots.len(), self.core);
+        let before = std::mem::replace(&mut self.slots, vec![(0, 0, 0); more]);
+        (self.core, self.held) = (1, 0);
+        for (source, axon, _) in before.into_iter().filter(|slot| slot.2 == core) {
+            self.get_or_insert(source, axon);
+        }
+    }
+}
+
 /// A core that is being filled.
 #[derive(Debug)]
 pub struct Filling<'a> {
@@ -121,10 +177,8 @@ pub struct Filling<'a> {
     formats: Formats,
     weight_bits: Vec<WeightBits>,
     delays: Vec<Delay>,
-    /// The input axon that each source has, and the core by count on which it has it.
-    axon_of: Vec<(u32, u32)>,
-    /// The present core by count.
-    core: u32,
+    /// The input axon of each source that has one.
+    axon_of: AxonTable,
     members: Vec<CompartmentId>,
     axons: Vec<Axon>,
     entries: Vec<Entry>,
@@ -157,8 +211,7 @@ impl<'a> Filling<'a> {
             limits,
             weight_bits: network.projections().iter().map(|p| p.format.bits).collect(),
             delays: network.projections().iter().map(|p| p.delay).collect(),
-            axon_of: vec![(0, 0); (network.channels() + network.compartments()) as usize],
-            core: 1,
+            axon_of: AxonTable::new(),
             members: Vec::new(),
             axons: Vec::new(),
             entries: Vec::new(),
@@ -178,7 +231,7 @@ impl<'a> Filling<'a> {
 
     /// Begins another core and hands out the compartments of this one.
     pub fn next_core(&mut self) -> Vec<CompartmentId> {
-        self.core += 1;
+        self.axon_of.clear();
         self.axons.clear();
         self.entries.clear();
         self.format_counts.iter_mut().for_each(FormatCounts::clear);
@@ -273,9 +326,9 @@ impl<'a> Filling<'a> {
     fn synapse(&mut self, (source, bundle): (u32, u32), projection: usize, part: u64, slot: u16) {
         let format = self.formats.by_projection()[projection];
         let weight_bits = self.weight_bits[projection];
-        let known = &mut self.axon_of[source as usize];
-        if known.1 != self.core {
-            *known = (self.axons.len() as u32, self.core);
+        let next = self.axons.len() as u32;
+        let axon_index = self.axon_of.get_or_insert(source, next);
+        if axon_index == next {
             let placed = self.places.of_source(source).map(|(place, atom)| {
                 let first_slot = *self.begins.entry(place).or_insert(slot);
                 PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot, self.limits), digest: 0 }
@@ -283,7 +336,6 @@ impl<'a> Filling<'a> {
             self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
             self.totals.lists.iter_mut().for_each(|lists| lists.axons += u64::from(bundle));
         }
-        let axon_index = known.0;
         let axon = &mut self.axons[axon_index as usize];
         if let Some(placed) = &mut axon.placed {
             placed.tell(slot, format, projection, part);
@@ -478,6 +530,22 @@ mod tests {
         let seats = seats(network.compartments(), &members).unwrap();
         let used = usage(network, &members, &seats, &vec![0, 0].into(), limits).as_slice()[0];
         used.with(Resource::AxonsOut, 0).with(Resource::AxonsOutPerCompartment, 0)
+    }
+
+    #[test]
+    fn a_table_of_axons_knows_each_source_once_for_each_core() {
+        let mut table = AxonTable::new();
+        for core in 0..3 {
+            // Sources far apart and neighbours, more than there are slots at first.
+            let sources: Vec<u32> = (0..3_000).map(|k| if k % 2 == 0 { k } else { k * 65_536 + core }).collect();
+            for (next, &source) in (0..).zip(&sources) {
+                assert_eq!(table.get_or_insert(source, next), next);
+            }
+            for (axon, &source) in (0..).zip(&sources) {
+                assert_eq!(table.get_or_insert(source, 9_999), axon);
+            }
+            table.clear();
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ pub mod axon_sharing;
 pub mod by_core;
 pub mod closed_form;
 pub mod counter;
+pub mod even_draws;
 pub mod exact;
 pub mod fan_in;
 pub mod fan_out;

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::step::{rounded, significant};
 use crate::bench::Environment;
-use crate::bench::mapping::MeasuredMapping;
+use crate::bench::mapping::{MeasuredMapping, Refusal};
 use crate::compile::{Objective, Strategy};
 use crate::report::text::{Column, or_empty, table_of};
 
@@ -15,6 +15,8 @@ pub struct MapReport<'a> {
     pub environment: &'a Environment,
     /// The rows, network by network.
     pub rows: &'a [MeasuredMapping],
+    /// Networks that cannot fit.
+    pub refused: &'a [Refusal],
 }
 
 /// The least part that a network counts in a mean of ratios, so that one that fits a tile does not make it zero.
@@ -80,11 +82,21 @@ impl MapReport<'_> {
                 "peak_mib": row.peak_mib.map(rounded),
             })
         };
+        let refusal = |refusal: &Refusal| {
+            json!({
+                "network": refusal.network,
+                "target": refusal.target,
+                "reasons": refusal.reasons,
+                "seconds": rounded(refusal.seconds),
+                "peak_mib": refusal.peak_mib.map(rounded),
+            })
+        };
         json!({
             "schema": "nsim.bench/1",
             "name": "map",
             "environment": self.environment,
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+            "refused": self.refused.iter().map(refusal).collect::<Vec<_>>(),
         })
     }
 
@@ -130,6 +142,10 @@ impl MapReport<'_> {
         ];
         let table = table_of(self.rows, &columns, 4);
         let mut text = format!("{}\n\n{table}\n\n", self.environment);
+        for Refusal { network, target, reasons, seconds, .. } in self.refused {
+            text += &format!("{network} does not fit {target}, known after {} s:\n", significant(*seconds));
+            reasons.iter().for_each(|reason| text += &format!("  {reason}\n"));
+        }
         for strategy in [Strategy::Greedy, Strategy::Multilevel] {
             let AgainstSequential { networks, hops_multicast, worse } =
                 self.against_sequential(strategy, Objective::Cores);
@@ -183,7 +199,14 @@ mod tests {
             row("c", Strategy::Sequential, false, 2, 5.0),
             row("c", Strategy::Multilevel, true, 3, 5.0),
         ];
-        let report = MapReport { environment: &Environment::here(), rows: &rows };
+        let refusal = Refusal {
+            network: "d",
+            target: "board".to_string(),
+            reasons: vec!["too large".to_string()],
+            seconds: 0.25,
+            peak_mib: None,
+        };
+        let report = MapReport { environment: &Environment::here(), rows: &rows, refused: &[refusal] };
         let found = report.against_sequential(Strategy::Multilevel, Objective::Cores);
         assert_eq!((found.networks, found.worse), (2, 1));
         assert!((found.hops_multicast - 0.5).abs() < 1e-12);
@@ -208,6 +231,8 @@ mod tests {
         ] {
             assert!(json["rows"][0].get(key).is_some(), "{key}");
         }
+        assert_eq!(json["refused"][0]["reasons"][0], "too large");
+        assert!(report.text().contains("s:\n  too large"));
         assert_eq!(report.csv().unwrap().lines().count(), 7);
         assert!(report.text().contains("0.50 of the multicast hops"));
     }
