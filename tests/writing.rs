@@ -28,7 +28,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 42] = [
+const WRITING: [Case; 43] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --svg m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -53,6 +53,7 @@ const WRITING: [Case; 42] = [
     case("energy i/GEN.ron --baseline --input scene:noise?samples=1&steps=9 --steps s.csv", "a", "b"),
     case("report i/GEN.ron --baseline --input scene:noise?samples=1&steps=9 -o page.html", "a", "b"),
     case("report i/GEN.json i/one.json -o page.html", "one", "two"),
+    case("help --man GEN", "one", "two"),
     case("train i/t.ron --set seed=GEN --log l.csv -o m.ron", "1", "2"),
     case("train i/t.ron --set seed=1 --checkpoint GEN.st -o m.ron --format json", "1", "2"),
     case("train i/t.ron --seed GEN --log - -o m.ron", "1", "2"),

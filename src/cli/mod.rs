@@ -45,7 +45,7 @@ EXIT STATUS:
 
 /// Maps trained spiking networks onto simulated Loihi cores, runs them bit for bit, and reports energy and latency.
 #[derive(Debug, Parser)]
-#[command(name = "nsim", version, about, after_help = AFTER_HELP)]
+#[command(name = "nsim", version, about, after_help = AFTER_HELP, disable_help_subcommand = true)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -101,6 +101,7 @@ enum Command {
         /// Which shell
         shell: clap_complete::Shell,
     },
+    Help(inspect::help::Args),
 }
 
 fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
@@ -120,6 +121,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Inspect(args) => inspect::run(args, context),
         Command::Show(args) => inspect::show::run(args, context),
         Command::Cache(args) => inspect::cache::run(args, context),
+        Command::Help(args) => inspect::help::run(args, Cli::command(), context),
         Command::Completions { shell } => {
             let mut command = Cli::command();
             let mut script = Vec::new();

@@ -150,8 +150,11 @@ pub(super) fn csv_text(written: csv::Writer<Vec<u8>>) -> Result<String, csv::Err
 
 /// A number of things, in words.
 pub(super) fn count(number: impl Into<u64>, thing: &str) -> String {
-    let number = number.into();
-    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+    match (number.into(), thing.strip_suffix('y')) {
+        (1, _) => format!("1 {thing}"),
+        (number, Some(stem)) => format!("{number} {stem}ies"),
+        (number, None) => format!("{number} {thing}s"),
+    }
 }
 
 /// A paragraph in lines of [`WIDTH`]; those behind the first are set in.
@@ -229,6 +232,7 @@ mod tests {
         assert!(lines.split_whitespace().eq(text.split_whitespace()));
         assert_eq!(wrapped("short"), "short\n");
         assert_eq!((count(1u32, "chip"), count(2u64, "chip")), ("1 chip".to_string(), "2 chips".to_string()));
+        assert_eq!(count(0u32, "copy"), "0 copies");
     }
 
     #[test]

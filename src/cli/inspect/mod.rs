@@ -6,6 +6,7 @@
 pub mod cache;
 mod foreign;
 mod hardware;
+pub mod help;
 mod network;
 pub mod show;
 

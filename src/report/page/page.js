@@ -59,7 +59,7 @@
     const handle = { draw: null, box, then: [] };
     handle.draw = () => {
       const drawn = echarts.init(box, null, { renderer: "canvas" });
-      const base = { color: colours, animation: false, textStyle: { fontFamily: "inherit" }, aria: { enabled: true, decal: { show: false } } };
+      const base = { color: colours, animation: false, textStyle: { fontFamily: "inherit" }, aria: { enabled: true, label: { enabled: false }, decal: { show: false } } };
       drawn.setOption({ ...base, ...option });
       new ResizeObserver(() => drawn.resize()).observe(box);
       handle.chart = drawn;
@@ -396,7 +396,7 @@
     if (!known.length) return;
     const all = sum(known.map(([, x]) => x));
     chart(parent, `${caption}: ${number(total ?? all)} ${unit}`, 60 + 30 * known.length, {
-      tooltip: { valueFormatter: (x) => `${number(x)} ${unit}` }, aria: { enabled: true, decal: { show: true } }, grid: { left: 138, right: 74, top: 6, bottom: 40 },
+      tooltip: { valueFormatter: (x) => `${number(x)} ${unit}` }, aria: { enabled: true, label: { enabled: false }, decal: { show: true } }, grid: { left: 138, right: 74, top: 6, bottom: 40 },
       xAxis: { type: "value", ...axisName(unit, 24) }, yAxis: { type: "category", inverse: true, data: known.map(([name]) => name), axisLabel: { width: 128, overflow: "truncate" } },
       series: [{ type: "bar", colorBy: "data", data: known.map(([, x]) => x), label: { show: true, position: "right", formatter: (at) => `${number((100 * at.value) / all, 2)} %` } }],
     }, table(["part", unit, "share (%)"], known.map(([name, x]) => [name, number(x), number((100 * x) / all)])));
@@ -506,7 +506,7 @@
       if (!keys.length) return;
       const of = (one) => keys.map((key) => (pick(one)[key] ?? 0) * scale);
       chart(part, `${caption} (${unit})`, 110 + 40 * keys.length, {
-        tooltip: { trigger: "axis", axisPointer: { type: "shadow" }, valueFormatter: (x) => number(x) }, aria: { enabled: true, decal: { show: true } }, legend: { top: 0 }, grid: { left: 150, right: 30, top: 32, bottom: 40 },
+        tooltip: { trigger: "axis", axisPointer: { type: "shadow" }, valueFormatter: (x) => number(x) }, aria: { enabled: true, label: { enabled: false }, decal: { show: true } }, legend: { top: 0 }, grid: { left: 150, right: 30, top: 32, bottom: 40 },
         xAxis: { type: "value", ...axisName(unit, 24) }, yAxis: { type: "category", inverse: true, data: keys.map(spaced), axisLabel: { width: 140, overflow: "truncate" } },
         series: results.map((one, index) => ({ type: "bar", name: names[index], data: of(one) })),
       }, table(["", ...names], keys.map((key, index) => [spaced(key), number(of(a)[index]), number(of(b)[index])])));
