@@ -2,7 +2,8 @@
 //!
 //! Input: named series of finite numbers. Output: one SVG text, the same for the same numbers. Written by hand: the
 //! three charts that results need are a few rectangles, lines and words. Colours are those of Okabe and Ito ("Color
-//! universal design", 2008), told apart by people who see fewer; series differ in dashes or marks too.
+//! universal design", 2008), then five of Tol's muted ones ("Colour schemes", SRON 2021), told apart by people who see fewer;
+//! series differ in dashes or marks too.
 
 use std::fmt::Write as _;
 
@@ -12,7 +13,10 @@ pub(super) const LEFT: f64 = 76.0;
 pub(super) const RIGHT: f64 = 190.0;
 pub(super) const TOP: f64 = 44.0;
 pub(super) const BOTTOM: f64 = 64.0;
-pub(super) const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
+pub(super) const COLOURS: [&str; 12] = [
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#332288", "#882255", "#999933",
+    "#44aa99", "#bbbbbb",
+];
 const DASHES: [&str; 4] = ["", "7 3", "2 3", "9 3 2 3"];
 
 /// One axis of a chart.
@@ -80,9 +84,14 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
         _ = writeln!(out, r##"<line x1="{LEFT}" y1="{at:.1}" x2="{:.1}" y2="{at:.1}" stroke="#ddd"/>"##, WIDTH - RIGHT);
         text_at(&mut out, LEFT - 8.0, at + 4.0, "end", &label);
     }
-    for (index, one) in series.iter().enumerate() {
+    // A front lies above what it is the front of, and its labels are placed first.
+    let is_front = |one: &Series| matches!(one, Series::Points { joined: true, .. });
+    let mut order: Vec<(usize, &Series)> = series.iter().enumerate().collect();
+    order.sort_by_key(|(_, one)| is_front(one));
+    let mut labels = Labels::default();
+    for (index, one) in order {
         let (colour, dash) = (COLOURS[index % COLOURS.len()], DASHES[index % DASHES.len()]);
-        let name = match one {
+        let (name, mark) = match one {
             Series::Line { name, points, band } => {
                 let place = |&(px, py): &(f64, f64)| Some((across.place(px)?, up.place(py)?));
                 if band.len() == points.len() && !band.is_empty() {
@@ -101,7 +110,7 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
                     r#"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="2" stroke-dasharray="{dash}"/>"#,
                     path(&line)
                 );
-                name
+                (name, Mark::Line(dash))
             }
             Series::Points { name, points, joined } => {
                 let mut placed: Vec<(f64, f64, &str)> = points
@@ -120,13 +129,14 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
                 }
                 for (px, py, label) in placed {
                     _ = writeln!(out, r#"<circle cx="{px:.1}" cy="{py:.1}" r="4" fill="{colour}"/>"#);
-                    small(&mut out, px + 6.0, py - 5.0, label);
+                    labels.add(is_front(one), px + 6.0, py - 5.0, label);
                 }
-                name
+                (name, Mark::Dot)
             }
         };
-        legend(&mut out, index, colour, name);
+        legend(&mut out, index, (colour, mark), name);
     }
+    labels.write(&mut out);
     out + "</svg>\n"
 }
 
@@ -188,6 +198,11 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
             );
         }
         let middle = from + group * 0.4;
+        // A label that its group has room for stands straight below it.
+        if 6.2 * category.chars().count() as f64 <= group {
+            text_at(&mut out, middle, HEIGHT - BOTTOM + 18.0, "middle", category);
+            continue;
+        }
         _ = writeln!(
             out,
             r#"<text x="{middle:.1}" y="{:.1}" font-size="10" text-anchor="end" transform="rotate(-24 {middle:.1} {:.1})">{}</text>"#,
@@ -202,9 +217,32 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
         WIDTH - RIGHT
     );
     for (index, (name, _)) in series.iter().enumerate() {
-        legend(&mut out, index, &colour(index), name);
+        legend(&mut out, index, (&colour(index), Mark::Area), name);
     }
     out + "</svg>\n"
+}
+
+/// Words beside points. Those that would lie over others are left out; a front's come first.
+#[derive(Default)]
+struct Labels(Vec<(bool, f64, f64, String)>);
+
+impl Labels {
+    fn add(&mut self, first: bool, x: f64, y: f64, text: &str) {
+        self.0.push((first, x, y, text.to_string()));
+    }
+
+    fn write(mut self, out: &mut String) {
+        self.0.sort_by_key(|(first, ..)| !first);
+        let mut taken: Vec<(f64, f64, f64)> = Vec::new();
+        for (_, x, y, text) in self.0 {
+            let right = x + 5.2 * text.chars().count() as f64;
+            let free = taken.iter().all(|&(from, to, line)| right < from || x > to || (y - line).abs() > 10.0);
+            if free {
+                small(out, x, y, &text);
+                taken.push((x, right, y));
+            }
+        }
+    }
 }
 
 fn extent(series: &Series) -> Vec<(f64, f64)> {
@@ -312,10 +350,31 @@ fn small(out: &mut String, x: f64, y: f64, text: &str) {
     _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" font-size="9">{}</text>"#, escaped(text));
 }
 
-pub(super) fn legend(out: &mut String, index: usize, colour: &str, name: &str) {
+/// How a series is drawn, for the legend.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Mark {
+    /// Filled.
+    Area,
+    /// A line with these dashes.
+    Line(&'static str),
+    /// Points.
+    Dot,
+}
+
+pub(super) fn legend(out: &mut String, index: usize, (colour, mark): (&str, Mark), name: &str) {
     let y = TOP + 8.0 + 18.0 * index as f64;
     let x = WIDTH - RIGHT + 14.0;
-    _ = writeln!(out, r#"<rect x="{x:.1}" y="{:.1}" width="12" height="10" fill="{colour}"/>"#, y - 9.0);
+    let middle = y - 4.0;
+    _ = match mark {
+        Mark::Area => writeln!(out, r#"<rect x="{x:.1}" y="{:.1}" width="12" height="10" fill="{colour}"/>"#, y - 9.0),
+        Mark::Line(dash) => writeln!(
+            out,
+            r#"<line x1="{:.1}" y1="{middle:.1}" x2="{:.1}" y2="{middle:.1}" stroke="{colour}" stroke-width="2" stroke-dasharray="{dash}"/>"#,
+            x - 10.0,
+            x + 14.0
+        ),
+        Mark::Dot => writeln!(out, r#"<circle cx="{:.1}" cy="{middle:.1}" r="4" fill="{colour}"/>"#, x + 6.0),
+    };
     text_at(out, x + 18.0, y, "start", name);
 }
 
@@ -363,7 +422,8 @@ mod tests {
             joined: true,
         };
         let svg = chart("t & u", &Axis::linear("x"), &Axis::linear("y"), &[line, points]);
-        assert_eq!(svg.matches("<circle").count(), 2);
+        // Two points and the legend's.
+        assert_eq!(svg.matches("<circle").count(), 3);
         assert_eq!((svg.matches("<polyline").count(), svg.matches("<polygon").count()), (2, 1));
         assert!(svg.contains("a&lt;b") && svg.contains("t &amp; u") && svg.ends_with("</svg>\n"));
         let tower = |values: [f64; 2]| ("s".to_string(), values.to_vec());
@@ -378,6 +438,22 @@ mod tests {
         assert!((tops[1] / tops[0] - 70.0 / 30.0).abs() < 0.01, "{tops:?} {svg}");
         let svg = bars("b", &Axis::linear("y"), &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
         assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);
+    }
+
+    #[test]
+    fn words_do_not_lie_over_each_other_and_a_front_keeps_its_own() {
+        let near = |label: &str| {
+            vec![(1.0, 1.0, label.to_string()), (1.001, 1.001, label.to_string()), (9.0, 9.0, "far".into())]
+        };
+        let other = Series::Points { name: "others".into(), points: near("other"), joined: false };
+        let front = Series::Points { name: "front".into(), points: near("best"), joined: true };
+        let svg = chart("", &Axis::linear(""), &Axis::linear(""), &[front, other]);
+        assert_eq!(
+            (svg.matches(">best<").count(), svg.matches(">other<").count(), svg.matches(">far<").count()),
+            (1, 0, 1)
+        );
+        // The front is drawn last.
+        assert!(svg.rfind(COLOURS[0]).unwrap() > svg.rfind(COLOURS[1]).unwrap());
     }
 
     #[test]

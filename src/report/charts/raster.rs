@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 
 use crate::report::charts::plot::{
-    Axis, BOTTOM, COLOURS, HEIGHT, LEFT, RIGHT, Scale, TOP, WIDTH, frame, legend, text_at,
+    Axis, BOTTOM, COLOURS, HEIGHT, LEFT, Mark, RIGHT, Scale, TOP, WIDTH, frame, legend, text_at,
 };
 
 /// The spikes of one sense.
@@ -77,7 +77,7 @@ impl Raster {
                 }
                 let width = row.clamp(0.8, 4.0);
                 _ = writeln!(out, r#"<path d="{path}" stroke="{colour}" stroke-width="{width:.1}" fill="none"/>"#);
-                legend(&mut out, kinds, colour, name);
+                legend(&mut out, kinds, (colour, Mark::Dot), name);
                 kinds += 1;
             }
             top += height + GAP;
