@@ -470,10 +470,20 @@ fn every_command_writes_all_or_nothing_and_says_what_it_could_not_read() {
 /// Every option that takes a file or a folder is one that is read, or stands in a command above.
 #[test]
 fn every_option_that_writes_is_tried() {
-    const READ: [&str; 8] =
-        ["--mapping", "--calibrate", "--image", "--neuron", "--constants", "--deployment", "--against", "--input"];
+    const READ: [&str; 9] = [
+        "--mapping",
+        "--calibrate",
+        "--image",
+        "--neuron",
+        "--constants",
+        "--deployment",
+        "--against",
+        "--input",
+        "--training",
+    ];
     let commands = [
-        "map", "run", "energy", "report", "agree", "convert", "scene", "train", "import", "export", "inspect", "stress",
+        "map", "run", "energy", "report", "help", "agree", "convert", "scene", "train", "import", "export", "inspect",
+        "stress",
     ];
     let benches = ["step", "map", "early", "pareto", "published"].map(|name| format!("bench {name}"));
     for command in commands.map(str::to_string).iter().chain(&benches) {
