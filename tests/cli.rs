@@ -403,6 +403,36 @@ fn what_does_not_fit_is_an_answer() {
 }
 
 #[test]
+fn a_slip_is_answered_with_what_was_meant() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let single = write(folder.path(), "single.ron", &MODEL.replacen("shape: [3]", "shape: 3", 1));
+    let unknown = write(folder.path(), "unknown.ron", &MODEL.replacen("from: [\"hidden\"]", "from: [\"hiden\"]", 1));
+    let spikes = |name: &str, shape: &str, count: usize| {
+        let header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}");
+        let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+        bytes.extend(format!("{header:<117}\n").bytes().chain(std::iter::repeat_n(0, count)));
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        path.display().to_string()
+    };
+    let (first, samples) = (spikes("first.npy", "(50, 3)", 150), spikes("samples.npy", "(2, 50, 3)", 300));
+    for (line, status, answer) in [
+        (&["run", "vtsnn-slp"][..], 3, "did you mean 'vtsnn-slip'?"),
+        (&["map", "--target", "nahuku32"], 3, "did you mean 'nahuku-32'?"),
+        (&["energy", &model, "--constants", "davies2017"], 2, "did you mean 'davies2018'?"),
+        (&["run", &unknown], 3, "did you mean 'hidden'?"),
+        (&["run", &model, "--input", "inn=x.npy"], 3, "did you mean 'in'?"),
+        (&["run", &single], 3, "write [3]"),
+        (&["run", &model, "--input", &first], 3, "time before channels"),
+        (&["run", &model, "--input", &samples], 3, "time before channels"),
+    ] {
+        let (code, _, stderr) = said(line);
+        assert!(code == status && stderr.contains(answer), "{line:?}: {code} {stderr}");
+    }
+}
+
+#[test]
 fn a_fan_in_beyond_a_core_names_its_population_and_the_ways_out() {
     let folder = tempfile::tempdir().unwrap();
     let model = write(

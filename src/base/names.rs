@@ -22,6 +22,20 @@ macro_rules! named_variants {
 }
 pub(crate) use named_variants;
 
+/// How alike two names have to be for one to be meant by the other, by Jaro and Winkler.
+const ALIKE: f64 = 0.84;
+
+/// The question whether the name most like a word was meant, with a space behind it; nothing where none is like it.
+#[must_use]
+pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) -> String {
+    let likeness = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);
+    let best = names.into_iter().map(likeness).max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(a.1)));
+    match best {
+        Some((alike, name)) if alike >= ALIKE => format!("did you mean '{name}'? "),
+        _ => String::new(),
+    }
+}
+
 /// Whether a name fits a pattern, in which `*` stands for any characters and `?` for one.
 #[must_use]
 pub fn fits_pattern(pattern: &str, name: &str) -> bool {
@@ -51,6 +65,22 @@ pub fn fits_pattern(pattern: &str, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_slip_of_the_pen_is_recognised_and_another_name_is_not() {
+        let names = ["vtsnn-slip", "vtsnn-slip-srm", "slip-tactile", "tiny"];
+        for (word, meant) in [
+            ("vtsnn-slp", "did you mean 'vtsnn-slip'? "),
+            ("VTSNN_slip", "did you mean 'vtsnn-slip'? "),
+            ("slip-tactil", "did you mean 'slip-tactile'? "),
+            ("tinny", "did you mean 'tiny'? "),
+            ("resnet", ""),
+            ("", ""),
+        ] {
+            assert_eq!(did_you_mean(word, names), meant, "{word}");
+        }
+        assert_eq!(did_you_mean("x", []), "");
+    }
 
     #[test]
     fn patterns_are_names_with_stars_and_question_marks() {

@@ -99,7 +99,11 @@ pub(crate) fn parse_at<T: DeserializeOwned, E: serde::de::Error>(text: &str, spa
 
 /// The message for a value of this type that cannot be read from this text.
 fn message_for<T>(error: &ron::Error, text: &str) -> String {
-    use ron::Error::{ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
+    use ron::Error::{ExpectedArray, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
+    let single = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
+    if matches!(error, ExpectedArray) && !text.is_empty() && text.len() <= 40 && text.chars().all(single) {
+        return format!("expected a list and found {text}: write [{text}]");
+    }
     let whole = match std::any::type_name::<T>() {
         "u32" | "u64" => "a whole number from 0",
         "i64" => "a whole number",
@@ -335,6 +339,15 @@ mod tests {
     struct Outer {
         name: Spanned<String>,
         inner: Spanned<Vec<Spanned<u8>>>,
+    }
+
+    #[test]
+    fn a_single_value_in_the_place_of_a_list_is_told_how_a_list_is_written() {
+        for (value, written) in [("16", "write [16]"), ("\"a\"", "write [\"a\"]"), ("(1, 2)", "Expected opening `[`")] {
+            let text = SourceText::new("f.ron", format!("Outer(name: \"n\", inner: {value})"));
+            let error = parse::<Outer>(&text, "x.syntax").unwrap_err();
+            assert!(error.message.contains(written), "{value}: {}", error.message);
+        }
     }
 
     #[test]

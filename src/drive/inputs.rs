@@ -7,6 +7,7 @@ use std::path::Path;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
+use crate::base::names::did_you_mean;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
 use crate::io::budget::MOST_STEPS_TOGETHER;
@@ -154,7 +155,7 @@ fn scene_stimulus(network: &Quantised, scene: &SceneArg, seed: Option<u64>) -> R
 
 fn unknown(name: &str, inputs: &[&Population]) -> Error {
     let names: Vec<&str> = inputs.iter().map(|p| p.name.as_str()).collect();
-    let help = format!("input populations are: {}", names.join(", "));
+    let help = format!("{}input populations are: {}", did_you_mean(name, names.iter().copied()), names.join(", "));
     Diagnostic::new("input.population", format!("--input names '{name}', which is no input population"))
         .help(help)
         .into()

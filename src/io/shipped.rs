@@ -7,6 +7,7 @@ use std::path::Path;
 
 use super::text::{is_standard_stream, read_text};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
+use crate::base::names::did_you_mean;
 
 /// A file in the binary.
 #[derive(Debug, Clone, Copy)]
@@ -138,8 +139,11 @@ pub fn is_path(argument: &str) -> bool {
 #[must_use]
 pub fn unknown(code: &'static str, kind: &str, name: &str, table: &[Shipped]) -> Diagnostic {
     let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
-    Diagnostic::new(code, format!("there is no shipped {kind} named '{name}'"))
-        .help(format!("shipped are: {}; or give a path to a .ron file", names.join(", ")))
+    Diagnostic::new(code, format!("there is no shipped {kind} named '{name}'")).help(format!(
+        "{}shipped are: {}; or give a path to a .ron file",
+        did_you_mean(name, names.iter().copied()),
+        names.join(", ")
+    ))
 }
 
 /// The text of an argument that is a path or a shipped name.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::base::names::did_you_mean;
 use crate::base::names::named_variants;
 use crate::compile::mapping_file;
 use crate::cost::baseline::{Baseline, SHIPPED};
@@ -60,7 +61,8 @@ pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, Vec<CostT
         None => &presets[0],
         Some(name) => presets.iter().find(|preset| preset.name == name).ok_or_else(|| {
             let names: Vec<&str> = presets.iter().map(|preset| preset.name.as_str()).collect();
-            Error::Usage(format!("{} has no constants {name}; it has {}", target.name(), names.join(", ")))
+            let meant = did_you_mean(name, names.iter().copied());
+            Error::Usage(format!("{} has no constants {name}; {meant}it has {}", target.name(), names.join(", ")))
         })?,
     };
     let chosen = chosen.clone();

@@ -11,6 +11,7 @@ use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::base::diagnostic::{Diagnostic, Span};
 use crate::base::fixed::{Delay, Payload, SignMode};
+use crate::base::names::did_you_mean;
 use crate::base::rng;
 use crate::desc::network::{
     Conv2dDesc, DenseDesc, Network, NeuronsDesc, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
@@ -123,7 +124,11 @@ impl Lowering<'_> {
                 format!("{role} names '{}', which is not a population", name.value),
                 name.span,
             )
-            .help(format!("populations are: {}", known.join(", ")))
+            .help(format!(
+                "{}populations are: {}",
+                did_you_mean(name, known.iter().copied()),
+                known.join(", ")
+            ))
         })
     }
 

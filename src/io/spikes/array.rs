@@ -82,7 +82,13 @@ pub(super) fn from_array(array: &npy::Array, units: u64, polarity: Polarity) -> 
             if let Some(each) = leading.split_first().and_then(|(_, channels)| product(channels)) {
                 message.push_str(&format!(", read as {} samples {each} in each", leading[0]));
             }
+            // [T, channels..] or [samples, T, channels..]: the same numbers with time before the channels.
+            let channels = |from: usize| product(shape.get(from..).unwrap_or_default()) == Some(units);
+            let time_first = polarity == Polarity::Both && (channels(1) || shape.len() > 2 && channels(2));
             let help = match polarity {
+                _ if time_first => {
+                    "this looks like time before channels: move time to the last axis, np.moveaxis(spikes, FROM, -1)"
+                }
                 Polarity::Both => "the last axis is time; the axes before it, in C order, are the channel",
                 _ => "one polarity is left of two: before time there is one axis of length 2, and twice the channels",
             };
