@@ -35,6 +35,7 @@ pub mod convert;
 pub mod cost;
 pub mod desc;
 pub mod drive;
+pub mod energy;
 pub mod error;
 pub mod golden;
 pub mod io;

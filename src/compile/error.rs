@@ -2,6 +2,7 @@
 
 use crate::base::diagnostic::Diagnostic;
 use crate::compile::reason::Reason;
+use crate::error::Error;
 
 /// What a stage of the compiler returns.
 pub type Result<T, E = CompileError> = std::result::Result<T, E>;
@@ -30,5 +31,16 @@ impl CompileError {
 impl From<Reason> for CompileError {
     fn from(reason: Reason) -> Self {
         CompileError::DoesNotFit(vec![reason])
+    }
+}
+
+impl From<CompileError> for Error {
+    /// A network that does not fit is an answer; a command that has no such answer reports an unusable input.
+    fn from(error: CompileError) -> Self {
+        match error {
+            CompileError::Input(diagnostic) => diagnostic.into(),
+            CompileError::Fault(message) => Error::Fault(message),
+            CompileError::DoesNotFit(_) => Diagnostic::new("map.does-not-fit", error.to_string()).into(),
+        }
     }
 }

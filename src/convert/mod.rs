@@ -4,5 +4,6 @@ pub mod calibration;
 pub mod copies;
 pub mod fine_tune;
 pub mod model_file;
+pub mod prepare;
 pub mod search;
 pub mod staged;

@@ -86,7 +86,7 @@ pub fn stimulus(
             ))
         })?);
     }
-    let samples = join(&inputs, filled)?;
+    let samples = joined(&inputs, filled)?;
     let steps = samples.iter().map(|sample| u64::from(sample.steps())).sum::<u64>();
     if steps > MOST_STEPS_TOGETHER {
         let message = format!("the samples have {steps} timesteps together, more than {MOST_STEPS_TOGETHER}");
@@ -161,8 +161,11 @@ fn unknown(name: &str, inputs: &[&Population]) -> Error {
         .into()
 }
 
-/// One sample of all populations from one of each.
-fn join(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Result<Vec<Sample>, Error> {
+/// One sample of all input populations, in their order, from one of each.
+///
+/// # Errors
+/// `input.samples` and `input.disagree` where the populations do not match, `input.spikes` for a spike outside its sample.
+pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Result<Vec<Sample>, Error> {
     let Some(count) = sources.first().map(Vec::len) else {
         return Ok(Vec::new());
     };

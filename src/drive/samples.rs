@@ -75,24 +75,61 @@ pub struct Run<M> {
     pub wall_s: f64,
 }
 
-/// Runs samples on the machine; a meter is made for each sample and sees its steps.
+/// How a run is divided among threads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Division {
+    /// Parts of a network that threads run together.
+    pub shards: usize,
+    /// Whether samples follow each other, rather than run at the same time.
+    pub in_turn: bool,
+}
+
+impl Division {
+    /// For so many samples of a program.
+    #[must_use]
+    pub fn new(program: &Program, samples: usize) -> Self {
+        let synapses: u64 = program.cores().iter().map(|image| image.inputs.count()).sum();
+        let in_turn = synapses > LARGE || samples == 1;
+        let shards = if in_turn && synapses > SHARED { rayon::current_num_threads() } else { 1 };
+        Division { shards, in_turn }
+    }
+}
+
+/// A program laid out for runs that are divided in this way.
 ///
 /// # Errors
 /// `run.too-large` when the program's sums could not be exact.
+pub fn laid_out(program: &Program, division: Division) -> Result<Image<'_>, Diagnostic> {
+    Image::new(program, division.shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))
+}
+
+/// Runs samples on the machine; a meter is made for each sample and sees its steps.
+///
+/// # Errors
+/// As [`laid_out`].
 pub fn fast<M: Meter>(
     program: &Program,
     samples: &[&Sample],
     running: Running<'_>,
     new_meter: impl Fn() -> M + Sync,
 ) -> Result<Run<M>, Diagnostic> {
+    let division = Division::new(program, samples.len());
+    Ok(fast_on(&laid_out(program, division)?, division, samples, running, new_meter))
+}
+
+/// The same on a program that is laid out already, for runs of the same division.
+#[must_use]
+pub fn fast_on<M: Meter>(
+    image: &Image<'_>,
+    division: Division,
+    samples: &[&Sample],
+    running: Running<'_>,
+    new_meter: impl Fn() -> M + Sync,
+) -> Run<M> {
     let Running { keep, copies, skip, per_step, progress } = running;
-    let synapses: u64 = program.cores().iter().map(|image| image.inputs.count()).sum();
-    let large = synapses > LARGE || samples.len() == 1;
-    let shards = if large && synapses > SHARED { rayon::current_num_threads() } else { 1 };
-    let image = Image::new(program, shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
     let begin = Instant::now();
     let run = |part: &[&Sample]| {
-        let mut machine = Machine::new(&image, Settings { skip, per_step });
+        let mut machine = Machine::new(image, Settings { skip, per_step });
         let mut results = Vec::with_capacity(part.len());
         let mut all = new_meter();
         for sample in part {
@@ -105,14 +142,15 @@ pub fn fast<M: Meter>(
         }
         (results, all, machine.take_counts())
     };
-    let parts: Vec<_> = if shards > 1 {
+    let parts: Vec<_> = if division.shards > 1 {
         // A step that is shared from outside the pool would wake a thread each time.
         vec![rayon::scope(|_| run(samples))]
-    } else if large {
+    } else if division.in_turn {
         vec![run(samples)]
     } else {
         samples.par_chunks(chunk(samples)).map(run).collect()
     };
+    let program = image.program();
     let mut result = Run {
         outcomes: Vec::with_capacity(samples.len()),
         activity: Activity::new(program.cores().len()),
@@ -131,7 +169,7 @@ pub fn fast<M: Meter>(
         }
     }
     result.wall_s = begin.elapsed().as_secs_f64();
-    Ok(result)
+    result
 }
 
 impl<M: Meter> Run<M> {

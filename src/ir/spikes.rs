@@ -97,6 +97,12 @@ impl Sample {
         Ok(Sample { label, first, channels })
     }
 
+    /// The same spikes with another class.
+    #[must_use]
+    pub fn with_label(self, label: Option<u32>) -> Self {
+        Sample { label, ..self }
+    }
+
     /// The channels that spike in a step when each of so many copies of a network, one after the other, sees the sample:
     /// ascending, each once. They are written to `shown` where there are several copies.
     pub fn at_copies<'s>(&'s self, step: u32, copies: Copies, shown: &'s mut Vec<ChannelId>) -> &'s [ChannelId] {

@@ -17,7 +17,7 @@ use petgraph::graph::DiGraph;
 use source::Sources;
 
 /// Rooms of `src` from the lowest layer up. A room names itself and rooms of lower lines, not its neighbours on a line.
-const LAYERS: [&[&str]; 14] = [
+const LAYERS: [&[&str]; 15] = [
     &["base"],
     &["error"],
     &["desc"],
@@ -30,6 +30,7 @@ const LAYERS: [&[&str]; 14] = [
     &["convert"],
     &["bench", "sweep"],
     &["report"],
+    &["energy"],
     &["cli", "python"],
     &["main"],
 ];

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
 use crate::base::names::fits_pattern;
 use crate::cli::args::conversion::CopiesArgs;
@@ -13,11 +12,10 @@ use crate::compile::frontend::real_and_integers;
 use crate::compile::{
     self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, kept, mapping_file,
 };
-use crate::convert::calibration::{self, RunInput};
 use crate::convert::copies;
-use crate::convert::search::search;
+use crate::convert::prepare::{has_srm, integers};
 use crate::desc::mapping::MappingFile;
-use crate::desc::network::{Network, PopulationDesc};
+use crate::desc::network::Network;
 use crate::desc::target::Target;
 use crate::error::Error;
 use crate::io;
@@ -25,7 +23,6 @@ use crate::ir::firing_rates::Rates;
 use crate::ir::graph::Graph;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Sample;
 use crate::report;
 
 /// What names the network and the hardware.
@@ -192,17 +189,6 @@ impl Job {
     }
 }
 
-impl From<CompileError> for Error {
-    /// A network that does not fit is an answer; a command that has no such answer reports an unusable input.
-    fn from(error: CompileError) -> Self {
-        match error {
-            CompileError::Input(diagnostic) => diagnostic.into(),
-            CompileError::Fault(message) => Error::Fault(message),
-            CompileError::DoesNotFit(_) => Diagnostic::new("map.does-not-fit", error.to_string()).into(),
-        }
-    }
-}
-
 /// Loads a model and makes it ready for an engine.
 ///
 /// # Errors
@@ -268,47 +254,12 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
     }
 }
 
-fn has_srm(network: &Network) -> bool {
-    network.file().populations.iter().any(|population| matches!(population.value, PopulationDesc::Srm(_)))
-}
-
-/// Samples that a model is converted on where no command says how many.
-const CALIBRATION_SAMPLES: usize = 60;
-
-/// A network in integers: spike response neurons as `nsim convert` has them, on samples of the model's own scene, or by
-/// analysis where it has none. Deterministic, so that a saved mapping fits the same network again.
-fn converted(network: &Network, most_copies: usize) -> Result<Front, Error> {
-    if !has_srm(network) {
-        return Ok(compile::front(network)?);
-    }
-    let (graph, start) = real_and_integers(network)?;
-    let name = &network.file().name;
-    let run = RunInput { sources: &[], seed: None, scene: network.file().scene.as_deref() };
-    let Some(stimulus) = calibration::stimulus(&start, &[], run, CALIBRATION_SAMPLES)? else {
-        tracing::warn!(
-            "{name}: its spike response neurons become Loihi compartments by analysis alone (equal decays, matched peaks), as \
-             it has no scene to convert on; `nsim convert` takes samples and keeps the result"
-        );
-        return Ok(start.into());
-    };
-    let samples: Vec<&Sample> = stimulus.samples.iter().collect();
-    let found = search(&graph, &samples, most_copies, |_| ())?;
-    tracing::warn!(
-        "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes agree in \
-         {:.4}, coincidence {:.3}; `nsim convert -o` keeps them",
-        found.samples,
-        found.end.class_agreement,
-        found.end.coincidence
-    );
-    Ok(found.conversion.integers(&graph)?.with_chosen_rounding().into())
-}
-
 /// A network in integers, without what `--prune` leaves out.
 ///
 /// # Errors
 /// [`Error`] when the network or what it is pruned for cannot be used.
 pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<Front, Error> {
-    let front = converted(network, args.copies.most())?;
+    let front = integers(network, args.copies.most())?;
     let is_probed = |name: &str| probed.iter().any(|pattern| fits_pattern(pattern, name));
     let populations = front.quantised().populations().enumerate();
     let probed: Vec<PopulationId> =

@@ -6,7 +6,7 @@ use crate::bench::early::{StudyModel, Trial, TrialGroup, TrialRun, study_models}
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::context::{Answer, Context};
-use crate::cli::energy::workload::Workload;
+use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use crate::cost::estimate::{Case, spent_by_step_uj};
 use crate::cost::{CostTable, Deployment, MeterSettings, Transport};
@@ -68,7 +68,7 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
             return Ok(None);
         }
     };
-    let mut workload = Workload::new(&job, copies, &InputArgs::from_sources(&args.input))?;
+    let mut workload = workload(&job, &InputArgs::from_sources(&args.input))?;
     if let Some(tested) = &model.tested {
         workload.choose(tested).map_err(|sample| {
             Error::Usage(format!("the study tested sample {sample}, which the input does not have"))
@@ -77,7 +77,7 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
     let table = CostTable::new(&workload.target.constants()[0])?;
     let deployment = Deployment::from_placement("packed", &workload.compiled.placement, workload.target.chip(), copies);
     let metered = workload.metered(vec![table], &deployment, Transport::default());
-    let run = workload.simulate(MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
+    let run = simulate(&workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
         return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));
     };

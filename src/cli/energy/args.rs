@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::options::{DeploymentArg, HostArg, Watts};
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::{Switch, one_of};
@@ -13,6 +12,7 @@ use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::Convention;
 use crate::desc::published::workload::Accounting;
 use crate::drive::decision::Rule;
+use crate::energy::options::{DeploymentArg, HostArg, Watts};
 
 const EXAMPLES: &str = "\
 EXAMPLES:

@@ -5,8 +5,7 @@ use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::args::EnergyArgs;
-use crate::cli::energy::options::DeploymentSource;
-use crate::cli::energy::workload::Workload;
+use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use crate::compile::Compiled;
 use crate::cost::calibrate::{Cell, Unknown, fit};
@@ -14,6 +13,8 @@ use crate::cost::estimate::{Case, Convention, EnergyRow, estimate};
 use crate::cost::{CostTable, Deployment};
 use crate::desc::published::measurement::{FittedConstant, MeasurementsFile};
 use crate::desc::target::{Constants, Residual, Status, Unit};
+use crate::energy::options::DeploymentSource;
+use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
 use crate::report::energy::calibration::{CalibrationReport, Fitted};
@@ -66,7 +67,7 @@ impl<'a> Bench<'a> {
         let mut metered = self.workload.metered(tables, &self.deployment, self.args.cost.transport);
         metered.timing.followed = presets.len();
         let skip = self.args.cost.skip == Switch::On;
-        let run = self.workload.simulate(metered, None, skip, self.context)?;
+        let run = simulate(self.workload, metered, None, skip, self.context)?;
         let timestep_ms = self.workload.compiled.one.parts().timestep_ms;
         let case = |preset| Case {
             preset,
@@ -218,7 +219,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
             Prepared::DoesNotFit(refusal) => return refusal.say(CalibrationReport::nothing(&table.name), context),
         }
     }
-    let workloads = tables.iter().zip(&jobs).map(|(table, job)| Workload::new(job, table.copies, &args.cost.input));
+    let workloads = jobs.iter().map(|job| workload(job, &args.cost.input));
     let workloads = workloads.collect::<Result<Vec<_>, _>>()?;
     let start = start(args, &tables)?;
     let bench = |(table, workload)| Bench::new(args, table, workload, context);

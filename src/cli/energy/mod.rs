@@ -1,22 +1,21 @@
 //! `nsim energy`: what was typed -> a simulated run -> its report, or constants fitted to a table.
 //!
-//! [`options`] says what the options stand for, [`workload`] runs, [`job`] makes the report of [`evaluate`], [`calibrate`] fits.
+//! [`workload`] runs, [`evaluate`] prices through `crate::energy`, [`calibrate`] fits.
 
 pub mod args;
 pub mod calibrate;
 pub mod evaluate;
-pub mod job;
-pub mod options;
-pub mod other_hardware;
 pub mod workload;
 
 use std::path::PathBuf;
 
 use self::args::EnergyArgs;
-use self::evaluate::{Evaluated, evaluate};
+use self::evaluate::evaluate;
 use crate::cli::args::steps;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
+use crate::energy::evaluate::Evaluated;
+use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
 use crate::ir::spikes::Copies;
@@ -33,8 +32,8 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.svg, context)?;
     io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
-    let reported = |evaluated: Evaluated<'_>| {
-        let Evaluated { energy, workload, run, deployment } = evaluated;
+    let reported = |workload: &Workload<'_>, evaluated: Evaluated| {
+        let Evaluated { energy, run, deployment } = evaluated;
         if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
             io::write::text(path, context.force, &svg)?;
         }
@@ -71,8 +70,6 @@ fn sanafe_files(folder: &std::path::Path) -> [PathBuf; 2] {
 mod tests {
     use clap::Parser;
 
-    use super::job::EnergyJob;
-    use super::options::{DeploymentArg, DeploymentSource, tables};
     use super::*;
     use crate::base::diagnostic::SourceText;
     use crate::cli::args::values::SampleRange;
@@ -87,6 +84,8 @@ mod tests {
     use crate::desc::spanned::parse;
     use crate::desc::target::Target;
     use crate::desc::target::{Chip, Constants, TargetFile};
+    use crate::energy::job::{self, EnergyJob};
+    use crate::energy::options::{DeploymentArg, DeploymentSource, tables};
     use crate::ir::activity::{CoreCounts, StepActivity};
     use crate::ir::placement::{Mesh, Placement};
     use crate::report::energy::table::EnergyReport;

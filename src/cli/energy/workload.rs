@@ -1,184 +1,72 @@
-//! The samples of `nsim energy` on the mapped program, metered step by step.
+//! The samples that options name, on the mapped program: with a progress bar, and with a row for each timestep in a file.
 
 use std::path::Path;
 
-use crate::base::id::CompartmentId;
-use crate::base::units::Picoseconds;
 use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
 use crate::cli::args::jobs::Job;
 use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
-use crate::compile::Compiled;
-use crate::compile::explore::cost_estimate::Score;
-use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
-use crate::desc::target::Target;
-use crate::drive::cores::core_rows;
+use crate::cost::{MeterSettings, StepMeter};
 use crate::drive::decision::EarlyExit;
-use crate::drive::populations::ByPopulation;
-use crate::drive::priced::{Metered, SampleRun, steps_per_sample};
 use crate::drive::samples::{Run, Running};
-use crate::drive::timeline::Timeline;
-use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::drive::{Keep, inputs};
+use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
-use crate::ir::firing_rates::Rates;
-use crate::ir::spikes::{Copies, Sample, Stimulus};
-use crate::report::detail::Detail;
+use crate::ir::spikes::{Copies, Sample};
 
-/// A mapped network of one or several copies, and what it is shown.
-#[derive(Debug)]
-pub struct Workload<'j> {
-    /// The network.
-    pub compiled: &'j Compiled,
-    /// Where it is mapped.
-    pub target: &'j Target,
-    /// Copies of the network on the target.
-    pub copies: u32,
-    /// What all copies see: they share nothing, input channels included, so each sees the whole sample.
-    given: Vec<Sample>,
-    /// Numbers of the samples that are run, in run order.
-    order: Vec<usize>,
-    /// How the samples were made.
-    pub origin: Vec<String>,
-    /// Seed of the input, if it was made from one.
-    pub seed: Option<u64>,
-    metered: Metered<'j>,
+/// A mapped job with its input.
+///
+/// # Errors
+/// [`Error`] when the input cannot be used.
+pub fn workload<'j>(job: &'j Job, input: &InputArgs) -> Result<Workload<'j>, Error> {
+    let Some((compiled, target)) = job.mapped() else {
+        return Err(Error::Fault("energy needs a mapped job".to_string()));
+    };
+    let stimulus = inputs::stimulus(&compiled.one, &input.input, job.scene(), input.seed)?;
+    let order = select_numbers(stimulus.samples.len(), input)?;
+    let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
+    check_pruned(&compiled.one, &samples, input)?;
+    Workload::new(compiled, target, stimulus, order)
 }
 
-impl<'j> Workload<'j> {
-    /// A mapped job with its input.
-    ///
-    /// # Errors
-    /// [`Error`] when the input cannot be used.
-    pub fn new(job: &'j Job, copies: u32, input: &InputArgs) -> Result<Self, Error> {
-        let Some((compiled, target)) = job.mapped() else {
-            return Err(Error::Fault("energy needs a mapped job".to_string()));
-        };
-        let stimulus = inputs::stimulus(&compiled.one, &input.input, job.scene(), input.seed)?;
-        let order = select_numbers(stimulus.samples.len(), input)?;
-        let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
-        check_pruned(&compiled.one, &samples, input)?;
-        let metered = Metered::new(compiled);
-        let Stimulus { samples: given, origin, seed } = stimulus;
-        Ok(Workload { compiled, target, copies, given, order, origin, seed, metered })
-    }
+/// Runs all samples under a progress bar.
+///
+/// # Errors
+/// As [`Workload::simulate`].
+pub fn simulate(
+    workload: &Workload<'_>,
+    settings: MeterSettings,
+    early_exit: Option<EarlyExit>,
+    skip: bool,
+    context: Context,
+) -> Result<Run<StepMeter>, Error> {
+    output::with_progress(context, workload.samples().len(), "samples", |progress| {
+        workload.simulate(settings, early_exit, skip, progress)
+    })
+}
 
-    /// Samples of one copy, in run order.
-    #[must_use]
-    pub fn samples(&self) -> Vec<&Sample> {
-        self.order.iter().map(|&sample| &self.given[sample]).collect()
-    }
-
-    /// Runs only these of the samples from here on.
-    ///
-    /// # Errors
-    /// The first number that is no sample's.
-    pub fn choose(&mut self, samples: &[usize]) -> Result<(), usize> {
-        let number = |&sample: &usize| self.order.get(sample).copied().ok_or(sample);
-        self.order = samples.iter().map(number).collect::<Result<_, usize>>()?;
-        Ok(())
-    }
-
-    /// The copies, all of which see each sample.
-    #[must_use]
-    pub fn shown(&self) -> Copies {
-        Copies { copies: self.copies, channels: self.compiled.one.channels() }
-    }
-
-    /// What its steps are metered under: sums alone.
-    #[must_use]
-    pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
-        MeterSettings {
-            tables,
-            timing: deployment.timing(transport),
-            routes: self.metered.routes.clone(),
-            timestep: Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms),
-            distribution: None,
-            by_step: None,
-        }
-    }
-
-    /// Timesteps of a sample; `None` when samples differ.
-    #[must_use]
-    pub fn steps_per_sample(&self) -> Option<u32> {
-        steps_per_sample(&self.samples())
-    }
-
-    /// A run by population, input and core, all copies together, and what to warn of.
-    #[must_use]
-    pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
-        let (network, program) = (&self.compiled.one, &self.compiled.program);
-        let sums = ByPopulation::of_copies(network, &run.counts, self.copies);
-        let samples = self.samples();
-        let finished =
-            Finished { network, ran: Ran::Program(program), sums: &sums, samples: &samples, outcomes: &run.outcomes };
-        let warnings = warnings(finished);
-        Detail { cores: core_rows(program, &run.activity, Some(&run.meter)), sums, warnings }
-    }
-
-    /// What a mean step is expected to cost, by the target's own constants, at the rates of the run.
-    ///
-    /// # Errors
-    /// A constant that no integer holds.
-    pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
-        let rates = Rates::of_copy(&run.counts, &self.compiled.one, run.activity.steps());
-        Ok(self.compiled.score_at(&rates, self.target)?)
-    }
-
-    /// A sample step by step, which so many powered cores pay for, with the potentials of these compartments of the first copy.
-    ///
-    /// # Errors
-    /// As [`Workload::simulate`].
-    pub fn timeline(
-        &self,
-        priced: (MeterSettings, u64),
-        sample: &Sample,
-        potentials: &[CompartmentId],
-    ) -> Result<Timeline, Error> {
-        Ok(Timeline::new(&self.metered, &self.compiled.one, priced, sample, potentials)?)
-    }
-
-    /// Runs all samples.
-    ///
-    /// # Errors
-    /// [`Error::Input`] when the program's sums could not be exact.
-    pub fn simulate(
-        &self,
-        settings: MeterSettings,
-        early_exit: Option<EarlyExit>,
-        skip: bool,
-        context: Context,
-    ) -> Result<Run<StepMeter>, Error> {
-        let samples = self.samples();
-        let run = output::with_progress(context, samples.len(), "samples", |progress| {
-            self.metered.run(settings, SampleRun { samples: &samples, early_exit, skip, progress })
-        })?;
-        Ok(run)
-    }
-
-    /// The same with a row for each timestep in a file, which so many powered cores pay for.
-    ///
-    /// # Errors
-    /// As [`Workload::simulate`]; when the file cannot be written.
-    pub fn simulate_recorded(
-        &self,
-        (settings, cores_powered): (MeterSettings, u64),
-        early_exit: Option<EarlyExit>,
-        skip: bool,
-        steps: &Path,
-        context: Context,
-    ) -> Result<Run<StepMeter>, Error> {
-        let samples = self.samples();
-        let keep = Keep { output: self.compiled.program.output(), probes: Vec::new(), early_exit };
-        let mut batch = io::write::Batch::new(context.force);
-        let run = output::with_progress(context, samples.len(), "samples", |progress| {
-            let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress };
-            let (network, priced) = (&self.compiled.one, (settings, cores_powered));
-            recorded((steps, &mut batch), network, &self.metered, priced, &samples, running)
-        })?;
-        batch.commit()?;
-        Ok(run)
-    }
+/// The same with a row for each timestep in a file, which so many powered cores pay for.
+///
+/// # Errors
+/// As [`simulate`]; when the file cannot be written.
+pub fn simulate_recorded(
+    workload: &Workload<'_>,
+    (settings, cores_powered): (MeterSettings, u64),
+    early_exit: Option<EarlyExit>,
+    skip: bool,
+    steps: &Path,
+    context: Context,
+) -> Result<Run<StepMeter>, Error> {
+    let samples = workload.samples();
+    let keep = Keep { output: workload.compiled.program.output(), probes: Vec::new(), early_exit };
+    let mut batch = io::write::Batch::new(context.force);
+    let run = output::with_progress(context, samples.len(), "samples", |progress| {
+        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress };
+        let (network, priced) = (&workload.compiled.one, (settings, cores_powered));
+        recorded((steps, &mut batch), network, workload.meter(), priced, &samples, running)
+    })?;
+    batch.commit()?;
+    Ok(run)
 }

@@ -13,12 +13,14 @@ use crate::base::diagnostic::Diagnostic;
 use crate::base::id::CompartmentId;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::args::CostArgs;
-use crate::cli::energy::evaluate::{Evaluated, evaluate};
+use crate::cli::energy::evaluate::evaluate;
 use crate::cli::output;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{Options, compile};
 use crate::convert::staged::is_real;
 use crate::desc::stimulus::{InputArg, InputSource};
+use crate::energy::evaluate::Evaluated;
+use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
 use crate::ir::firing_rates::Rates;
@@ -82,7 +84,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             other.display()
         )));
     }
-    evaluate(&args.cost, None, context, |evaluated| page(args, &evaluated, context))
+    evaluate(&args.cost, None, context, |workload, evaluated| page(args, workload, &evaluated, context))
 }
 
 fn is_result(name: &str) -> bool {
@@ -113,8 +115,8 @@ fn saved(args: &Args, context: Context) -> Result<Answer, Error> {
 }
 
 /// The page of a run.
-fn page(args: &Args, evaluated: &Evaluated<'_>, context: Context) -> Result<Answer, Error> {
-    let Evaluated { energy, workload, run, deployment } = evaluated;
+fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Context) -> Result<Answer, Error> {
+    let Evaluated { energy, run, deployment } = evaluated;
     let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
     let samples = workload.samples();
     let rates = Rates::of_copy(&run.counts, network, run.activity.steps());

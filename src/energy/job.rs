@@ -42,7 +42,8 @@ pub struct EnergyJob<'a> {
 }
 
 /// What ending samples when they are decided would save of the whole run: equation (16).
-pub(super) fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
+#[must_use]
+pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
     let lane = &case.meter.lanes()[case.preset];
     let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
@@ -57,7 +58,8 @@ pub(super) fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved 
 }
 
 /// The mean cost of a sample until it is decided.
-pub(super) fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDecision {
+#[must_use]
+pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDecision {
     let until_decided = &case.meter.lanes()[case.preset].until_decided;
     let (spent, samples) = (spent(case, until_decided), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
