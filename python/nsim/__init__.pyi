@@ -1,0 +1,157 @@
+from os import PathLike
+from typing import Any, Mapping as Dictionary, Optional, Sequence, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+Path = Union[str, "PathLike[str]"]
+Array = NDArray[Any]
+Spikes = Union[Array, Dictionary[str, Array], str, Sequence[str], None]
+
+__version__: str
+
+class Error(Exception):
+    """What nsim cannot do."""
+
+    code: str
+    """A stable name: 'model.unknown', 'input.shape', 'map.does-not-fit', 'usage', .."""
+    place: Optional[str]
+    """FILE:LINE:COLUMN, or FILE."""
+    help: Optional[str]
+    """What to change."""
+
+def load(model: Path) -> Network:
+    """Loads a model file or a shipped model."""
+
+class Network:
+    @property
+    def name(self) -> str: ...
+    @property
+    def populations(self) -> list[tuple[str, str, list[int]]]:
+        """(name, kind, shape) in the order of the file; kind is 'input', 'integers' or 'real'."""
+    @property
+    def classes(self) -> list[str]: ...
+    def map(
+        self,
+        target: Path = "nahuku-32",
+        *,
+        copies: int = 1,
+        strategy: str = "multilevel",
+        objective: str = "cores",
+        seed: int = 0,
+        mapping: Optional[Path] = None,
+    ) -> Mapping:
+        """The network on the cores of a target, as `nsim map` places it; `mapping` is a saved one."""
+    def energy(
+        self,
+        spikes: Spikes = None,
+        *,
+        target: Path = "nahuku-32",
+        copies: Optional[int] = None,
+        deployment: Path = "packed",
+        mode: str = "offline",
+        convention: str = "physical",
+        constants: Optional[Path] = None,
+        transport: str = "queued",
+        host: str = "board",
+        accounting: str = "profiler",
+        early_exit: Union[str, int, None] = None,
+        baselines: Sequence[str] = (),
+        labels: Optional[Sequence[int]] = None,
+        samples: Optional[tuple[int, int]] = None,
+        repeat: int = 1,
+        seed: Optional[int] = None,
+        time_first: bool = False,
+    ) -> Energy:
+        """What `nsim energy` reports; without `copies`, those of the scenario that ships for the model."""
+
+class Mapping:
+    @property
+    def model(self) -> str: ...
+    @property
+    def target(self) -> str: ...
+    @property
+    def copies(self) -> int: ...
+    @property
+    def cores(self) -> int: ...
+    @property
+    def chips(self) -> int: ...
+    @property
+    def strategy(self) -> str: ...
+    @property
+    def seed(self) -> int: ...
+    @property
+    def compartments(self) -> int:
+        """Of all copies."""
+    def to_ron(self) -> str:
+        """What `nsim map -o` writes."""
+    def run(
+        self,
+        spikes: Spikes = None,
+        *,
+        labels: Optional[Sequence[int]] = None,
+        samples: Optional[tuple[int, int]] = None,
+        repeat: int = 1,
+        seed: Optional[int] = None,
+        time_first: bool = False,
+        early_exit: Union[str, int, None] = None,
+    ) -> Run:
+        """Runs `[channels.., T]`, `[samples, channels.., T]`, a dictionary of such arrays, sources, or the model's scene."""
+    def energy(
+        self,
+        spikes: Spikes = None,
+        *,
+        deployment: Path = "packed",
+        mode: str = "offline",
+        convention: str = "physical",
+        constants: Optional[Path] = None,
+        transport: str = "queued",
+        host: str = "board",
+        accounting: str = "profiler",
+        early_exit: Union[str, int, None] = None,
+        baselines: Sequence[str] = (),
+        labels: Optional[Sequence[int]] = None,
+        samples: Optional[tuple[int, int]] = None,
+        repeat: int = 1,
+        seed: Optional[int] = None,
+        time_first: bool = False,
+    ) -> Energy:
+        """Runs the samples and prices them."""
+
+class Run:
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the output spikes."""
+    @property
+    def counts(self) -> NDArray[np.uint32]:
+        """Spikes of each output, `[samples, outputs]`."""
+    @property
+    def predicted(self) -> list[Optional[int]]: ...
+    @property
+    def labels(self) -> list[Optional[int]]: ...
+    @property
+    def accuracy(self) -> Optional[float]: ...
+    @property
+    def steps(self) -> list[int]: ...
+    @property
+    def spikes(self) -> NDArray[np.uint32]:
+        """(sample, step, output) of each output spike, `[spikes, 3]`."""
+    @property
+    def activity(self) -> dict[str, Any]: ...
+    @property
+    def wall_s(self) -> float: ...
+    def json(self) -> dict[str, Any]:
+        """What `nsim run --format json` prints."""
+    def __len__(self) -> int: ...
+
+class Energy:
+    @property
+    def energy_uj(self) -> Optional[float]:
+        """Of a timestep of one copy."""
+    @property
+    def latency_us(self) -> Optional[float]:
+        """Of a timestep."""
+    @property
+    def rows(self) -> list[dict[str, Any]]: ...
+    def json(self) -> dict[str, Any]:
+        """What `nsim energy --format json` prints."""

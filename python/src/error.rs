@@ -1,0 +1,37 @@
+//! Errors of the library as Python exceptions.
+
+use nsim::base::diagnostic::{Diagnostic, Position};
+use pyo3::exceptions::PyException;
+use pyo3::prelude::*;
+
+pyo3::create_exception!(
+    nsim,
+    Error,
+    PyException,
+    "What nsim cannot do: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` says what to change or is None."
+);
+
+/// The exception for an error.
+pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
+    let error = error.into();
+    let (code, place, help) = match &error {
+        nsim::Error::Input(diagnostic) => (diagnostic.code, place(diagnostic), diagnostic.help.clone()),
+        nsim::Error::Usage(_) => ("usage", None, None),
+        nsim::Error::Fault(_) => ("fault", None, None),
+    };
+    let raised = Error::new_err(error.to_string());
+    let value = raised.value(py);
+    let set = value.setattr("code", code).and_then(|()| value.setattr("place", place));
+    match set.and_then(|()| value.setattr("help", help)) {
+        Ok(()) => raised,
+        Err(other) => other,
+    }
+}
+
+fn place(diagnostic: &Diagnostic) -> Option<String> {
+    let file = diagnostic.file()?.display();
+    Some(match diagnostic.position() {
+        Some(Position { line, column }) => format!("{file}:{line}:{column}"),
+        None => file.to_string(),
+    })
+}

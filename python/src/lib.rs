@@ -1,0 +1,27 @@
+//! The Python module `nsim._nsim`, which the package `nsim` shows.
+//!
+//! Input: names, paths, NumPy arrays. Output: Python objects over the library's own; figures are computed there alone, so that they
+//! are those of the command line. Errors: `nsim.Error` with the diagnostic's code, place and help. Work is done without the
+//! interpreter's lock.
+
+mod energy;
+mod error;
+mod keywords;
+mod mapping;
+mod network;
+mod run;
+mod spikes;
+mod work;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("Error", module.py().get_type::<error::Error>())?;
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<network::Network>()?;
+    module.add_class::<mapping::Mapping>()?;
+    module.add_class::<run::Run>()?;
+    module.add_class::<energy::Energy>()?;
+    module.add_function(wrap_pyfunction!(network::load, module)?)
+}

@@ -1,0 +1,257 @@
+//! A network on the cores of a target, laid out and ready to run again and again.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use nsim::compile::explore;
+use nsim::compile::{self, CompileError, Compiled, DEFAULT_RATE, Form, Objective, Options, Strategy, shapes};
+use nsim::convert::copies::USUAL;
+use nsim::convert::prepare::integers;
+use nsim::desc::network::Network;
+use nsim::desc::target::Target;
+use nsim::drive::samples::{Division, laid_out};
+use nsim::io::mapping::{load_mapping, mapping_text};
+use nsim::ir::firing_rates::Rates;
+use nsim::machine::Image;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use self_cell::self_cell;
+
+use crate::energy::{self, Energy};
+use crate::error::raised;
+use crate::keywords::Keywords;
+use crate::run::Run;
+use crate::spikes::Shown;
+
+/// The target when none is named.
+const TARGET: &str = "nahuku-32";
+
+/// What a mapping is asked for.
+pub struct MappingRequest {
+    target: String,
+    file: Option<PathBuf>,
+    /// Copies of the network.
+    pub copies: u32,
+    options: Options,
+}
+
+impl MappingRequest {
+    /// From a target and keywords.
+    pub fn new(target: Option<PathBuf>, keywords: &Keywords<'_>) -> PyResult<Self> {
+        let usual = Options::default();
+        let file: Option<PathBuf> = keywords.take("mapping")?;
+        let copies = keywords.take::<u32>("copies")?.unwrap_or(usual.copies);
+        let strategy = keywords.one_of("strategy", &Strategy::ALL, Strategy::name)?.unwrap_or(usual.strategy);
+        let objective = keywords.one_of("objective", &Objective::ALL, Objective::name)?.unwrap_or(usual.objective);
+        let seed = keywords.take("seed")?.unwrap_or(usual.seed);
+        let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
+        Ok(MappingRequest { target, file, copies, options: Options { strategy, objective, seed, ..usual } })
+    }
+
+    fn compiled(&self, network: &Network) -> Result<(Compiled, Target), nsim::Error> {
+        if self.copies == 0 {
+            return Err(nsim::Error::Usage("a mapping has at least one copy".to_string()));
+        }
+        let target = nsim::load_target(&self.target)?;
+        let file = self.file.as_deref().map(|path| load_mapping(path).map(|file| (path, file))).transpose()?;
+        let copies = file.as_ref().map_or(self.copies, |(_, file)| file.copies);
+        let options = Options { copies, ..self.options };
+        if file.is_none() {
+            shapes::check(network, &target, copies)?;
+        }
+        let front = integers(network, USUAL)?;
+        let compiled = match &file {
+            Some((path, file)) => {
+                compile::compile_saved(front, &target, &options, file).map_err(|error| in_file(error, path))?
+            }
+            None => {
+                Form::require_written("running it on cores", front.quantised(), copies)?;
+                let rates = Rates::assumed(DEFAULT_RATE);
+                explore::map(front, &target, &options, &rates, Form::Written)?.into_compiled()?
+            }
+        };
+        Ok((compiled, target))
+    }
+}
+
+fn in_file(error: CompileError, path: &Path) -> CompileError {
+    match error {
+        CompileError::Input(diagnostic) => CompileError::Input(diagnostic.or_in_file(path)),
+        other => other,
+    }
+}
+
+/// The program laid out for one thread; none where threads share a sample, as its image depends on their number.
+type LaidOut<'p> = Option<Image<'p>>;
+
+self_cell!(
+    /// A compiled network with its layout.
+    pub struct Ready {
+        owner: Compiled,
+        #[covariant]
+        dependent: LaidOut,
+    }
+);
+
+/// A mapping that runs and energies share.
+pub struct Shared {
+    /// The model, as it was named.
+    pub model: String,
+    /// Its own stimulus.
+    pub scene: Option<String>,
+    /// Where it is mapped.
+    pub target: Target,
+    ready: Ready,
+}
+
+impl Shared {
+    /// The compiled network.
+    pub fn compiled(&self) -> &Compiled {
+        self.ready.borrow_owner()
+    }
+
+    /// The program, laid out for runs of this division.
+    pub fn image(&self, division: Division) -> Option<&Image<'_>> {
+        self.ready.borrow_dependent().as_ref().filter(|_| division.shards == 1)
+    }
+}
+
+/// A network on simulated cores.
+#[pyclass(frozen, module = "nsim")]
+pub struct Mapping(Arc<Shared>);
+
+impl Mapping {
+    /// Maps a network.
+    pub fn new(py: Python<'_>, model: &str, network: &Network, request: &MappingRequest) -> PyResult<Self> {
+        let made = py.detach(|| {
+            let (compiled, target) = request.compiled(network)?;
+            let division = Division::new(&compiled.program, 2);
+            let ready = Ready::new(compiled, |compiled| match division.shards {
+                1 => laid_out(&compiled.program, division).ok(),
+                _ => None,
+            });
+            Ok((ready, target))
+        });
+        let (ready, target) = made.map_err(|error: nsim::Error| raised(py, error))?;
+        let scene = network.file().scene.clone();
+        Ok(Mapping(Arc::new(Shared { model: model.to_string(), scene, target, ready })))
+    }
+
+    /// What runs and energies share.
+    pub fn shared(&self) -> &Arc<Shared> {
+        &self.0
+    }
+}
+
+#[pymethods]
+impl Mapping {
+    /// The network's name.
+    #[getter]
+    fn model(&self) -> &str {
+        &self.0.compiled().one.parts().name
+    }
+
+    /// The target's name.
+    #[getter]
+    fn target(&self) -> &str {
+        self.0.target.name()
+    }
+
+    /// Copies of the network.
+    #[getter]
+    fn copies(&self) -> u32 {
+        self.0.compiled().options.copies
+    }
+
+    /// Neuron cores in use.
+    #[getter]
+    fn cores(&self) -> usize {
+        self.0.compiled().partition.cores()
+    }
+
+    /// Chips in use.
+    #[getter]
+    fn chips(&self) -> usize {
+        let cores = self.0.compiled().program.cores().iter();
+        cores.map(|image| image.site.chip).collect::<BTreeSet<_>>().len()
+    }
+
+    /// How compartments were grouped into cores.
+    #[getter]
+    fn strategy(&self) -> &'static str {
+        self.0.compiled().options.strategy.name()
+    }
+
+    /// Seed of the strategy.
+    #[getter]
+    fn seed(&self) -> u64 {
+        self.0.compiled().options.seed
+    }
+
+    /// Compartments of all copies.
+    #[getter]
+    fn compartments(&self) -> u32 {
+        self.0.compiled().quantised.compartments()
+    }
+
+    /// The mapping as `nsim map -o` writes it, which `Network.map(mapping=FILE)` and `nsim run --mapping` take.
+    fn to_ron(&self, py: Python<'_>) -> PyResult<String> {
+        mapping_text(&self.0.compiled().mapping_file()).map_err(|problem| raised(py, problem))
+    }
+
+    /// Runs samples on the simulated cores: `nsim run --engine fast`.
+    ///
+    /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which a number other than zero is a spike, a dictionary from
+    /// input populations to such arrays, a source or a list of sources as `--input` takes them, or None for the model's own scene. With
+    /// `time_first` arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the samples, `samples` is
+    /// (first, end), `seed` that of a scene, `early_exit` 'certain' or a margin in spikes.
+    #[pyo3(
+        signature = (spikes=None, **options),
+        text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, early_exit=None)"
+    )]
+    fn run(
+        &self,
+        py: Python<'_>,
+        spikes: Option<&Bound<'_, PyAny>>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Run> {
+        let keywords = Keywords::new(options)?;
+        let shown = Shown::new(&self.0.compiled().one, self.0.scene.as_deref(), spikes, &keywords)?;
+        Run::new(py, &self.0, shown, &keywords)
+    }
+
+    /// What the mapping costs for these samples: `nsim energy`, compared with the `baselines` that are named.
+    ///
+    /// Energies are in uJ and latencies in us, of a timestep and one copy. `spikes` and its keywords are those of `run`; the others are the
+    /// options of `nsim energy`.
+    #[pyo3(
+        signature = (spikes=None, **options),
+        text_signature = "($self, spikes=None, *, deployment='packed', mode='offline', convention='physical', constants=None, \
+                          transport='queued', host='board', accounting='profiler', early_exit=None, baselines=(), labels=None, \
+                          samples=None, repeat=1, seed=None, time_first=False)"
+    )]
+    fn energy(
+        &self,
+        py: Python<'_>,
+        spikes: Option<&Bound<'_, PyAny>>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Energy> {
+        let keywords = Keywords::new(options)?;
+        let plan = energy::plan(py, &self.0.model, &keywords)?;
+        Energy::new(py, self, &plan, spikes, &keywords)
+    }
+
+    fn __repr__(&self) -> String {
+        let (copies, cores, chips) = (self.copies(), self.cores(), self.chips());
+        let copies = if copies == 1 { String::new() } else { format!("{copies} copies of ") };
+        let plural = |count: usize| if count == 1 { "" } else { "s" };
+        format!(
+            "<nsim.Mapping {copies}{} on {}: {cores} core{}, {chips} chip{}>",
+            self.model(),
+            self.target(),
+            plural(cores),
+            plural(chips)
+        )
+    }
+}

@@ -1,0 +1,116 @@
+//! A model as Python sees it.
+
+use std::path::PathBuf;
+
+use nsim::compile::frontend::real_and_integers;
+use nsim::desc::network::PopulationDesc;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::energy::{self, Energy};
+use crate::error::raised;
+use crate::keywords::Keywords;
+use crate::mapping::{Mapping, MappingRequest};
+
+/// Loads a model.
+///
+/// `model` is the path of a model file (`.ron`, `.nir`, `.net`, ..) or the name of a shipped model.
+#[pyfunction]
+#[pyo3(text_signature = "(model)")]
+pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
+    let model = model.to_string_lossy().into_owned();
+    let loaded = py.detach(|| {
+        let network = nsim::load_model(&model)?;
+        real_and_integers(&network)?;
+        Ok(network)
+    });
+    let network = loaded.map_err(|error: nsim::base::diagnostic::Diagnostic| raised(py, error))?;
+    Ok(Network { model, network })
+}
+
+/// A network as its file says.
+#[pyclass(frozen, module = "nsim")]
+pub struct Network {
+    model: String,
+    network: nsim::desc::network::Network,
+}
+
+#[pymethods]
+impl Network {
+    /// Its name.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.network.file().name
+    }
+
+    /// Populations in the order of the file: name, kind (input, integers or real) and shape.
+    #[getter]
+    fn populations(&self) -> Vec<(String, &'static str, Vec<u64>)> {
+        let populations = self.network.file().populations.iter();
+        populations
+            .map(|population| {
+                let population = &population.value;
+                let kind = match population {
+                    PopulationDesc::Input(_) => "input",
+                    PopulationDesc::Neurons(_) => "integers",
+                    PopulationDesc::Srm(_) => "real",
+                };
+                (population.name().value.clone(), kind, population.shape().value.clone())
+            })
+            .collect()
+    }
+
+    /// Names of its classes; empty when the file has none.
+    #[getter]
+    fn classes(&self) -> Vec<String> {
+        self.network.file().classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone())
+    }
+
+    /// The same network on the cores of a target.
+    ///
+    /// `target` is a target file or a shipped name; `copies` (1), `strategy` ('multilevel', 'greedy', 'sequential'), `objective` ('cores',
+    /// 'energy', 'energy:chip', 'latency') and `seed` (0) are those of `nsim map`; `mapping` is a file that `nsim map -o` wrote.
+    /// Spike response neurons become integers as `nsim map` makes them.
+    #[pyo3(
+        signature = (target=None, **options),
+        text_signature = "($self, target='nahuku-32', *, copies=1, strategy='multilevel', objective='cores', seed=0, mapping=None)"
+    )]
+    fn map(&self, py: Python<'_>, target: Option<PathBuf>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Mapping> {
+        let keywords = Keywords::new(options)?;
+        let request = MappingRequest::new(target, &keywords)?;
+        keywords.none_left()?;
+        Mapping::new(py, &self.model, &self.network, &request)
+    }
+
+    /// What the network costs on the chip: `nsim energy`.
+    ///
+    /// Without `copies` there are as many as in the scenario that ships for the model, or 1; figures are of one. `spikes` and the other
+    /// keywords are those of `Mapping.energy`.
+    #[pyo3(
+        signature = (spikes=None, *, target=None, copies=None, **options),
+        text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='packed', mode='offline', \
+                          convention='physical', constants=None, transport='queued', host='board', accounting='profiler', \
+                          early_exit=None, baselines=(), labels=None, samples=None, repeat=1, seed=None, time_first=False)"
+    )]
+    fn energy(
+        &self,
+        py: Python<'_>,
+        spikes: Option<&Bound<'_, PyAny>>,
+        target: Option<PathBuf>,
+        copies: Option<u32>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Energy> {
+        let keywords = Keywords::new(options)?;
+        let plan = energy::plan(py, &self.model, &keywords)?;
+        let mut request = MappingRequest::new(target, &Keywords::new(None)?)?;
+        request.copies = copies.or(plan.copies()).unwrap_or(1);
+        let mapping = Mapping::new(py, &self.model, &self.network, &request)?;
+        Energy::new(py, &mapping, &plan, spikes, &keywords)
+    }
+
+    fn __repr__(&self) -> String {
+        let populations: Vec<String> =
+            self.populations().iter().map(|(name, _, shape)| format!("{name}{shape:?}")).collect();
+        format!("<nsim.Network {}: {}>", self.name(), populations.join(", "))
+    }
+}

@@ -1,0 +1,148 @@
+"""Each call gives what the command line gives; NSIM names the program that is compared with."""
+
+import json
+import os
+import subprocess
+import tempfile
+import unittest
+
+import numpy as np
+
+import nsim
+
+NSIM = os.environ.get("NSIM", "nsim")
+MODELS = ["vtsnn-slip", "container-tactile", "vtsnn-slip-srm"]
+# Measured times differ from call to call.
+TIMES = {"wall_s", "us_per_timestep"}
+
+
+def command(*words):
+    done = subprocess.run([NSIM, *words, "--format", "json"], capture_output=True, text=True)
+    return json.loads(done.stdout)
+
+
+def without_times(result):
+    return {key: value for key, value in result.items() if key not in TIMES}
+
+
+def recorded(network, samples=3, steps=60):
+    """Random spikes for each input population, `[samples, channels.., T]`."""
+    rng = np.random.default_rng(7)
+    shapes = {name: shape for name, kind, shape in network.populations if kind == "input"}
+    return {name: (rng.random((samples, *shape, steps)) < 0.05).astype(np.uint8) for name, shape in shapes.items()}
+
+
+class SameAsTheCommandLine(unittest.TestCase):
+    def test_runs_on_the_scene(self):
+        for model in MODELS:
+            with self.subTest(model=model):
+                theirs = command("run", model, "--engine", "fast")
+                run = nsim.load(model).map().run()
+                self.assertEqual(run.digest, theirs["digest"])
+                self.assertEqual(run.counts.tolist(), theirs["output_counts"])
+                self.assertEqual(run.predicted, theirs["predicted"])
+                self.assertEqual(run.activity, theirs["activity"])
+                self.assertEqual(without_times(run.json()), without_times(theirs))
+
+    def test_energy(self):
+        for model in MODELS:
+            with self.subTest(model=model):
+                theirs = command("energy", model, "--baseline")
+                energy = nsim.load(model).energy()
+                self.assertEqual(energy.json(), theirs)
+                total = next(row for row in theirs["rows"] if (row["hardware"], row["unit"]) == ("loihi", "total"))
+                self.assertEqual((energy.energy_uj, energy.latency_us), (total["energy_uj"], total["latency_us"]))
+
+    def test_options_of_energy(self):
+        theirs = command("energy", "vtsnn-slip", "--baseline", "--copies", "2", "--mode", "realtime", "--samples", "1..3")
+        energy = nsim.load("vtsnn-slip").energy(copies=2, mode="realtime", samples=(1, 3))
+        self.assertEqual(energy.json(), theirs)
+
+    def test_arrays(self):
+        for model in MODELS:
+            with self.subTest(model=model), tempfile.TemporaryDirectory() as folder:
+                network = nsim.load(model)
+                spikes, words = recorded(network), []
+                for name, array in spikes.items():
+                    np.save(os.path.join(folder, name + ".npy"), array)
+                    words += ["--input", f"{name}={folder}/{name}.npy"]
+                theirs = command("run", model, "--engine", "fast", *words)
+                mapping = network.map()
+                run = mapping.run(spikes)
+                self.assertEqual((run.digest, run.counts.tolist()), (theirs["digest"], theirs["output_counts"]))
+                self.assertEqual(run.activity, theirs["activity"])
+                of_files = [word for word in words if word != "--input"]
+                self.assertEqual(mapping.run(of_files).digest, run.digest)
+
+    def test_a_saved_mapping(self):
+        network = nsim.load("vtsnn-slip")
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "m.ron")
+            with open(path, "w") as file:
+                file.write(network.map(copies=2, strategy="sequential").to_ron())
+            mapping = network.map(mapping=path)
+            self.assertEqual(mapping.copies, 2)
+            self.assertEqual(mapping.run().digest, network.map().run().digest)
+            self.assertEqual(command("run", "vtsnn-slip", "--mapping", path)["digest"], mapping.run().digest)
+
+
+class Arrays(unittest.TestCase):
+    def setUp(self):
+        self.mapping = nsim.load("container-tactile").map()
+
+    def test_forms_of_an_array_mean_the_same(self):
+        rng = np.random.default_rng(3)
+        spikes = (rng.random((4, 78, 50)) < 0.1).astype(np.uint8)
+        want = self.mapping.run(spikes).digest
+        for same in [
+            spikes.astype(bool),
+            spikes.astype(np.float64) * 2.5,
+            np.asfortranarray(spikes),
+            np.repeat(spikes, 2, axis=2)[:, :, ::2],
+        ]:
+            self.assertEqual(self.mapping.run(same).digest, want)
+        time_first = np.ascontiguousarray(spikes.transpose(0, 2, 1))
+        self.assertEqual(self.mapping.run(time_first, time_first=True).digest, want)
+        first = self.mapping.run(spikes[0])
+        self.assertEqual(first.counts[0].tolist(), self.mapping.run(spikes).counts[0].tolist())
+        self.assertEqual(self.mapping.run(spikes, samples=(0, 1)).digest, first.digest)
+
+    def test_labels_and_spikes(self):
+        run = self.mapping.run(np.ones((2, 78, 40), np.uint8), labels=[0, 1])
+        self.assertEqual((run.labels, len(run)), ([0, 1], 2))
+        self.assertEqual(run.spikes.shape[1], 3)
+        counted = np.zeros_like(run.counts)
+        np.add.at(counted, (run.spikes[:, 0], run.spikes[:, 2]), 1)
+        self.assertEqual(counted.tolist(), run.counts.tolist())
+
+
+class Errors(unittest.TestCase):
+    def raised(self, call):
+        with self.assertRaises(nsim.Error) as caught:
+            call()
+        return caught.exception
+
+    def test_errors_have_code_place_and_help(self):
+        error = self.raised(lambda: nsim.load("no-such-model"))
+        self.assertEqual(error.code, "model.unknown")
+        self.assertIn("path to a .ron file", error.help)
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "m.ron")
+            with open(path, "w") as file:
+                file.write('Network(name: "x",\n  oops: 1)')
+            error = self.raised(lambda: nsim.load(path))
+            self.assertTrue(error.place.startswith(path + ":2:"), error.place)
+
+    def test_what_does_not_fit_is_refused(self):
+        network = nsim.load("vtsnn-slip")
+        self.assertEqual(self.raised(lambda: network.map("tiny", copies=4096)).code, "map.does-not-fit")
+        mapping = nsim.load("container-tactile").map()
+        self.assertEqual(self.raised(lambda: mapping.run(np.zeros((3, 7, 9)))).code, "input.shape")
+        self.assertEqual(self.raised(lambda: mapping.run(samples=(5, 2))).code, "usage")
+        self.assertEqual(self.raised(lambda: network.map(strategy="best")).code, "usage")
+        with self.assertRaises(TypeError):
+            mapping.run(sample=3)
+
+
+if __name__ == "__main__":
+    unittest.main()
