@@ -19,7 +19,7 @@ use crate::error::raised;
 use crate::keywords::{Keywords, usage};
 
 /// Numbers of an array that are looked at together.
-const TOGETHER: usize = 64;
+const TOGETHER: usize = 32;
 
 /// What a network is shown.
 pub struct Shown {
@@ -169,20 +169,27 @@ fn read<T: Copy>(
         name: "array".to_string(),
     };
     let mut recordings = vec![silent; samples];
-    let mut add = |index: usize| {
-        let (sample, step, channel) = match time_first {
-            false => (index / steps / units, index % steps, index / steps % units),
-            true => (index / units / steps, index / units % steps, index % units),
-        };
-        recordings[sample].events.push((step as u32, channel as u32));
-    };
+    // Rows of an array: the steps of a channel, or the channels of a step.
+    let (width, rows) = if time_first { (units, steps) } else { (steps, units) };
     let numbers = array.as_standard_layout();
-    // Most numbers are zero, and many of them are looked at in one instruction.
-    for (part, numbers) in numbers.as_slice().unwrap_or_default().chunks(TOGETHER).enumerate() {
+    let numbers = numbers.as_slice().unwrap_or_default();
+    for (numbers, recording) in numbers.chunks(width * rows).zip(&mut recordings) {
+        for (row, numbers) in numbers.chunks(width).enumerate() {
+            spikes_of_row(numbers, &is_spike, |column| {
+                let (step, channel) = if time_first { (row, column) } else { (column, row) };
+                recording.events.push((step as u32, channel as u32));
+            });
+        }
+    }
+    Ok(recordings)
+}
+
+/// Finds the spikes of a row. Most numbers are zero, and many of them are looked at in one instruction.
+fn spikes_of_row<T: Copy>(row: &[T], is_spike: impl Fn(T) -> bool, mut add: impl FnMut(usize)) {
+    for (part, numbers) in row.chunks(TOGETHER).enumerate() {
         if numbers.iter().fold(false, |any, &number| any | is_spike(number)) {
             let spikes = numbers.iter().enumerate().filter(|(_, number)| is_spike(**number));
             spikes.for_each(|(index, _)| add(part * TOGETHER + index));
         }
     }
-    Ok(recordings)
 }
