@@ -21,7 +21,7 @@ use crate::compile::stages::Front;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::placement::Site;
-use crate::ir::quantised::{Connectivity, Population, Projection, Quantised, Units};
+use crate::ir::quantised::{Connectivity, Parts, Population, Projection, Quantised, Units};
 
 /// Begins every entry; another layout of the bytes begins otherwise.
 const MAGIC: &[u8; 8] = b"nsim-m01";
@@ -85,7 +85,8 @@ pub fn key(
 
 fn network(network: &Quantised, key: &mut Key) {
     let parts = network.parts();
-    key.text(&format!("{} {:?} {:?} {:?}", parts.name, parts.semantics, parts.threshold, parts.reset));
+    let Parts { name, semantics, threshold, reset, gathers, .. } = parts;
+    key.text(&format!("{name} {semantics:?} {threshold:?} {reset:?} {gathers}"));
     parts.output.0.hash(key);
     parts.populations.iter().for_each(|one| population(one, key));
     parts.projections.iter().for_each(|one| projection(one, key));

@@ -25,6 +25,7 @@ use crate::compile::partition::boxes::{self, Boxes};
 use crate::compile::partition::members::Members;
 use crate::compile::partition::{self, partition, within_bounds};
 use crate::compile::place::{self, anneal};
+use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::even_draws;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
@@ -33,7 +34,7 @@ use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Placement, Site};
-use crate::ir::quantised::Quantised;
+use crate::ir::quantised::{Note, Parts, Quantised};
 
 /// Synapses of a network up to which it is tried without relays first: larger ones would be partitioned twice for long.
 const TRIED: u64 = 1 << 24;
@@ -131,6 +132,7 @@ impl Front {
         if !reasons.is_empty() {
             return Err(CompileError::DoesNotFit(reasons));
         }
+        self.gather(target)?;
         let limits = target.limits();
         let of_core = limits[Resource::AxonsOut] / limits.axon_out_slots_off_chip.max(1);
         let most = limits[Resource::AxonsOutPerCompartment].min(of_core);
@@ -146,6 +148,24 @@ impl Front {
         self.relays = Some(AddedRelays { relays, levels, later }).filter(|added| added.relays > 0);
         self.one = network;
         Ok(self)
+    }
+
+    /// Lets sources be gathered in population axons where a compartment has more of them than a core has input axons.
+    fn gather(&mut self, target: &Target) -> Result<()> {
+        let mut parts = Parts { gathers: true, ..self.one.parts().clone() };
+        let gathered = Quantised::new(parts.clone()).map_err(CompileError::fault)?;
+        let places = Places::for_network(&gathered, target.limits());
+        if !places.are_of_need() {
+            return Ok(());
+        }
+        for (id, population) in gathered.populations().enumerate() {
+            if let Some(axons) = places.positions(&gathered, id) {
+                let message = format!("its spikes go to {axons} population axons of a core, for want of input axons");
+                parts.notes.push(Note { entity: population.name.clone(), message, rounded: None });
+            }
+        }
+        self.one = Quantised::new(parts).map_err(CompileError::fault)?;
+        Ok(())
     }
 
     /// Whether output axons are no reason against the network as it is.

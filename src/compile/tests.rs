@@ -17,9 +17,10 @@ use crate::compile::resources::exact::usage;
 use crate::compile::resources::fan_in::FanIn;
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
-use crate::compile::{CompileError, Compiled, Options, Reason, compile};
+use crate::compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Options, Reason, compile, explore};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
+use crate::ir::firing_rates::Rates;
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{Partition, seats};
 use crate::ir::program::{AxonTarget, Parts, Program, Stored, Synapse};
@@ -71,6 +72,26 @@ fn both_polarities_of_the_vision_layer_do_not_fit_and_the_ways_out_are_said() {
     for way in ["merge polarities", "prune inputs", "pool more", "intermediate populations"] {
         assert!(reason.help.contains(way), "{}", reason.help);
     }
+}
+
+#[test]
+fn sources_are_gathered_in_population_axons_where_input_axons_are_too_few() {
+    let mapped = |axons_in, channels| {
+        let board = target(1, 1, limits().with(Resource::AxonsIn, axons_in));
+        let front = Front::from(slip(channels)).relay(&board)?;
+        let options = Options::default();
+        explore::map(front, &board, &options, &Rates::assumed(DEFAULT_RATE), Form::Written)
+    };
+    // 6,300 lists of two words; the channels of a core's 10 compartments are 13 population axons.
+    let both = mapped(4_096, 6_300).unwrap();
+    assert_eq!(both.checked.how, "whole");
+    let used: Vec<_> = both.partition.usage().iter().map(|used| used[Resource::AxonsIn]).collect();
+    assert!(used.iter().sum::<u64>() < 400, "{used:?}");
+    // Hidden compartments, of which there are 60, are gathered too.
+    let all = mapped(40, 3_150).unwrap();
+    assert!(all.partition.usage().iter().all(|used| used[Resource::AxonsIn] <= 40));
+    // Words do not suffice.
+    assert!(matches!(mapped(4_096, 20_000), Err(CompileError::DoesNotFit(_))));
 }
 
 #[test]
@@ -131,8 +152,7 @@ fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
     let board = target(2, 2, limits());
     let compiled = compile(slip(3150), &board, &options).unwrap();
     assert_eq!(compiled.partition.cores(), 32);
-    let traffic =
-        crate::compile::explore::traffic::traffic(&compiled.program, &crate::ir::firing_rates::Rates::assumed(1.0));
+    let traffic = explore::traffic::traffic(&compiled.program, &Rates::assumed(1.0));
     assert_eq!(traffic.cut_spikes_per_step, 32.0 * 3_306.0, "only inputs cross between cores");
     let small = compile(slip(100), &board, &options).unwrap();
     // 316 input axons and 62 compartments a copy: twelve copies share a core.

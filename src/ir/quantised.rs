@@ -390,6 +390,8 @@ pub struct Parts {
     pub reset: Option<Reset>,
     /// What quantisation changed.
     pub notes: Vec<Note>,
+    /// Whether sources may be gathered in population axons where a compartment has more of them than a core has input axons.
+    pub gathers: bool,
 }
 
 impl Parts {
@@ -407,6 +409,7 @@ impl Parts {
             threshold: ThresholdTest::Strict,
             reset: None,
             notes: Vec::new(),
+            gathers: false,
         }
     }
 }

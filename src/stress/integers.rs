@@ -125,6 +125,7 @@ impl Plan {
             threshold: ThresholdTest::Strict,
             reset: None,
             notes: Vec::new(),
+            gathers: false,
         })?)
     }
 

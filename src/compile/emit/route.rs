@@ -143,7 +143,7 @@ impl<'a> Tables<'a> {
         placement: &'a Placement,
         limits: &'a Limits,
     ) -> Self {
-        let (formats, places) = (Formats::for_network(network), Places::for_network(network));
+        let (formats, places) = (Formats::for_network(network), Places::for_network(network, limits));
         Tables { network, partition, placement, limits, formats, places }
     }
 

@@ -88,6 +88,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         threshold: facts.threshold,
         reset: facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 }),
         notes: stage.notes,
+        gathers: false,
     };
     // An error from here on is a fault of this stage, reported instead of trusted.
     Quantised::new(parts).map_err(|e| Diagnostic::new("model.inconsistent", e.to_string()).in_file(facts.source.path()))

@@ -23,7 +23,7 @@ const TRIALS: usize = 200;
 /// same populations.
 #[must_use]
 pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
-    let (formats, places) = (Formats::for_network(network), Places::for_network(network));
+    let (formats, places) = (Formats::for_network(network), Places::of_windows(network));
     let of = |id| Layer::for_population(network, id, &formats, &places).filter(|layer| !layer.joined);
     network.populations().ids().map(of).collect()
 }

@@ -94,6 +94,8 @@ const EVEN_SYNAPSES: u64 = 1 << 18;
 const MOST_LONGER: f64 = 1.1;
 /// Synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
+/// How many times as many spikes as in the mean a step has in which networks over space are compared too.
+const BURST: u64 = 10;
 /// Passes of refinement on a level.
 const PASSES: usize = 3;
 /// Rounds of making tiles smaller because their output axons do not fit.
@@ -314,7 +316,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         }
     }
     if begun && search.strategy == Strategy::Multilevel {
-        no_slower(filler, &mut found, search);
+        no_slower(filler, &mut found, search, any_spatial);
     }
     // Compartments in the order of the file make lists denser; refined cores take newcomers at their end.
     let best = fewest(filler, &found, search.rates);
@@ -337,7 +339,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
 
 /// Leaves out members whose busiest core works so much longer than that of the first, the order of the file, that the cores
 /// they save are not worth it; where the first fits at all.
-fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>) {
+fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, over_space: bool) {
     let first = found[0].members.len() as u64;
     let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);
     if !worth_comparing || first * u64::from(search.copies) > u64::from(filler.target.cores()) {
@@ -347,19 +349,22 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>) {
         return;
     };
     let events = filler.fan_in.events_into(filler.network, search.rates);
-    let busiest = |members: &Members| {
+    let busiest = |members: &Members, times: u64| {
         let of_core = |held: &Vec<CompartmentId>| {
-            let events_sparse = held.iter().map(|id| events[id.index()]).sum();
+            let events_sparse = held.iter().map(|id| events[id.index()]).sum::<u64>() * times;
             let steps = held.len() as u64 * UNIT as u64;
             let (visited, active) = (steps, steps);
             core_time(&CoreCounts { events_sparse, visited, active, ..CoreCounts::default() }, &table)
         };
         members.iter().map(of_core).max().map_or(0.0, Picoseconds::microseconds)
     };
-    let least = busiest(&found[0].members);
+    // Tiles gather the compartments with the most synapses, which shows in steps of many spikes.
+    let ways = if over_space { &[1, BURST][..] } else { &[1] };
+    let least: Vec<f64> = ways.iter().map(|&times| busiest(&found[0].members, times)).collect();
     let mut longest: f64 = 1.0;
     found.retain(|one| {
-        let longer = busiest(&one.members) / least.max(f64::MIN_POSITIVE);
+        let longer = |(&times, least): (&u64, &f64)| busiest(&one.members, times) / least.max(f64::MIN_POSITIVE);
+        let longer = ways.iter().zip(&least).map(longer).fold(0.0, f64::max);
         // The rest of a step takes as long in any case, so that steps differ by less than their busiest cores.
         let saved = first as f64 / one.members.len().max(1) as f64;
         let kept = longer <= MOST_LONGER * saved.max(1.0);
@@ -524,7 +529,7 @@ fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
 /// A number of cores below which no partition can be, from what copies cannot share.
 #[must_use]
 pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
-    let places = Places::for_network(one);
+    let places = Places::for_network(one, limits);
     let active: u64 = one
         .populations()
         .enumerate()
@@ -537,10 +542,7 @@ pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
                 })
             };
             // Sources at one place may share an input axon.
-            let positions = match population.shape.volume() {
-                Some((_, height, width)) if places.holds(one, id) => height * width,
-                _ => population.shape.len(),
-            };
+            let positions = places.positions(one, id).unwrap_or(population.shape.len());
             (0..population.shape.len()).filter(active).count().min(positions as usize) as u64
         })
         .sum();

@@ -234,7 +234,7 @@ impl<'a> Filler<'a> {
     pub fn fan_out(&self, members: &Members, chips: Chips) -> FanOut {
         let core_of = cores_of(self.network.compartments(), members);
         let (chips, limits) = (chips.of_cores(members.len(), self.target), self.target.limits());
-        let places = Places::for_network(self.network);
+        let places = Places::for_network(self.network, self.target.limits());
         let shared = by_position(&places, limits).then(|| self.members_of_axons(members));
         let shared = shared.as_ref().map(|members| SharedPlaces { places: &places, members });
         network_fan_out(self.network, &core_of, &chips, limits, shared.as_ref())

@@ -190,7 +190,7 @@ fn chosen_tiles(
 ) -> Option<Vec<Segment>> {
     let description = &network.populations()[population];
     let formats = Formats::for_network(network);
-    let layer = Layer::for_population(network, population, &formats, &Places::for_network(network))?;
+    let layer = Layer::for_population(network, population, &formats, &Places::for_network(network, limits))?;
     let shape = layer.shape;
     let mut orders = vec![layer];
     if !orders[0].by_channel && matches!(limits.output_axons, OutputAxons::PerPosition { .. }) {

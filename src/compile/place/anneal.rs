@@ -21,6 +21,8 @@ use crate::compile::place::nets::{Columns, Nets};
 use crate::ir::firing_rates::Rates;
 use crate::ir::placement::{Mesh, Site};
 
+/// How many times a link of a tree counts as much as one of a single message, as in the objective.
+const TREE: i64 = 2;
 /// Rounds in which chips are annealed against each other; a single chip restarts from its best places.
 const ROUNDS: u64 = 6;
 /// The first temperature as a part of what a proposal changes on average.
@@ -55,6 +57,8 @@ pub struct Search<'a> {
     pub work: u64,
     /// When to end in any case.
     pub end: Option<Instant>,
+    /// How many times a link of a multicast tree counts as much as one of a single message.
+    pub tree: i64,
 }
 
 impl<'a> Search<'a> {
@@ -62,7 +66,7 @@ impl<'a> Search<'a> {
     #[must_use]
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
         let (work, end) = (options.effort.work(PLACED_PER_SECOND), options.effort.end());
-        Search { objective: options.objective, rates, seed: options.seed, work, end }
+        Search { objective: options.objective, rates, seed: options.seed, work, end, tree: TREE }
     }
 }
 
@@ -93,7 +97,7 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
             .enumerate()
             .map(|(chip, cores)| {
                 let seed = rng::bits(search.seed, round, chip as u64);
-                one_chip(nets, mesh, best.as_slice(), cores, (seed, work, search.end))
+                one_chip(nets, mesh, best.as_slice(), cores, Search { seed, work, ..search })
             })
             .collect();
         let together: IdVec<CoreId, Site> = found.into_iter().flatten().collect::<Vec<Site>>().into();
@@ -105,10 +109,10 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
     best
 }
 
-/// Links of a net as one number: twice the multicast tree and once all routes.
-fn worth(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Columns) -> i64 {
+/// Links of a net as one number: some times the multicast tree and once all routes.
+fn worth(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], (columns, times): (&mut Columns, i64)) -> i64 {
     let (tree, all) = nets.links(net, mesh, sites, columns);
-    ((2 * tree + all) * nets.nets[net as usize].weight) as i64
+    (times * tree as i64 + all as i64) * nets.nets[net as usize].weight as i64
 }
 
 /// Proposals that so much work allows for the cores of one chip.
@@ -128,7 +132,7 @@ fn one_chip(
     mesh: &Mesh,
     all: &[Site],
     cores: &[CoreId],
-    (seed, work, end): (u64, u64, Option<Instant>),
+    Search { seed, work, end, tree, .. }: Search<'_>,
 ) -> Vec<Site> {
     let mut sites = all.to_vec();
     let first = cores[0].index();
@@ -193,7 +197,7 @@ fn one_chip(
             affected.dedup();
         }
         let sum = |sites: &[Site], columns: &mut Columns| -> i64 {
-            affected.iter().map(|&net| worth(nets, net, mesh, sites, columns)).sum()
+            affected.iter().map(|&net| worth(nets, net, mesh, sites, (columns, tree))).sum()
         };
         let before = sum(&sites, &mut columns);
         moves.iter().for_each(|&(core, _, to)| sites[core] = to);

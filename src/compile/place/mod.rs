@@ -102,15 +102,25 @@ fn place_nets(
     let cost = |sites: &IdVec<CoreId, Site>| nets.costs(&mesh, sites, search.objective);
     let best = starts.into_iter().min_by_key(|sites| cost(sites).objective(search.objective));
     let Some(start) = best else { return Ok((plain, SEQUENTIAL)) };
-    let annealed = anneal::anneal(nets, &mesh, start, search);
-    let (before, after) = (cost(plain.sites()), cost(&annealed));
-    let better = after.multicast <= before.multicast
-        && after.objective(search.objective) < before.objective(search.objective)
-        && (search.objective != Objective::Latency || after.longest <= before.longest);
-    match Placement::new(mesh, annealed) {
-        Ok(placement) if better => Ok((placement, ANNEALED)),
-        _ => Ok((plain, SEQUENTIAL)),
+    let before = cost(plain.sites());
+    let better = |sites: &IdVec<CoreId, Site>| {
+        let after = cost(sites);
+        after.multicast <= before.multicast
+            && after.objective(search.objective) < before.objective(search.objective)
+            && (search.objective != Objective::Latency || after.longest <= before.longest)
+    };
+    // Where single messages go less far and trees farther, trees count more.
+    let attempts = if cores <= mesh.cores_per_chip as usize { 2 } else { 1 };
+    for attempt in 0..attempts {
+        let search = Search { tree: search.tree << (2 * attempt), ..search };
+        let annealed = anneal::anneal(nets, &mesh, start.clone(), search);
+        if better(&annealed)
+            && let Ok(placement) = Placement::new(mesh, annealed)
+        {
+            return Ok((placement, ANNEALED));
+        }
     }
+    Ok((plain, SEQUENTIAL))
 }
 
 /// Cores along a Hilbert curve through the tiles of each chip, those with the most input first.

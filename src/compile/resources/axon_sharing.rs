@@ -25,6 +25,10 @@
 //!   others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`).
 //! - A compartment belongs to one population, so its atom is the same on every core: it is the channel.
 //!
+//! A population that all of another's sources reach may have more sources than a core has input axons. Such sources are
+//! gathered too: each 512 of them are the atoms of a population axon, whose lists stay their own, so that input axons are
+//! saved and no words. Only networks that say so (`Parts::gathers`, `nsim map --relays`) are mapped in this way.
+//!
 //! How a table is stored: the lists of its atoms follow each other at equal distances. NxTF (`nxsdk_modules_ncl/dnn`) pads
 //! lists to the longest; here places whose lists differ in words do not share, so there is nothing to pad but atoms that
 //! send nothing. The entry of a population axon has one base and no more, so the first slot of a dense group stands in the
@@ -43,7 +47,7 @@ use crate::base::id::PopulationId;
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::fan_in::first_source;
 use crate::desc::resource::{Limits, OutputAxons, Resource};
-use crate::ir::quantised::{Connectivity, Quantised};
+use crate::ir::quantised::{Connectivity, Projection, Quantised};
 
 /// Bits of an atom at most.
 const MOST_ATOM_BITS: u32 = 9;
@@ -57,6 +61,8 @@ const LONG_AXON_BITS: u32 = 12;
 pub const BASE_STEP: u16 = 4;
 /// Bases are below this.
 pub const BASE_END: u16 = 256;
+/// Members of population axons and discrete axons that a core of a program can number.
+const MOST_NUMBERED: u64 = 1 << 16;
 /// The most atoms.
 pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
 
@@ -115,31 +121,76 @@ pub struct Places {
     populations: Vec<Spatial>,
     /// Whether any of them are compartments.
     of_compartments: bool,
+    /// Whether any of them are there because input axons are too few.
+    of_need: bool,
+}
+
+/// Whether the sources of a population are gathered in population axons, if they may be, because a population that all of them reach has more
+/// sources than a core has input axons. Lists stay their own, so nothing but input axons is saved.
+fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
+    let is_dense = |p: &Projection| matches!(p.connectivity, Connectivity::Dense { .. });
+    let outgoing = || network.outgoing(id).iter().map(|&p| &network.projections()[p]);
+    let too_many = |target: PopulationId| {
+        let into = network.projections().iter().filter(|p| p.target == target && is_dense(p));
+        let sources: u64 = into.map(|p| u64::from(network.populations()[p.source].shape.len())).sum();
+        (u64::from(limits[Resource::AxonsIn]) + 1..=MOST_NUMBERED).contains(&sources)
+    };
+    network.parts().gathers
+        && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
+        && outgoing().all(is_dense)
+        && outgoing().any(|p| too_many(p.target))
 }
 
 impl Places {
-    /// Of all populations over space from which a window goes out.
+    /// Of all populations over space from which a window goes out; and of those whose sources all reach a population that has
+    /// more of them than a core has input axons, where these may be population axons of any atoms.
     #[must_use]
-    pub fn for_network(network: &Quantised) -> Self {
-        let (mut populations, mut place, mut of_compartments) = (Vec::new(), 0, false);
+    pub fn for_network(network: &Quantised, limits: &Limits) -> Self {
+        Places::gathered(network, Some(limits))
+    }
+
+    /// Of all populations over space from which a window goes out, whatever the limits.
+    #[must_use]
+    pub fn of_windows(network: &Quantised) -> Self {
+        Places::gathered(network, None)
+    }
+
+    fn gathered(network: &Quantised, limits: Option<&Limits>) -> Self {
+        let mut places = Places::default();
+        let mut next = 0;
         for (id, population) in network.populations().enumerate() {
             let is_window = |connectivity: &Connectivity| {
                 matches!(connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
             };
             let sends = network.outgoing(id).iter().any(|&p| is_window(&network.projections()[p].connectivity));
-            match population.shape.volume() {
-                Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => {
-                    let first = first_source(network, population);
-                    let (end, positions) = (first + population.shape.len(), height * width);
-                    populations.push(Spatial { first, end, positions, place });
-                    place += positions;
-                    of_compartments |= population.first_compartment().is_some();
+            let positions = match population.shape.volume() {
+                Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => height * width,
+                _ if limits.is_some_and(|limits| gathers(network, id, limits)) => {
+                    places.of_need = true;
+                    population.shape.len().div_ceil(MOST_ATOMS.into())
                 }
-                _ => {}
-            }
+                _ => continue,
+            };
+            let first = first_source(network, population);
+            places.populations.push(Spatial { first, end: first + population.shape.len(), positions, place: next });
+            next += positions;
+            places.of_compartments |= population.first_compartment().is_some();
         }
-        populations.sort_unstable_by_key(|population| population.first);
-        Places { populations, of_compartments }
+        places.populations.sort_unstable_by_key(|population| population.first);
+        places
+    }
+
+    /// Whether there are places without which a compartment has more sources than input axons.
+    #[must_use]
+    pub fn are_of_need(&self) -> bool {
+        self.of_need
+    }
+
+    /// How many places the sources of a population have, if any.
+    #[must_use]
+    pub fn positions(&self, network: &Quantised, population: PopulationId) -> Option<u32> {
+        let first = first_source(network, &network.populations()[population]);
+        self.populations.iter().find(|population| population.first == first).map(|population| population.positions)
     }
 
     /// Whether no source has a place.
@@ -291,6 +342,7 @@ mod tests {
     use super::*;
     use crate::compile::testing::{Builder, limits, plain_format};
     use crate::ir::graph::{Shape, Window};
+    use crate::ir::quantised::Parts;
 
     const CLASS: Class = Class { places: 9, lists: 16, atoms: 16, words: 32, list_words: (2, 2) };
 
@@ -332,6 +384,24 @@ mod tests {
     }
 
     #[test]
+    fn sources_are_gathered_only_where_input_axons_are_too_few() {
+        let mut net = Builder::new();
+        let (wide, out) = (net.input("wide", 2_000), net.loihi("out", 4));
+        net.dense(wide, out, |s, t| ((s + t) % 60) as i16 * 2);
+        let network = net.build();
+        assert!(Places::for_network(&network, &limits().with(Resource::AxonsIn, 9)).is_empty(), "unless it is allowed");
+        let network = Quantised::new(Parts { gathers: true, ..network.parts().clone() }).unwrap();
+        let places = |axons| Places::for_network(&network, &limits().with(Resource::AxonsIn, axons));
+        assert!(places(2_000).is_empty());
+        let gathered = places(1_999);
+        assert!(gathered.are_of_need() && !gathered.are_of_compartments());
+        assert_eq!(gathered.positions(&network, PopulationId(0)), Some(4));
+        assert_eq!(gathered.of_source(1_999), Some((3, 499)));
+        let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits() };
+        assert!(Places::for_network(&network, &by_compartment.with(Resource::AxonsIn, 9)).is_empty());
+    }
+
+    #[test]
     fn places_are_positions_and_atoms_channels() {
         let mut net = Builder::new();
         let flat = net.input("flat", 7);
@@ -342,7 +412,7 @@ mod tests {
         let once = (1, 1);
         let window = Window { source, target, kernel: once, stride: once, padding: (0, 0), dilation: once, groups: 1 };
         net.connect((image, to), plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2, 4, 6].into() });
-        let places = Places::for_network(&net.build());
+        let places = Places::for_network(&net.build(), &limits());
         assert_eq!(places.of_source(6), None);
         assert_eq!(places.of_source(7), Some((0, 0)));
         assert_eq!(places.of_source(7 + 20 + 3), Some((3, 1)));

@@ -94,7 +94,7 @@ fn most_together(network: &Quantised, id: PopulationId, places: &Places, target:
 /// them as its targets need.
 #[must_use]
 pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) -> Vec<Reason> {
-    let (limits, places) = (target.limits(), Places::for_network(network));
+    let (limits, places) = (target.limits(), Places::for_network(network, target.limits()));
     let mut reasons = Vec::new();
     let (mut by_targets, mut slots, mut why) = (0u64, 0.0, Vec::new());
     for (id, population) in network.populations().enumerate() {

@@ -49,7 +49,7 @@ pub fn usage(
     chips: &IdVec<CoreId, u32>,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
-    let places = Places::for_network(network);
+    let places = Places::for_network(network, limits);
     let (totals, shared) = totals(network, members, seats, limits, &places);
     let shared = SharedPlaces { places: &places, members: &shared };
     let shared = fan_out::by_position(&places, limits).then_some(&shared);
@@ -69,7 +69,7 @@ pub fn usage_with_fan_out(
     fan_out: &FanOut,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
-    let (totals, _) = totals(network, members, seats, limits, &Places::for_network(network));
+    let (totals, _) = totals(network, members, seats, limits, &Places::for_network(network, limits));
     with_outputs(totals, members, fan_out, limits)
 }
 

@@ -206,6 +206,7 @@ impl<'a> Filling<'a> {
     #[must_use]
     pub fn new(network: &Quantised, fan_in: &'a FanIn, limits: &'a Limits) -> Self {
         let formats = Formats::for_network(network);
+        let places = Places::for_network(network, limits);
         Filling {
             fan_in,
             limits,
@@ -223,9 +224,9 @@ impl<'a> Filling<'a> {
             totals: CoreTotals::new(0, Delay::MIN),
             slots_out: 0,
             together: HashSet::new(),
-            places: Places::for_network(network),
             begins: HashMap::new(),
-            shares: false,
+            shares: places.are_of_need(),
+            places,
         }
     }
 
@@ -240,7 +241,7 @@ impl<'a> Filling<'a> {
         (self.totals, self.slots_out) = (CoreTotals::new(0, Delay::MIN), 0);
         self.begins.clear();
         self.together.clear();
-        self.shares = false;
+        self.shares = self.places.are_of_need();
         std::mem::take(&mut self.members)
     }
 
@@ -558,7 +559,7 @@ mod tests {
             let mut order: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();
             // Parts of a kernel that happen to have the same weights are told apart while a core is filled, so lists that
             // are shared are compared whole and in the order of the file only.
-            let shared = !Places::for_network(&network).is_empty();
+            let shared = !Places::for_network(&network, &limits).is_empty();
             if !shared {
                 order.sort_by_key(|id| rng::digest(seed, u64::from(id.0)));
             }
