@@ -212,6 +212,7 @@ impl Golden {
         self.totals.active_updates += u64::from(!at_rest);
 
         let outcome = match (neuron.kind, semantics) {
+            (NeuronKind::SoftReset, _) => soft_reset(neuron, threshold, state, sum),
             (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
@@ -293,6 +294,7 @@ impl Engine for Golden {
             return narrow(state.v);
         };
         match self.semantics {
+            _ if neuron.kind == NeuronKind::SoftReset => narrow(state.v),
             Semantics::Hardware if age < period(neuron) => narrow(i64::from(period(neuron)) * 128 + i64::from(age)),
             Semantics::Slayer if age == 0 => i32::from(neuron.dv.get()),
             _ => narrow(state.v),
@@ -430,6 +432,24 @@ fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut Sta
         q_wrapped: state.u != sum,
         u_wrapped: wrap(biased, 23) != biased,
         v_clipped,
+    }
+}
+
+/// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of (7).
+fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64) -> Outcome {
+    let arrived = wrap(sum, 21);
+    let current = decay(state.u, neuron.du) + arrived;
+    state.u = wrap(current, 23);
+    let biased = state.u + bias(Semantics::Hardware, neuron);
+    let voltage = decay(state.v, neuron.dv) + wrap(biased, 23);
+    let clipped = voltage.clamp(1 - (1i64 << neuron.vmin.get()), (1i64 << (9 + 2 * neuron.vmax.get())) - 1);
+    let spiked = above(threshold, clipped, neuron);
+    state.v = if spiked { clipped - 64 * i64::from(neuron.vth.get()) } else { clipped };
+    Outcome {
+        spiked,
+        q_wrapped: arrived != sum,
+        u_wrapped: state.u != current || wrap(biased, 23) != biased,
+        v_clipped: clipped != voltage,
     }
 }
 

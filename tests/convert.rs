@@ -16,6 +16,7 @@ use nsim::base::rng;
 use nsim::compile::frontend::lower::lower;
 use nsim::compile::frontend::quantise::quantise;
 use nsim::convert::fine_tune::Task;
+use nsim::convert::staged::Choices;
 use nsim::convert::{model_file, staged};
 use nsim::desc::network::{Network, NetworkFile};
 use nsim::desc::training::TrainingFile;
@@ -62,6 +63,10 @@ fn srm() -> Graph {
     )
 }
 
+fn choices(most_copies: usize) -> Choices {
+    Choices { most_copies, soft_reset: false }
+}
+
 fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
     let one = |seed: u64| {
         let all = (0..120).flat_map(|t| (0..30).map(move |c| (t, ChannelId(c))));
@@ -96,7 +101,7 @@ fn what_is_written_is_read_as_the_same_integers() {
     let all = samples(0..12);
     let few: Vec<&Sample> = all.iter().collect();
     for graph in [real(), srm()] {
-        let converted = staged::convert(&graph, &few, 16, |_| ()).unwrap();
+        let converted = staged::convert(&graph, &few, choices(16), |_| ()).unwrap();
         let model = model_file::model(&graph, &converted.network, "a test".to_string()).unwrap();
         let again = quantise(&lower(&model.build(Path::new("written.ron")).unwrap()).unwrap()).unwrap();
         assert_eq!(numbers(&again), numbers(&converted.network));
@@ -110,9 +115,39 @@ fn what_is_written_is_read_as_the_same_integers() {
 fn heavy_weights_cost_less_with_their_own_exponent() {
     let all = samples(20..40);
     let few: Vec<&Sample> = all.iter().collect();
-    let converted = staged::convert(&real(), &few, 16, |_| ()).unwrap();
+    let converted = staged::convert(&real(), &few, choices(16), |_| ()).unwrap();
     let gained: Vec<f64> = converted.stages.iter().map(|row| row.distance.coincidence).collect();
     assert!(gained[2] > gained[0], "{gained:?}");
+}
+
+#[test]
+fn a_reset_by_subtraction_becomes_one_to_zero_where_the_target_has_none() {
+    let soft = graph(
+        "SoftReset(name: \"h\", shape: [8], tau_u_ms: 4, tau_v_ms: 12, vth: 1.1), \
+         SoftReset(name: \"o\", shape: [3], tau_u_ms: 4, tau_v_ms: 12, vth: 1.3)",
+        "Dense(from: [\"in\"], to: \"h\", weights: Uniform(low: -0.2, high: 0.5, seed: 1)), \
+         Dense(from: [\"h\"], to: \"o\", weights: Uniform(low: -0.3, high: 0.8, seed: 2))",
+    );
+    let all = samples(0..12);
+    let few: Vec<&Sample> = all.iter().collect();
+    let kinds = |network: &Quantised| {
+        let units = network.populations().iter().filter_map(|population| match &population.units {
+            Units::Compartments { neurons, .. } => Some(neurons.get(0).kind.name()),
+            Units::Input(_) => None,
+        });
+        units.collect::<Vec<_>>()
+    };
+    let zero = staged::convert(&soft, &few, choices(8), |_| ()).unwrap();
+    assert_eq!(kinds(&zero.network), ["Loihi", "Loihi"]);
+    let [given, reset, ..] = zero.stages.as_slice() else { panic!() };
+    assert!(given.name.starts_with("reset by subtraction") && !given.kept);
+    assert!(reset.name.starts_with("reset to zero") && reset.gain.unwrap() < -0.05, "{reset:?}");
+    let kept = staged::convert(&soft, &few, Choices { soft_reset: true, ..choices(8) }, |_| ()).unwrap();
+    assert_eq!(kinds(&kept.network), ["SoftReset", "SoftReset"]);
+    assert!(kept.calibration.distance.coincidence > zero.calibration.distance.coincidence + 0.05);
+    let model = model_file::model(&soft, &kept.network, "a test".to_string()).unwrap();
+    let again = quantise(&lower(&model.build(Path::new("written.ron")).unwrap()).unwrap()).unwrap();
+    assert_eq!(numbers(&again), numbers(&kept.network));
 }
 
 /// What describes [`srm`] as a network to train.
@@ -156,7 +191,7 @@ fn right(network: &Quantised, samples: &[Sample]) -> usize {
 fn fine_tuning_starts_at_the_integers_and_keeps_what_golden_confirms() {
     let (graph, all) = (srm(), labelled(0..60));
     let few: Vec<&Sample> = all.iter().take(20).collect();
-    let converted = staged::convert(&graph, &few, 8, |_| ()).unwrap();
+    let converted = staged::convert(&graph, &few, choices(8), |_| ()).unwrap();
     let source = SourceText::new("t.ron", TRAINING);
     let file = TrainingFile::parse(&source).unwrap();
     let task = || {

@@ -317,6 +317,7 @@ impl Ladder {
                     },
                     bias: integers.bias,
                     refractory: u32::from(fit.refractory.get()).max(1),
+                    subtracts: false,
                     clip,
                 }
             }
@@ -335,10 +336,13 @@ impl Ladder {
                     threshold: in_registers("vth", integers.threshold),
                     bias: in_registers("bias", integers.bias),
                     refractory: integers.refractory,
+                    subtracts: integers.subtracts,
                     clip,
                 }
             }
-            None => Neuron { keep_u: 0.0, keep_v: 0.0, threshold: 1.0, bias: 0.0, refractory: 1, clip },
+            None => {
+                Neuron { keep_u: 0.0, keep_v: 0.0, threshold: 1.0, bias: 0.0, refractory: 1, subtracts: false, clip }
+            }
         }
     }
 

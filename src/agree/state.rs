@@ -21,6 +21,8 @@ pub(super) struct Neuron {
     pub bias: f64,
     /// Steps.
     pub refractory: u32,
+    /// Whether a spike takes the threshold from the voltage, not all of it.
+    pub subtracts: bool,
     /// The least and the greatest voltage.
     pub clip: (f64, f64),
 }
@@ -189,7 +191,7 @@ impl State {
                 if truncated {
                     self.left[i] -= free;
                 } else {
-                    self.v[i] = 0.0;
+                    self.v[i] = if fires && n.subtracts { v - n.threshold } else { 0.0 };
                 }
                 if held {
                     self.shown[i] = 0.0;

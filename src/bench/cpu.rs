@@ -135,6 +135,9 @@ impl Dense {
             let population = &network.populations()[target];
             let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
             let units: Vec<RealForm> = (0..population.shape.len()).map(|i| RealForm::from(&neurons.get(i))).collect();
+            if units.iter().any(|unit| unit.subtracts) {
+                return Err(format!("'{}' resets by subtraction", population.name));
+            }
             let each = |of: fn(&RealForm) -> f64| units.iter().map(|unit| of(unit) as f32).collect();
             let mut incoming = Vec::new();
             for projection in network.projections().iter().filter(|p| p.target == target) {

@@ -36,7 +36,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
     /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as on the chip, or the
-    /// threshold is subtracted, which a core cannot do
+    /// threshold is subtracted, which only some targets can do
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("zero", ResetMode::Zero), ("subtract", ResetMode::Subtract)]))]
     reset: Option<ResetMode>,
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)

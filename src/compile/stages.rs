@@ -29,12 +29,13 @@ use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::even_draws;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
+use crate::desc::neurons::NeuronKind;
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Placement, Site};
-use crate::ir::quantised::{Note, Parts, Quantised};
+use crate::ir::quantised::{Note, Parts, Quantised, Units};
 
 /// Synapses of a network up to which it is tried without relays first: larger ones would be partitioned twice for long.
 const TRIED: u64 = 1 << 24;
@@ -250,6 +251,7 @@ impl Front {
         form: Form,
     ) -> Result<(Self, Quantised)> {
         let (one, clock) = (&self.one, &mut self.clock);
+        has_kinds(one, target)?;
         clock.stage("bounds", || within_bounds(one, target, options.copies, form, search))?;
         let all = clock.stage("copies", || copies(one, options.copies));
         let all = all.map_err(|error| Diagnostic::new("map.copies", error.to_string()))?;
@@ -271,6 +273,32 @@ impl Front {
             (None, None) | (Some(_), Some(_)) => Ok(self),
         }
     }
+}
+
+/// Refuses neurons that no compartment of the target can be.
+fn has_kinds(network: &Quantised, target: &Target) -> Result<()> {
+    let kinds = &target.chip().neuron_kinds;
+    for population in network.populations() {
+        let Units::Compartments { neurons, .. } = &population.units else { continue };
+        let mut lacking = NeuronKind::ALL.into_iter().filter(|kind| !kinds.contains(kind));
+        if let Some(kind) = lacking.find(|kind| neurons.any(|neuron| neuron.kind == *kind)) {
+            let message = format!(
+                "population '{}' has {} neurons, which {} does not have",
+                population.name,
+                kind.name(),
+                target.name()
+            );
+            return Err(Diagnostic::new("map.neuron-kind", message)
+                .help(match kind {
+                    NeuronKind::SoftReset => {
+                        "nsim convert makes it reset to zero and measures the loss; or choose a target with these neuron_kinds"
+                    }
+                    _ => "choose a target with these neuron_kinds",
+                })
+                .into());
+        }
+    }
+    Ok(())
 }
 
 /// A network on logical cores, for placing in several ways.

@@ -5,5 +5,6 @@ pub mod copies;
 pub mod fine_tune;
 pub mod model_file;
 pub mod prepare;
+pub mod resets;
 pub mod search;
 pub mod staged;

@@ -2,7 +2,8 @@
 //!
 //! Input: a network with real numbers and calibration samples. Output: the network in integers, how near it is after each stage,
 //! and for each layer what it lost. Spike response networks go through [`super::search`], all others through the choice of
-//! exponents (`compile::frontend::exponents`). What the rest costs is found by putting the real number in the place of each kind of
+//! exponents (`compile::frontend::exponents`). Where the target
+//! cannot reset by subtraction, that becomes a reset to zero first, a stage of its own. What the rest costs is found by putting the real number in the place of each kind of
 //! integer, all others staying (`agree::ladder`).
 
 use crate::agree::attribution::{self, Distance};
@@ -12,6 +13,7 @@ use crate::agree::ladder::Ladder;
 use crate::base::diagnostic::Result;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::exponents::Detail;
+use crate::convert::resets;
 use crate::convert::search::{self, Conversion, SearchResult};
 use crate::golden::Golden;
 use crate::ir::graph::{Graph, PopulationKind};
@@ -95,6 +97,8 @@ pub struct Converted {
     pub ladder: Ladder,
     /// How finely their exponents and weights were chosen.
     pub detail: Detail,
+    /// The network as it was given, where the one that was converted is another: its resets by subtraction became resets to zero.
+    pub original: Option<Ladder>,
 }
 
 /// Whether a network has real numbers that are to become integers.
@@ -134,26 +138,48 @@ impl Converted {
     /// How far other integers of the same populations are from the trained network.
     #[must_use]
     pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
-        let (ladder, output) = (&self.ladder, output_layer(self.ladder.deployed()));
+        let (ladder, output) = (self.original.as_ref().unwrap_or(&self.ladder), output_layer(self.ladder.deployed()));
         let on =
             attribution::measured((ladder, trained(ladder)), &[(integers, Rung::MACHINE)], &output, samples).remove(0);
         by_layer(ladder, on, samples.len())
     }
 }
 
+/// What a conversion may use.
+#[derive(Debug, Clone, Copy)]
+pub struct Choices {
+    /// The most delayed copies of what comes in.
+    pub most_copies: usize,
+    /// Whether compartments can reset by subtraction.
+    pub soft_reset: bool,
+}
+
 /// Converts.
 ///
 /// # Errors
 /// As `compile::frontend::quantise`.
-pub fn convert(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<Converted> {
-    let Steps { fits, detail, stages, ladder } = match graph.has_srm() {
+pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: impl FnMut(&str)) -> Result<Converted> {
+    let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
+    let graph = replaced.as_ref().unwrap_or(given);
+    let most = choices.most_copies;
+    let Steps { fits, detail, mut stages, ladder } = match graph.has_srm() {
         true => by_search(graph, samples, most, progress)?,
         false => by_exponents(graph)?,
     };
+    let as_given = || Ladder::with_exponents(given, &analytic::starts(given), Detail::Zero);
+    let original = replaced.as_ref().map(|_| as_given()).transpose()?;
+    if replaced.is_some() {
+        if let Some(first) = stages.first_mut() {
+            first.name = format!("reset to zero; {}", first.name);
+        }
+        let name = "reset by subtraction, which the target does not have".to_string();
+        stages.insert(0, StageIntegers { name, kept: false, ladder: Some(as_given()?), decides: &[] });
+    }
     let output = output_layer(ladder.deployed());
     let costly: Vec<Cause> =
         ladder.causes().iter().copied().filter(|cause| !matches!(cause, Cause::Untruncated | Cause::Kernel)).collect();
-    let from = (&ladder, trained(&ladder));
+    let from = original.as_ref().unwrap_or(&ladder);
+    let from = (from, trained(from));
     let mut rungs: Vec<(&Ladder, Rung)> = vec![(&ladder, Rung::MACHINE)];
     rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, Rung::MACHINE))));
     let mut all = attribution::measured(from, &rungs, &output, samples).into_iter();
@@ -166,7 +192,9 @@ pub fn convert(graph: &Graph, samples: &[&Sample], most: usize, progress: impl F
     let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(TOLD_APART).max(1)).copied().collect();
     let mut rungs = vec![Rung::MACHINE];
     rungs.extend(costly.iter().map(|&cause| Rung::MACHINE.without(cause)));
-    let distances = attribution::distances(&ladder, trained(&ladder), &rungs, &output, &some);
+    let to: Vec<(&Ladder, Rung)> = rungs.into_iter().map(|rung| (&ladder, rung)).collect();
+    let distances: Vec<Distance> =
+        attribution::measured(from, &to, &output, &some).into_iter().map(|measured| measured.distance).collect();
     let left_from = distances.first().copied().unwrap_or(Distance::EQUAL);
     let left: Vec<Left> =
         costly.into_iter().zip(distances.into_iter().skip(1)).map(|(cause, without)| Left { cause, without }).collect();
@@ -186,7 +214,7 @@ pub fn convert(graph: &Graph, samples: &[&Sample], most: usize, progress: impl F
     let stages: Vec<StageRow> = stages.into_iter().enumerate().map(row).collect();
     let network = ladder.deployed().clone();
     let layers = losses(&network, &calibration, (&left, left_from), samples);
-    Ok(Converted { network, fits, stages, layers, left, left_from, calibration, ladder, detail })
+    Ok(Converted { network, fits, stages, layers, left, left_from, calibration, ladder, detail, original })
 }
 
 /// A conversion before it is measured.

@@ -4,19 +4,23 @@
 //! `compile::frontend` and every table of parameters go by [`NeuronKind::parameters`]; what a kind does is in
 //! `crate::neuron`.
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Field, Refractory, ThresholdMantissa, VmaxExponent, VminExponent,
 };
 use crate::base::names::named_variants;
 
 /// A kind of neuron with integer state.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 pub enum NeuronKind {
     /// A compartment of Loihi 1: decaying current and voltage.
     #[default]
     Loihi,
     /// Integrate-and-fire: no memory in the current, no leak of the voltage.
     If,
+    /// Decaying current and voltage; a spike subtracts the threshold from the voltage instead of clearing it.
+    SoftReset,
 }
 
 /// A parameter of a population; one value for all compartments or one each.
@@ -78,7 +82,7 @@ const REFRACTORY: ParameterField = optional("refractory", Refractory::FIELD, 1);
 const VMIN: ParameterField = optional("vmin_exp", VminExponent::FIELD, 23);
 const VMAX: ParameterField = optional("vmax_exp", VmaxExponent::FIELD, 7);
 
-named_variants!(NeuronKind { Loihi = "Loihi", If = "If" });
+named_variants!(NeuronKind { Loihi = "Loihi", If = "If", SoftReset = "SoftReset" });
 
 impl NeuronKind {
     /// Its parameters, in the order in which they are written.
@@ -100,6 +104,19 @@ impl NeuronKind {
                 }
             }
             NeuronKind::If => const { &[THRESHOLD, BIAS_MANTISSA, BIAS_EXPONENT, REFRACTORY, VMIN, VMAX] },
+            NeuronKind::SoftReset => {
+                const {
+                    &[
+                        decay("du", "tau_u_ms"),
+                        decay("dv", "tau_v_ms"),
+                        THRESHOLD,
+                        BIAS_MANTISSA,
+                        BIAS_EXPONENT,
+                        VMIN,
+                        VMAX,
+                    ]
+                }
+            }
         }
     }
 

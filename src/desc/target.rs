@@ -6,6 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::neurons::NeuronKind;
 use super::resource::{LimitChanges, Limits, Resource};
 use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
@@ -283,6 +284,11 @@ fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Un
     Ok(())
 }
 
+/// What every Loihi 1 can be programmed as.
+fn neurons_of_loihi() -> Vec<NeuronKind> {
+    vec![NeuronKind::Loihi, NeuronKind::If]
+}
+
 /// What a core and its chip can hold.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Chip")]
@@ -305,6 +311,9 @@ pub struct Chip {
     pub x86_cores_in_use: u32,
     /// Which cores draw static power.
     pub power_unit: PowerUnit,
+    /// The neurons that a compartment can be.
+    #[serde(default = "neurons_of_loihi")]
+    pub neuron_kinds: Vec<NeuronKind>,
     /// The limits of a core.
     pub limits: Limits,
     /// Where each limit comes from.
@@ -415,6 +424,8 @@ pub struct TargetChanges {
     pub cores_per_tile: Option<u32>,
     /// Cores of a chip; what its tiles hold when their number or size is given.
     pub cores_per_chip: Option<u32>,
+    /// The neurons that a compartment can be.
+    pub neuron_kinds: Option<Vec<NeuronKind>>,
     /// Limits of a core.
     #[serde(default)]
     pub limits: LimitChanges,
@@ -434,6 +445,7 @@ impl TargetChanges {
         let resized = self.width.is_some() || self.height.is_some() || self.cores_per_tile.is_some();
         let cores = if resized { tiles.saturating_mul(chip.cores_per_tile) } else { chip.cores };
         chip.cores = self.cores_per_chip.unwrap_or(cores);
+        chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
         chip.limits = self.limits.applied(chip.limits);
         chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit));
         chip.alternatives.retain(|entry| !self.limits.changes(&entry.limit));

@@ -8,6 +8,7 @@ use std::num::NonZeroU32;
 
 use crate::base::fixed::{DECAY_ONE, Field, OutOfRange, THRESHOLD_SHIFT};
 use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::neurons::NeuronKind;
 use crate::ir::graph::NeuronParameters;
 use crate::ir::quantised::Neuron;
 
@@ -167,7 +168,7 @@ impl Arrivals {
 }
 
 /// Current-based dynamics in real numbers: `u(t) = keep_u u(t - 1) + x(t)`, `v(t) = keep_v v(t - 1) + u(t) + bias`, a spike
-/// above the threshold, then v = 0 until `refractory` steps after it.
+/// above the threshold, then v = 0 until `refractory` steps after it, or v less the threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RealForm {
     /// What remains of the current after a step, 0..=1.
@@ -180,6 +181,8 @@ pub struct RealForm {
     pub bias: f64,
     /// The next spike comes at least so many steps after one; at least 1.
     pub refractory: u32,
+    /// A spike subtracts the threshold from v instead of setting it to 0.
+    pub subtracts: bool,
     /// Limits of the voltage.
     pub clip: (f64, f64),
 }
@@ -195,6 +198,7 @@ impl From<&Neuron> for RealForm {
             threshold: fields.fires_from.into(),
             bias: fields.bias.into(),
             refractory: fields.refractory.into(),
+            subtracts: neuron.kind == NeuronKind::SoftReset,
             clip: (fields.vmin.into(), fields.vmax.into()),
         }
     }

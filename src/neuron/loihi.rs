@@ -253,6 +253,7 @@ pub(super) fn threshold_and_reset(p: &NeuronParameters, index: u32) -> RealForm 
             None => p.value("bias_mant", index) * power("bias_exp", 1.0, 0.0),
         },
         refractory: p.value("refractory", index).max(1.0) as u32,
+        subtracts: false,
         clip: match real {
             None => (1.0 - power("vmin_exp", 1.0, 0.0), power("vmax_exp", 2.0, 9.0) - 1.0),
             Some(_) => (f64::MIN, f64::MAX),

@@ -10,6 +10,7 @@
 mod integrate_fire;
 mod kind;
 mod loihi;
+mod soft_reset;
 
 pub use kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers, StateField};
 
@@ -26,6 +27,7 @@ pub fn kind(kind: NeuronKind) -> &'static Kind {
     match kind {
         NeuronKind::Loihi => &loihi::KIND,
         NeuronKind::If => &integrate_fire::KIND,
+        NeuronKind::SoftReset => &soft_reset::KIND,
     }
 }
 
@@ -35,6 +37,7 @@ pub fn kind(kind: NeuronKind) -> &'static Kind {
 pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.neuron.kind {
         NeuronKind::Loihi | NeuronKind::If => loihi::update(r, arrived, f),
+        NeuronKind::SoftReset => soft_reset::update(r, arrived, f),
     }
 }
 

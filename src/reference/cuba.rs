@@ -1,8 +1,8 @@
-//! Current-based neurons with exponential current and voltage and a hard reset: the Loihi neuron without its integers.
+//! Current-based neurons with exponential current and voltage and a reset to zero or by subtraction: the Loihi neuron without its integers.
 //!
 //! Comes in, each step, what arrived: weighted spikes. Goes out who spikes:
 //! `u(t) = (1 - du) u(t - 1) + x(t)`, `v(t) = (1 - dv) v(t - 1) + u(t) + b`, a spike above the threshold, then v = 0 and held
-//! there until `refractory` steps after it (`docs/semantics.md`, equations 2 to 7, without rounding, wrapping or bits).
+//! there until `refractory` steps after it, or v less the threshold (`docs/semantics.md`, equations 2 to 7, without rounding, wrapping or bits).
 
 use super::real::Real;
 use crate::desc::network::ThresholdTest;
@@ -17,6 +17,7 @@ struct Neuron<F> {
     low: F,
     high: F,
     refractory: u32,
+    subtracts: bool,
 }
 
 /// A population of such neurons.
@@ -42,6 +43,7 @@ impl<F: Real> Cuba<F> {
             low: F::from_f64(p.clip.0),
             high: F::from_f64(p.clip.1),
             refractory: p.refractory.max(1),
+            subtracts: p.subtracts,
         };
         let count = parameters.len();
         Cuba {
@@ -83,7 +85,11 @@ impl<F: Real> Cuba<F> {
                 ThresholdTest::Strict => v > neuron.threshold,
                 ThresholdTest::Inclusive => v >= neuron.threshold,
             };
-            self.voltage[i] = if fires { F::default() } else { v };
+            self.voltage[i] = match (fires, neuron.subtracts) {
+                (false, _) => v,
+                (true, false) => F::default(),
+                (true, true) => v - neuron.threshold,
+            };
             if fires {
                 self.held[i] = neuron.refractory - 1;
                 spike(i as u32);
@@ -135,6 +141,7 @@ mod tests {
             threshold: 8.0,
             bias,
             refractory,
+            subtracts: false,
             clip: (f64::MIN, f64::MAX),
         };
         let cases = [

@@ -56,8 +56,9 @@ fn attributes(compartment: &Compartment, synapse: &str) -> String {
     let neuron = RealForm::from(&compartment.neuron);
     let bias = neuron.bias / 64.0;
     let mut out = format!(
-        "[threshold: {:?}, reset: 0.0, reset_mode: hard, leak_decay: {:?}, input_decay: {:?}, synapse_hw_name: {synapse}",
+        "[threshold: {:?}, reset: 0.0, reset_mode: {}, leak_decay: {:?}, input_decay: {:?}, synapse_hw_name: {synapse}",
         neuron.threshold / 64.0,
+        if neuron.subtracts { "soft" } else { "hard" },
         neuron.keep_v,
         neuron.keep_u,
     );

@@ -110,6 +110,7 @@ pub(super) fn cuba_f64() -> Outcome {
         threshold: f64::MAX,
         bias: 0.0,
         refractory: 1,
+        subtracts: false,
         clip: (f64::MIN, f64::MAX),
     };
     let mut population = Cuba::<f64>::new(&[p], ThresholdTest::Strict);

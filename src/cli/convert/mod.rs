@@ -17,7 +17,8 @@ use crate::cli::output;
 use crate::compile::Form;
 use crate::compile::frontend::real_and_integers;
 use crate::convert::calibration::{self, RunInput};
-use crate::convert::{model_file, staged};
+use crate::convert::{model_file, resets, staged};
+use crate::desc::neurons::NeuronKind;
 use crate::drive::inputs;
 use crate::error::Error;
 use crate::io;
@@ -49,6 +50,9 @@ pub struct Args {
     calibration_samples: u32,
     #[command(flatten)]
     copies: CopiesArgs,
+    /// What the integers are for: a target without resets by subtraction makes them resets to zero
+    #[arg(long, default_value = "nahuku-32")]
+    target: String,
     #[command(flatten)]
     tuning: FineTuneArgs,
     /// The model file to write; its arrays go beside it as .safetensors
@@ -68,7 +72,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, integers) = real_and_integers(&network)?;
-    if !staged::is_real(&graph) {
+    let target = io::target::load_target(&args.target)?;
+    let soft_reset = target.chip().neuron_kinds.contains(&NeuronKind::SoftReset);
+    if !staged::is_real(&graph) && (soft_reset || !resets::has_soft_reset(&graph)) {
         let message = format!("{} has no real numbers to convert", graph.facts().name);
         return Err(Diagnostic::new("convert.integers", message).help("it runs as it is").into());
     }
@@ -85,8 +91,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             (shown[..half].to_vec(), shown[half..].to_vec())
         }
     };
+    let choices = staged::Choices { most_copies: args.copies.most(), soft_reset };
     let start = Instant::now();
-    let converted = staged::convert(&graph, &calibration, args.copies.most(), |population| {
+    let converted = staged::convert(&graph, &calibration, choices, |population| {
         tracing::info!("searching '{population}'");
     })?;
     let seconds = start.elapsed().as_secs_f64();

@@ -162,7 +162,7 @@ impl Graph {
             }
         };
         let (synapse, membrane) = match population.kind {
-            NeuronKind::Loihi => (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms")),
+            NeuronKind::Loihi | NeuronKind::SoftReset => (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms")),
             NeuronKind::If => (Parameter::Same(1.0), Parameter::Same(0.0)),
         };
         let threshold = match (get("vth_mant"), get("vth")) {
@@ -189,6 +189,11 @@ impl Graph {
             .with("v_reset", each(&|_| 0.0))
             .with("v_threshold", each(&|unit| threshold.get(unit)));
         self.nodes = std::mem::take(&mut self.nodes).with(name, neuron);
+        if population.kind == NeuronKind::SoftReset {
+            self.notes.push(format!(
+                "NIR does not say how neurons reset: '{name}' subtracts its threshold (nsim import --reset subtract)"
+            ));
+        }
         let lost: Vec<&str> = parameters
             .iter()
             .filter(|(key, value)| match *key {

@@ -12,7 +12,8 @@
 //! the current has no memory; where it has one, a compartment that spikes in every step delivers it, from step 1 on. A
 //! model that nsim exported is recognised and restored as it was ([`super::nir_export`]).
 //!
-//! Left out on purpose: reset by subtraction and resets to other values than zero, for which a core has no circuit.
+//! Left out on purpose: resets to other values than zero, for which a core has no circuit. A reset by subtraction is asked for
+//! (`--reset subtract`), since the format does not have it.
 
 mod connection;
 mod emit;
@@ -27,6 +28,7 @@ use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode};
 use super::nir_export;
 use crate::base::diagnostic::Result;
+use crate::desc::neurons::NeuronKind;
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
 use graph::unfold;
 use reader::{Flat, Reader, is_population, unsupported, wrong};
@@ -100,8 +102,13 @@ impl Reader<'_> {
                 }
                 parameters
             });
+            let fires = discrete[name].as_ref().is_some_and(|neuron| neuron.threshold.is_some());
+            let kind = match self.options.reset {
+                Some(ResetMode::Subtract) if fires => NeuronKind::SoftReset,
+                _ => NeuronKind::Loihi,
+            };
             let name = self.names[name].clone();
-            self.model.populations.push(PopulationBuilder { loihi, ..PopulationBuilder::input(&name, shape) });
+            self.model.populations.push(PopulationBuilder { loihi, kind, ..PopulationBuilder::input(&name, shape) });
         }
         for name in &order {
             if let Some(neuron) = discrete.remove(name).flatten() {
@@ -113,6 +120,13 @@ impl Reader<'_> {
             self.notes.push(
                 "the file does not say how neurons reset; as on the chip v returns to zero (--reset zero says so; \
                  a network trained with reset by subtraction will differ)"
+                    .to_string(),
+            );
+        }
+        if resets && self.options.reset == Some(ResetMode::Subtract) {
+            self.notes.push(
+                "neurons subtract their threshold when they spike (SoftReset): Loihi 1 has no such compartment; nsim convert makes \
+                 them reset to zero and measures the loss"
                     .to_string(),
             );
         }
@@ -142,12 +156,6 @@ impl Reader<'_> {
                      Conv2d, SumPool2d, AvgPool2d, Flatten, Delay and graphs of them",
                 ));
             }
-        }
-        if self.options.reset == Some(ResetMode::Subtract) {
-            return Err(unsupported(
-                "neurons that subtract their threshold when they spike",
-                "a compartment of Loihi returns to zero; train with a hard reset, or import with --reset zero and compare",
-            ));
         }
         Ok(())
     }
