@@ -55,8 +55,32 @@ fn rounded(x: f64) -> f64 {
 }
 
 /// Whether neither network spikes in a layer: equal trains of no spikes are nothing to compare.
-fn silent(row: &LayerRow) -> bool {
+pub(super) fn silent(row: &LayerRow) -> bool {
     row.comparison.tally.spikes_a + row.comparison.tally.spikes_b == 0
+}
+
+/// A layer as `layers` lists it.
+pub(super) fn layer_json(row: &LayerRow) -> Value {
+    let tally = &row.comparison.tally;
+    let divergence = row.comparison.first_divergence.map(|d| {
+        json!({
+            "sample": d.sample, "timestep": d.timestep, "neuron": d.neuron,
+            "a": u8::from(d.a), "b": u8::from(d.b),
+            "potential_a": d.potential_a.map(rounded), "potential_b": d.potential_b.map(rounded),
+        })
+    });
+    json!({
+        "name": row.name,
+        "shift": row.shift,
+        "spikes_a": tally.spikes_a,
+        "spikes_b": tally.spikes_b,
+        "coincidence": (!silent(row)).then(|| rounded(tally.coincidence())),
+        "van_rossum": rounded(tally.van_rossum()),
+        "victor_purpura": rounded(tally.victor_purpura()),
+        "potential_rmse": tally.potential_rmse().map(rounded),
+        "count_error": rounded(tally.count_error()),
+        "first_divergence": divergence,
+    })
 }
 
 fn score_json(score: &ConversionScore) -> Value {
@@ -95,29 +119,6 @@ impl AgreeReport<'_> {
     #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
         self.same_class.map(|same| same as f64 / self.samples.max(1) as f64)
-    }
-
-    fn layer_json(row: &LayerRow) -> Value {
-        let tally = &row.comparison.tally;
-        let divergence = row.comparison.first_divergence.map(|d| {
-            json!({
-                "sample": d.sample, "timestep": d.timestep, "neuron": d.neuron,
-                "a": u8::from(d.a), "b": u8::from(d.b),
-                "potential_a": d.potential_a.map(rounded), "potential_b": d.potential_b.map(rounded),
-            })
-        });
-        json!({
-            "name": row.name,
-            "shift": row.shift,
-            "spikes_a": tally.spikes_a,
-            "spikes_b": tally.spikes_b,
-            "coincidence": (!silent(row)).then(|| rounded(tally.coincidence())),
-            "van_rossum": rounded(tally.van_rossum()),
-            "victor_purpura": rounded(tally.victor_purpura()),
-            "potential_rmse": tally.potential_rmse().map(rounded),
-            "count_error": rounded(tally.count_error()),
-            "first_divergence": divergence,
-        })
     }
 
     fn share_json(share: &Share) -> Value {
@@ -167,7 +168,7 @@ impl AgreeReport<'_> {
             "class_agreement": self.class_agreement().map(rounded),
             "accuracy_a": self.accuracy.map(|(a, _)| rounded(a)),
             "accuracy_b": self.accuracy.map(|(_, b)| rounded(b)),
-            "layers": self.layers.iter().map(Self::layer_json).collect::<Vec<_>>(),
+            "layers": self.layers.iter().map(layer_json).collect::<Vec<_>>(),
             "conversion": self.conversion_json(),
             "disagreement": self.attribution.map(|attribution| rounded(attribution.disagreement)),
             "lost": self.attribution.map_or(&[][..], |a| &a.layers).iter().map(lost_json).collect::<Vec<_>>(),

@@ -15,6 +15,7 @@ pub mod page;
 pub mod run;
 pub mod sanafe;
 pub mod scene;
+pub mod side_by_side;
 pub mod stress;
 pub mod text;
 pub mod train;

@@ -1,0 +1,103 @@
+//! The arguments of `nsim agree`, and what all of its comparisons end in.
+//!
+//! Input: the arguments, comparisons. Output: the answer, warnings about the deployed network, the picture that was asked for.
+
+use std::path::PathBuf;
+
+use crate::agree::compare::LayerRow;
+use crate::cli::args::conversion::ConversionArgs;
+use crate::cli::args::input::InputArgs;
+use crate::cli::args::values::Switch;
+use crate::cli::context::{Answer, Context};
+use crate::compile::Compiled;
+use crate::drive::warnings::{Warning, warnings_of};
+use crate::error::Error;
+use crate::io;
+use crate::ir::spikes::Sample;
+use crate::report::agree::AgreeReport;
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim agree                                             the shipped spike response network against its conversion
+  nsim agree container-tactile --input dataset.ron       a network of Loihi neurons against itself in real numbers
+  nsim agree model.ron --input s.npy --against golden --require-exact
+  nsim agree model.ron --input in.npy --against hidden=h.npy --against out=o.npy --require-exact
+  nsim agree srm.ron --against converted.ron             the trained network against a model file, on the same input
+  nsim agree srm.ron --against converted.ron --against tuned.ron    several model files side by side
+  nsim agree srm.ron --against converted.ron --plot first.svg    both potentials around the first spike that differs
+  nsim agree --require-class-agreement 0.99 --svg causes.svg";
+
+/// Compare a trained network with its deployed form: spikes, potentials, classes, and the causes of differences
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// A model file or the name of a shipped model
+    #[arg(value_name = "MODEL", default_value = "vtsnn-slip-srm")]
+    pub(super) model: String,
+    #[command(flatten)]
+    pub(super) input: InputArgs,
+    /// What the deployed network is compared with: srm (as trained), cuba (current-based neurons in real numbers), golden
+    /// (the reference interpreter), a model file or several, or recorded spikes, [POPULATION=]FILE [default: srm for spike response networks, else cuba]
+    #[arg(long, value_name = "srm|cuba|golden|FILE")]
+    pub(super) against: Vec<String>,
+    #[command(flatten)]
+    pub(super) conversion: ConversionArgs,
+    /// How many samples to search on
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(super) calibration_samples: u32,
+    /// Compare only so many steps of each sample
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(super) steps: Option<u32>,
+    /// Attribute the disagreement to causes
+    #[arg(long, value_enum, default_value = "on")]
+    pub(super) attribution: Switch,
+    /// How many samples the attribution uses
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(super) attribution_samples: u32,
+    /// Write a bar chart of the causes
+    #[arg(long, value_name = "FILE.svg")]
+    pub(super) svg: Option<PathBuf>,
+    /// Draw both potentials around the first spike in which the two part
+    #[arg(long, value_name = "FILE.svg")]
+    pub(super) plot: Option<PathBuf>,
+    /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to it
+    #[arg(long, value_name = "FILE.md")]
+    pub(super) update: Option<PathBuf>,
+    /// The target of the deployed network: a file or the name of a shipped target
+    #[arg(long, default_value = "nahuku-32")]
+    pub(super) target: String,
+    /// Exit with status 1 if fewer than this share of the samples have the same class
+    #[arg(long, value_name = "SHARE")]
+    pub(super) require_class_agreement: Option<f64>,
+    /// Exit with status 1 unless every spike is the same
+    #[arg(long)]
+    pub(super) require_exact: bool,
+}
+
+/// Whether the bounds that were asked for are kept; layers that never fire agree in nothing.
+pub(super) fn answer(args: &Args, report: &AgreeReport<'_>) -> Answer {
+    let fired = report.layers.iter().any(|row| row.comparison.tally.spikes_a > 0);
+    let exact = fired && report.layers.iter().all(|row| row.comparison.first_divergence.is_none());
+    let enough =
+        args.require_class_agreement.is_none_or(|share| report.class_agreement().is_some_and(|is| is >= share));
+    if enough && (exact || !args.require_exact) { Answer::Yes } else { Answer::No }
+}
+
+/// What to warn of in the deployed network. What its rounding costs, the comparison says itself.
+pub(super) fn deployed_warnings(deployed: &Compiled, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
+    let mut warnings = warnings_of(&deployed.quantised, &deployed.program, samples)?;
+    warnings.retain(|warning| warning.code != "weights-rounded");
+    Ok(warnings)
+}
+
+/// Writes the picture of both potentials, where one is asked for and something parts.
+pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<(), Error> {
+    let Some(path) = &args.plot else { return Ok(()) };
+    match crate::report::agree::potentials(model, layers) {
+        Some(svg) => Ok(io::write::text(path, context.force, &svg)?),
+        None => {
+            tracing::warn!("no spike parts whose potentials are known: {} is not written", path.display());
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! `nsim agree`: where and why two networks disagree.
+//!
+//! Input: a model, what it is compared with, samples. Output: how far spikes and potentials differ layer by layer, and the causes.
+//! The answer is no when a bound that was asked for is missed.
+
+mod args;
+mod models;
+
+pub use self::args::Args;
+
+use std::path::Path;
+
+use self::args::{answer, deployed_warnings, draw};
+use crate::agree::attribution::attribute;
+use crate::agree::compare::{Counterpart, Deployed, compare, output_layer};
+use crate::agree::ladder::{Ladder, layers};
+use crate::cli::args::input::select;
+use crate::cli::args::jobs::Refusal;
+use crate::cli::args::values::Switch;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
+use crate::compile::frontend::analytic::Fit;
+use crate::compile::frontend::real_and_integers;
+use crate::compile::{CompileError, Form, Options, compile};
+use crate::desc::stimulus::{InputArg, InputSource};
+use crate::drive::inputs;
+use crate::error::Error;
+use crate::io;
+use crate::io::spikes::read_source;
+use crate::ir::graph::Graph;
+use crate::ir::quantised::Quantised;
+use crate::report::agree::AgreeReport;
+
+/// Runs the command; the answer is no when a bound that was asked for is missed.
+///
+/// # Errors
+/// [`Error`] when an input cannot be used.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let taken = output::check_files(None, args.svg.iter().chain(&args.plot), context)?;
+    if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
+        return Err(Error::Usage("--require-class-agreement is a share between 0 and 1".to_string()));
+    }
+    let network = io::model::load_model(&args.model)?;
+    let scene = network.file().scene.clone();
+    let (graph, analytic) = real_and_integers(&network)?;
+    Form::require_written("nsim agree", &analytic, 1)?;
+    let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
+    let samples = select(&stimulus.samples, &args.input)?;
+    match models::named(&args.against)?.as_slice() {
+        [] => {}
+        [other] => return models::with_one(args, (&graph, &analytic), other, (&stimulus, &samples), context),
+        several => return models::with_several(args, (&graph, &analytic), several, (&stimulus, &samples), context),
+    }
+    let against = against(args, &graph, &analytic)?;
+
+    let wanted = args.calibration_samples as usize;
+    let (fits, found) = args.conversion.fits((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
+    let ladder = match &found {
+        Some(found) => found.conversion.ladder(&graph)?,
+        None => Ladder::new(&graph, &fits)?,
+    };
+    let target = io::target::load_target(&args.target)?;
+    let compiled = match compile(ladder.deployed().clone(), &target, &Options::default()) {
+        Ok(compiled) => compiled,
+        Err(CompileError::DoesNotFit(reasons)) => {
+            return Refusal::new(&args.model, target, reasons).say(crate::report::agree::nothing(), context);
+        }
+        Err(other) => return Err(other.into()),
+    };
+    let attributed = against.is_real() && matches!(args.attribution, Switch::On);
+    if args.svg.is_some() && !attributed {
+        let message = "--svg draws the causes of disagreement, which --against srm or cuba has, with --attribution on";
+        return Err(Error::Usage(message.to_string()));
+    }
+    let program = &compiled.program;
+    let deployed =
+        Deployed { graph: &graph, fits: &fits, ladder: &ladder, program, samples: &samples, steps: args.steps };
+    let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
+    output::warn_all(&deployed_warnings(&compiled, &samples)?);
+    let attribution = match attributed {
+        true => {
+            let some = &samples[..samples.len().min(args.attribution_samples as usize)];
+            Some(attribute(&ladder, &output_layer(ladder.deployed()), some))
+        }
+        false => None,
+    };
+    if let (Some(path), Some(attribution)) = (&args.svg, &attribution) {
+        let svg = crate::report::agree::bars(&args.model, attribution);
+        io::write::file(path, context.force, |out| out.write_all(svg.as_bytes()))?;
+    }
+    draw(args, &graph.facts().name, &agreement.layers, context)?;
+    let report = AgreeReport {
+        model: &graph.facts().name,
+        against: against.name(),
+        input: &stimulus.origin,
+        seed: stimulus.seed,
+        samples: samples.len(),
+        same_class: agreement.same_class,
+        accuracy: agreement.accuracy,
+        layers: &agreement.layers,
+        found: found.as_ref(),
+        fits: &named(&graph, &fits),
+        attribution: attribution.as_ref(),
+        attribution_samples: samples.len().min(args.attribution_samples as usize),
+    };
+    if let (Some(path), Some(attribution)) = (&args.update, &attribution) {
+        let name = &graph.facts().name;
+        let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));
+        let svg = crate::report::agree::bars(name, attribution);
+        output::update_section(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
+    }
+    if !taken {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
+    Ok(answer(args, &report))
+}
+
+fn named(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
+    let each = graph.populations().zip(fits);
+    each.filter_map(|((_, population), fit)| Some((population.name.clone(), fit.clone()?))).collect()
+}
+
+fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Counterpart, Error> {
+    let word = match args.against.as_slice() {
+        [] if graph.has_srm() => "srm",
+        [] => "cuba",
+        [word] => word,
+        _ => "",
+    };
+    match word {
+        "srm" if graph.has_srm() => return Ok(Counterpart::Srm),
+        "srm" => {
+            let message = format!("{} has no spike response neurons", graph.facts().name);
+            return Err(Error::Usage(format!("--against srm: {message}; use cuba or golden")));
+        }
+        "cuba" => return Ok(Counterpart::Cuba),
+        "golden" => return Ok(Counterpart::Golden),
+        _ => {}
+    }
+    let layers = layers(network);
+    let recorded = args.against.iter().map(|text| {
+        let argument = match InputArg::parse(text)? {
+            InputArg { population: Some(name), .. }
+                if Path::new(text).exists() && !layers.iter().any(|l| l.name == name) =>
+            {
+                InputArg { population: None, source: InputSource::Path(text.into()) }
+            }
+            argument => argument,
+        };
+        let InputSource::Path(path) = &argument.source else {
+            return Err(Error::Usage(format!("--against {text}: a scene is an input, not a recording")));
+        };
+        let name = argument.population.unwrap_or_else(|| output_layer(network).name);
+        let layer = layers.iter().find(|layer| layer.name == name).ok_or_else(|| {
+            let names: Vec<&str> = layers.iter().map(|layer| layer.name.as_str()).collect();
+            Error::Usage(format!("--against {text}: populations with compartments are: {}", names.join(", ")))
+        })?;
+        Ok((layer.clone(), read_source(path, u64::from(layer.count))?))
+    });
+    Ok(Counterpart::Recorded(recorded.collect::<Result<_, Error>>()?))
+}

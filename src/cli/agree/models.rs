@@ -1,0 +1,193 @@
+//! `nsim agree MODEL --against FILE..`: a network as it was trained beside other model files in integers.
+//!
+//! Input: the network, one model file or several, samples. Output: for one file the comparison layer by layer, for several a table
+//! with all of them. Errors: files of other populations; pictures of more than one comparison.
+
+use std::path::Path;
+
+use super::args::{Args, answer, deployed_warnings, draw};
+use crate::agree::compare::{Agreement, Side, compare_networks, machine_trace, output_layer, real_trace};
+use crate::agree::ladder::layers;
+use crate::cli::args::jobs::Refusal;
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
+use crate::compile::frontend::real_and_integers;
+use crate::compile::{CompileError, Compiled, Form, Options, compile};
+use crate::convert::staged::is_real;
+use crate::desc::target::Target;
+use crate::error::Error;
+use crate::io;
+use crate::ir::graph::Graph;
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::{Sample, Stimulus};
+use crate::report::agree::AgreeReport;
+use crate::report::side_by_side::{Compared, SideBySideReport};
+
+/// The model files that `--against` names; none where it names something else.
+///
+/// # Errors
+/// Usage, where only some of several are model files.
+pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
+    let is_model = |word: &&str| {
+        let path = Path::new(word);
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+        let foreign = extension.as_deref().is_some_and(|extension| ["nir", "net"].contains(&extension));
+        // A manifest of recorded spikes is RON as well.
+        let written = extension.as_deref() == Some("ron");
+        let model = written && io::text::read_text(path).is_ok_and(|text| text.text().contains("Network("));
+        path.exists() && (foreign || model)
+    };
+    let models: Vec<&str> = against.iter().map(String::as_str).filter(is_model).collect();
+    if !models.is_empty() && models.len() < against.len() {
+        let message = "several --against are all model files, or all recorded spikes";
+        return Err(Error::Usage(message.to_string()));
+    }
+    Ok(models)
+}
+
+/// Why networks are not compared: one does not fit, which is an answer, or something cannot be used.
+enum Obstacle {
+    Refused(Refusal),
+    Error(Error),
+}
+
+impl<E: Into<Error>> From<E> for Obstacle {
+    fn from(error: E) -> Self {
+        Obstacle::Error(error.into())
+    }
+}
+
+impl Obstacle {
+    fn say(self, context: Context) -> Result<Answer, Error> {
+        match self {
+            Obstacle::Refused(refusal) => refusal.say(crate::report::agree::nothing(), context),
+            Obstacle::Error(error) => Err(error),
+        }
+    }
+}
+
+/// A network on simulated cores.
+fn deployed(model: &str, network: &Quantised, target: &Target) -> Result<Compiled, Obstacle> {
+    match compile(network.clone(), target, &Options::default()) {
+        Ok(compiled) => Ok(compiled),
+        Err(CompileError::DoesNotFit(reasons)) => Err(Obstacle::Refused(Refusal::new(model, target.clone(), reasons))),
+        Err(other) => Err(other.into()),
+    }
+}
+
+/// A model file on simulated cores.
+struct Other {
+    name: String,
+    cores: usize,
+}
+
+/// The network as it was trained, and other files in integers, each compared with it.
+fn compared(
+    args: &Args,
+    (graph, integers): (&Graph, &Quantised),
+    files: &[&str],
+    samples: &[&Sample],
+    context: Context,
+) -> Result<Vec<(Agreement, Other)>, Obstacle> {
+    let target = io::target::load_target(&args.target)?;
+    // A network in real numbers is not mapped: it runs as it was trained.
+    let mapped = match is_real(graph) {
+        true => None,
+        false => Some(deployed(&args.model, integers, &target)?),
+    };
+    let trained = real_trace(graph, integers.compartments());
+    let machine = mapped.as_ref().map(|mapped| machine_trace(integers, &mapped.program)).transpose()?;
+    let here = layers(integers);
+    let output = output_layer(integers);
+    let mut all = Vec::new();
+    for file in files {
+        let (_, second) = real_and_integers(&io::model::load_model(file)?)?;
+        Form::require_written("nsim agree", &second, 1)?;
+        let compiled = deployed(file, &second, &target)?;
+        let there = layers(&second);
+        let agreement = {
+            let trace = machine_trace(&second, &compiled.program)?;
+            let a: &(dyn Fn(&Sample) -> _ + Sync) = match &machine {
+                Some(machine) => machine,
+                None => &trained,
+            };
+            let (a, b) = (Side { layers: &here, trace: a }, Side { layers: &there, trace: &trace });
+            output::with_progress(context, samples.len(), "samples", |done| {
+                compare_networks((a, b), &output, samples, args.steps, done)
+            })?
+        };
+        output::warn_all(&deployed_warnings(&compiled, samples)?);
+        all.push((agreement, Other { name: second.parts().name.clone(), cores: compiled.program.cores().len() }));
+    }
+    Ok(all)
+}
+
+/// A network as it was trained beside another model file.
+pub(super) fn with_one(
+    args: &Args,
+    (graph, integers): (&Graph, &Quantised),
+    other: &str,
+    (stimulus, samples): (&Stimulus, &[&Sample]),
+    context: Context,
+) -> Result<Answer, Error> {
+    let mut all = match compared(args, (graph, integers), &[other], samples, context) {
+        Ok(all) => all,
+        Err(obstacle) => return obstacle.say(context),
+    };
+    let Some((agreement, _)) = all.pop() else { return Ok(Answer::No) };
+    draw(args, &graph.facts().name, &agreement.layers, context)?;
+    let report = AgreeReport {
+        model: &graph.facts().name,
+        against: "another model",
+        input: &stimulus.origin,
+        seed: stimulus.seed,
+        samples: samples.len(),
+        same_class: agreement.same_class,
+        accuracy: agreement.accuracy,
+        layers: &agreement.layers,
+        found: None,
+        fits: &[],
+        attribution: None,
+        attribution_samples: 0,
+    };
+    if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
+    Ok(answer(args, &report))
+}
+
+/// A network as it was trained beside several model files.
+pub(super) fn with_several(
+    args: &Args,
+    (graph, integers): (&Graph, &Quantised),
+    files: &[&str],
+    (stimulus, samples): (&Stimulus, &[&Sample]),
+    context: Context,
+) -> Result<Answer, Error> {
+    if args.plot.is_some() || args.svg.is_some() || args.update.is_some() {
+        let message = "--plot, --svg and --update show one comparison: give one --against";
+        return Err(Error::Usage(message.to_string()));
+    }
+    let all = match compared(args, (graph, integers), files, samples, context) {
+        Ok(all) => all,
+        Err(obstacle) => return obstacle.say(context),
+    };
+    let row = |(file, (agreement, other)): (&&str, (Agreement, Other))| Compared {
+        against: (*file).to_string(),
+        name: other.name,
+        cores: other.cores,
+        agreement,
+    };
+    let report = SideBySideReport {
+        model: &graph.facts().name,
+        input: &stimulus.origin,
+        seed: stimulus.seed,
+        samples: samples.len(),
+        networks: files.iter().zip(all).map(row).collect(),
+    };
+    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    let enough = args
+        .require_class_agreement
+        .is_none_or(|share| report.class_agreement().is_some_and(|agreement| agreement >= share));
+    Ok(if enough && (report.exact() || !args.require_exact) { Answer::Yes } else { Answer::No })
+}
