@@ -218,7 +218,8 @@ mod tests {
             }
             for (raster, mut meant) in found.rasters.iter().zip(meant) {
                 let mut spikes = raster.spikes.clone();
-                (spikes.sort_unstable(), meant.sort_unstable());
+                spikes.sort_unstable();
+                meant.sort_unstable();
                 assert_eq!((spikes, raster.cut, raster.every), (meant, false, 1), "seed {seed}");
             }
             assert_eq!(found.rows.len(), 60 * width);

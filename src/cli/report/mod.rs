@@ -138,10 +138,7 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Co
     let (graph, _) = real_and_integers(&file)?;
     if is_real(&graph) && network.synapses() <= MOST_COMPARED {
         let some = &samples[..samples.len().min(COMPARED)];
-        let one = match compile(network.clone(), target, &Options::default()) {
-            Ok(one) => one,
-            Err(error) => return Err(error.into()),
-        };
+        let one = compile(network.clone(), target, &Options::default())?;
         let (real, machine) = (real_trace(&graph, network.compartments()), machine_trace(network, &one.program)?);
         let of_both = layers(network);
         let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
