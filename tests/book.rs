@@ -5,6 +5,9 @@
 //! are files; ```` ```python run ```` is run where a Python with the package `nir` is found, and said to be skipped where not.
 //! `NSIM_BLESS=1` writes the pages of commands anew.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use std::path::{Path, PathBuf};

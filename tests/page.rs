@@ -4,6 +4,9 @@
 //! says of errors and of loads from a network is collected. Without Chromium that test says `skipped`, and what can be told from the
 //! text of a page is still tested.
 
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use std::path::{Path, PathBuf};
