@@ -1,7 +1,7 @@
 //! A ladder of networks from the trained one to the machine, each differing from the last in one thing.
 //!
 //! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output: [`Trace`]s of the network with
-//! any set of the [`Cause`]s switched on. One simulation ([`super::state`], [`super::links`]) serves all rungs: potentials and thresholds are in register units
+//! any set of the [`Cause`]s switched on. One simulation (`state`, `links`) serves all rungs: potentials and thresholds are in register units
 //! throughout, so that two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as `reference`
 //! with truncated kernels does, with all causes it equals the machine bit for bit.
 //!

@@ -1,6 +1,6 @@
 //! `nsim energy`: what was typed -> a simulated run -> its report, or constants fitted to a table.
 //!
-//! [`workload`] runs, [`evaluate`] prices through `crate::energy`, [`calibrate`] fits.
+//! [`workload`] runs, [`mod@evaluate`] prices through `crate::energy`, [`calibrate`] fits.
 
 pub mod args;
 pub mod calibrate;
