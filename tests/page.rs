@@ -231,7 +231,14 @@ fn a_browser_draws_every_section_without_an_error_or_a_network() {
         std::fs::write(&path, text).unwrap();
         let profile = here.join(format!("profile-{name}"));
         let output = Command::new(browser)
-            .args(["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr"])
+            .args([
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                "--hide-scrollbars",
+                "--enable-logging=stderr",
+            ])
             .args([
                 "--window-size=1280,900",
                 "--virtual-time-budget=60000",
