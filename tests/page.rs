@@ -1,6 +1,6 @@
 //! The pages of `nsim report`, opened by a browser without a network.
 //!
-//! Chromium draws every section of four pages, its pointer hovers, its wheel zooms, its keyboard reaches the controls; what the page
+//! Chromium draws every section of five pages, a pointer moves over each chart, each zoom is set, each button of choices is pressed; what the page
 //! says of errors and of loads from a network is collected. Without Chromium that test says `skipped`, and what can be told from the
 //! text of a page is still tested.
 
@@ -161,7 +161,24 @@ fn results_are_compared_and_other_files_are_refused() {
     assert!(!here.join("c.html").exists() && !here.join("d.html").exists());
 }
 
-/// What a page's own script cannot say of itself: put behind it, it moves pointer and wheel over every chart, reads what is drawn, and
+#[test]
+fn a_model_comes_through_a_pipe() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join("models/slip-tactile.ron")).unwrap();
+    std::fs::copy(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("models/slip-tactile.safetensors"),
+        folder.path().join("slip-tactile.safetensors"),
+    )
+    .unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
+    let line = ["report", "-", "--samples", "0..1", "--baseline", "-o", "piped.html", "--no-cache"];
+    let output = command.args(line).current_dir(folder.path()).stdin(model).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let data = data(&folder.path().join("piped.html"));
+    assert_eq!((&data["network"]["name"], data["origins"].as_array().unwrap().len()), (&"slip-tactile".into(), 0));
+}
+
+/// What a page's own script cannot say of itself: put behind it, it moves the pointer over every chart, sets its zoom, reads what is drawn, and
 /// leaves the findings in the document.
 const OBSERVER: &str = r#"<script>
 (() => {

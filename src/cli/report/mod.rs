@@ -134,9 +134,13 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Co
         let timeline = workload.timeline((settings, deployment.cores_powered), first, &ids)?;
         sections.sample = sample::json(network, &timeline, &watched, first, outcome);
     }
-    let file = io::model::load_model(&args.cost.job.model)?;
-    let (graph, _) = real_and_integers(&file)?;
-    if is_real(&graph) && network.synapses() <= MOST_COMPARED {
+    // What came through a pipe is gone: it is neither compared with itself in real numbers nor hashed.
+    let piped = io::text::is_standard_stream(Path::new(&args.cost.job.model));
+    let file = (!piped).then(|| io::model::load_model(&args.cost.job.model)).transpose()?;
+    let graph = file.as_ref().map(real_and_integers).transpose()?.map(|(graph, _)| graph);
+    if let Some(graph) = graph.filter(is_real)
+        && network.synapses() <= MOST_COMPARED
+    {
         let some = &samples[..samples.len().min(COMPARED)];
         let one = compile(network.clone(), target, &Options::default())?;
         let (real, machine) = (real_trace(&graph, network.compartments()), machine_trace(network, &one.program)?);
@@ -162,7 +166,8 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Co
         };
         sections.agreement = report.json();
     }
-    let mut origins = vec![origin("model", &args.cost.job.model, file.source().text().as_bytes())];
+    let source = file.iter().map(|file| origin("model", &args.cost.job.model, file.source().text().as_bytes()));
+    let mut origins: Vec<Origin> = source.collect();
     for argument in &args.cost.input.input {
         if let Ok(InputArg { source: InputSource::Path(path), .. }) = InputArg::parse(argument)
             && path.is_file()
