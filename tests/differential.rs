@@ -128,7 +128,7 @@ fn random_networks_are_the_same_in_both_engines() {
 #[test]
 fn a_large_random_network_is_the_same_in_both_engines() {
     let sizes = Random { compartments: 4_500, background: 4, driven: 100, period: 30 };
-    let bench = random_network("large", sizes).unwrap();
+    let bench = random_network("large", sizes, &[0]).unwrap();
     let n = bench.network.compartments();
     let golden = trace(&mut Golden::new(&bench.network), n, &bench.period);
     assert!(golden.totals.spikes > 1_000 && golden.totals.synaptic_events > 64_000);

@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn exactly_the_steps_asked_for_are_counted() {
-        let bench = random("small", Random { compartments: 500, background: 0, driven: 5, period: 8 }).unwrap();
+        let bench = random("small", Random { compartments: 500, background: 0, driven: 5, period: 8 }, &[0]).unwrap();
         let mut engine = Golden::new(&bench.network);
         let measured = measure(&mut engine, &bench.period, Budget::Steps(24));
         assert_eq!((measured.repeats, measured.steps), (1, 24));

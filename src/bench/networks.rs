@@ -14,17 +14,30 @@
 //!   `random-32k` has four weak random synapses a channel besides, for the input events that published runs of
 //!   such a network count.
 //! - `silent-1m`: the compartments and synapses of `random-1m`, and an input that never fires.
+//! - `pilotnet`: lava-dl's PilotNet: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x 49, 36 @ 7 x 24 and 64 @ 3 x
+//!   11, one more to 64 @ 1 x 9, then 200, 100, 50, 10, 1.
+//! - `dvs-gesture`: SANA-FE's `snn/dvs.yaml`: 32 x 32, 3 x 3 convolutions to 16 @ 15 x 15 (stride 2), 32 @ 13 x 13, 64 @ 11 x 11
+//!   and 11 @ 9 x 9, then 11.
+//! - `conv-98k`: 2 @ 128 x 128, 3 x 3 convolutions to 4 @ 128 x 128 and 8 @ 64 x 64 (stride 2): 98,304 compartments.
+//! - `conv-10m`: 2 @ 512 x 512, 3 x 3 convolutions to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32 @ 256 x 256, 64 @ 128 x 128
+//!   (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x 16, 11: 11,012,107 compartments, whose 2.2 thousand million
+//!   synapses are never written out ([`crate::compile::Form::Symbolic`]); made up, to be as large.
+//! - `delays-32k`: the neurons and the drive of `random-32k`, whose 64 synapses each have eight delays: eight with each of 0, 3,
+//!   9, 17, 25, 38, 50 and 62.
+//! - `delays-busy`: 32,768 channels, of which 70 % spike in each step, with 64 synapses of those delays to as many compartments
+//!   that never fire.
+//!
+//! Channels of the convolutions spike independently: 5 % a step, in `conv-10m` 1 %, in `conv-98k` 9 %, whose compartments
+//! have thirteen times the threshold of the others, so that about 4 % of them fire.
 
-use crate::base::fixed::{
-    Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
-};
-use crate::base::id::{ChannelId, CompartmentId, PopulationId};
+use crate::base::fixed::{OutOfRange, SignMode};
+use crate::base::id::{ChannelId, PopulationId};
 use crate::base::names::named_variants;
 use crate::base::rng;
-use crate::ir::graph::{PerCompartment, Shape};
-use crate::ir::quantised::{
-    Connectivity, Inconsistent, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units,
-};
+use crate::bench::builder::Builder;
+use crate::bench::layers::Layers;
+use crate::ir::graph::PerCompartment;
+use crate::ir::quantised::{Connectivity, Inconsistent, Neuron, Quantised, Units};
 use crate::ir::spikes::{Sample, SampleError};
 
 /// A standard network. Its names are fixed: stored results carry them.
@@ -40,6 +53,18 @@ pub enum StandardNetwork {
     Random1m,
     /// 1,000,000 compartments without input.
     Silent1m,
+    /// The PilotNet of lava-dl.
+    PilotNet,
+    /// The gesture network of SANA-FE.
+    DvsGesture,
+    /// 98,304 compartments in two convolutions.
+    Conv98k,
+    /// 11 million compartments in six convolutions.
+    Conv10m,
+    /// 32,768 compartments, 64 synapses each over eight delays, 2.1 % firing.
+    Delays32k,
+    /// The same delays from channels of which 70 % spike.
+    DelaysBusy,
 }
 
 /// Why a network could not be built: a wrong constant of this module.
@@ -73,6 +98,12 @@ named_variants!(StandardNetwork {
     Random32k = "random-32k",
     Random1m = "random-1m",
     Silent1m = "silent-1m",
+    PilotNet = "pilotnet",
+    DvsGesture = "dvs-gesture",
+    Conv98k = "conv-98k",
+    Conv10m = "conv-10m",
+    Delays32k = "delays-32k",
+    DelaysBusy = "delays-busy",
 });
 
 impl StandardNetwork {
@@ -85,7 +116,7 @@ impl StandardNetwork {
     /// Whether a step has so much to do that sharing it out over threads can pay.
     #[must_use]
     pub fn wants_threads(self) -> bool {
-        matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m)
+        matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m | StandardNetwork::Conv10m)
     }
 
     /// The standard network with the same compartments and synapses: its program serves both, only the input differs.
@@ -107,127 +138,25 @@ impl StandardNetwork {
             StandardNetwork::VtSnn1Pct => vtsnn(self.name(), 1),
             StandardNetwork::VtSnn5Pct => vtsnn(self.name(), 5),
             StandardNetwork::Random32k => {
-                random(self.name(), Random { compartments: 32_768, background: 4, driven: 714, period: 256 })
+                let sizes = Random { compartments: 32_768, background: 4, driven: 714, period: 256 };
+                random(self.name(), sizes, &[0])
             }
             StandardNetwork::Random1m => {
-                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 10_170, period: 64 })
+                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 10_170, period: 64 }, &[0])
             }
             StandardNetwork::Silent1m => {
-                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 0, period: 64 })
+                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 0, period: 64 }, &[0])
             }
+            StandardNetwork::PilotNet => layers(lava_pilotnet(self.name())?, (5, 100), "nahuku-32"),
+            StandardNetwork::DvsGesture => layers(dvs_gesture(self.name())?, (5, 100), "nahuku-32"),
+            StandardNetwork::Conv98k => layers(conv_98k(self.name())?, (9, 100), "pohoiki-springs"),
+            StandardNetwork::Conv10m => layers(conv_10m(self.name())?, (1, 100), "pohoiki-springs"),
+            StandardNetwork::Delays32k => {
+                let sizes = Random { compartments: 32_768, background: 0, driven: 714, period: 256 };
+                random(self.name(), sizes, &DELAYS)
+            }
+            StandardNetwork::DelaysBusy => events_over(self.name(), 32_768, 22_938, 64, &DELAYS),
         }
-    }
-}
-
-/// Appends populations and projections in order.
-pub(super) struct Builder {
-    parts: Parts,
-    channels: u32,
-    compartments: u32,
-}
-
-impl Builder {
-    pub(super) fn new(name: &str) -> Self {
-        let parts = Parts::empty(name);
-        Builder { parts, channels: 0, compartments: 0 }
-    }
-
-    /// Compartments that fire at a set rate: each has a driving channel over one strong synapse.
-    pub(super) fn driven(name: &str, compartments: u32) -> Result<(Self, PopulationId, PopulationId), OutOfRange> {
-        let mut net = Builder::new(name);
-        let drive = net.input("drive", compartments);
-        let neurons = net.loihi("neurons", compartments, THRESHOLD, REFRACTORY)?;
-        let one_to_one = Connectivity::Sparse {
-            first: (0..=u64::from(compartments)).collect(),
-            targets: (0..compartments).collect(),
-            weights: vec![254; compartments as usize].into(),
-        };
-        net.connect((drive, neurons), 3, SignMode::Mixed, one_to_one)?;
-        Ok((net, drive, neurons))
-    }
-
-    pub(super) fn input(&mut self, name: &str, channels: u32) -> PopulationId {
-        let units = Units::Input(ChannelId(self.channels));
-        self.channels += channels;
-        self.parts.populations.push(Population {
-            name: name.to_string(),
-            shape: Shape::Line(channels),
-            units,
-            payload: None,
-        })
-    }
-
-    /// Gives the last population a shape over space with as many units.
-    pub(super) fn over_space(&mut self, channels: u32, height: u32, width: u32) {
-        let shape = Shape::Volume(channels, height, width);
-        if let Some(last) = self.parts.populations.iter_mut().last().filter(|last| last.shape.len() == shape.len()) {
-            last.shape = shape;
-        }
-    }
-
-    /// Compartments with the decays of the published visual-tactile network; the last population is the output.
-    pub(super) fn loihi(
-        &mut self,
-        name: &str,
-        compartments: u32,
-        vth: i64,
-        refractory: i64,
-    ) -> Result<PopulationId, OutOfRange> {
-        let neurons = PerCompartment::Same(Neuron {
-            du: Decay::new(1024)?,
-            dv: Decay::new(128)?,
-            vth: ThresholdMantissa::new(vth)?,
-            refractory: Refractory::new(refractory)?,
-            ..Neuron::PLAIN
-        });
-        let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
-        self.compartments += compartments;
-        let population = Population { name: name.to_string(), shape: Shape::Line(compartments), units, payload: None };
-        self.parts.output = self.parts.populations.push(population);
-        Ok(self.parts.output)
-    }
-
-    pub(super) fn connect(
-        &mut self,
-        (source, target): (PopulationId, PopulationId),
-        exponent: i64,
-        sign: SignMode,
-        connectivity: Connectivity,
-    ) -> Result<(), OutOfRange> {
-        let name = |id| &self.parts.populations[id].name;
-        let name = format!("{} -> {}", name(source), name(target));
-        let format = SynapseFormat { exponent: WeightExponent::new(exponent)?, sign, bits: WeightBits::new(8)? };
-        let delay = Delay::new(0)?;
-        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
-        Ok(())
-    }
-
-    /// Gives the last projection this delay.
-    pub(super) fn delay_last(&mut self, delay: i64) -> Result<(), OutOfRange> {
-        let delay = Delay::new(delay)?;
-        if let Some(projection) = self.parts.projections.as_mut_slice().last_mut() {
-            projection.delay = delay;
-        }
-        Ok(())
-    }
-
-    /// All to all with even weights in `low..=high`.
-    pub(super) fn dense(
-        &mut self,
-        ends: (PopulationId, PopulationId),
-        (low, high): (i16, i16),
-        seed: u64,
-    ) -> Result<(), OutOfRange> {
-        let size = |id| self.parts.populations[id].shape.len();
-        let (sources, targets) = (size(ends.0), size(ends.1));
-        let levels = ((high - low) / 2 + 1) as u64;
-        let weight = |index| low + 2 * rng::below(levels, seed, index, 0) as i16;
-        let weights = (0..u64::from(sources) * u64::from(targets)).map(weight).collect();
-        self.connect(ends, 0, SignMode::Mixed, Connectivity::Dense { targets, weights })
-    }
-
-    pub(super) fn build(self) -> Result<Quantised, Inconsistent> {
-        Quantised::new(self.parts)
     }
 }
 
@@ -266,12 +195,6 @@ pub(super) fn independent_spikes(
 
 /// Synapses of each compartment of a random network.
 const FAN_OUT: u32 = 64;
-/// Threshold of a random network, in units of the weight. A driving spike gives 254 * 2^3 = 2,032 at
-/// once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
-const THRESHOLD: i64 = 1_400;
-/// Refractory period of a random network, in steps.
-const REFRACTORY: i64 = 8;
-
 /// The sizes of a random network.
 #[derive(Debug, Clone, Copy)]
 pub struct Random {
@@ -290,17 +213,87 @@ pub(super) fn random_synapses(targets: u32, fan_out: u32, seed: u64) -> Connecti
     Connectivity::Random { targets, fan_out, low: -8, high: 8, step: 2, seed, first_source: 0 }
 }
 
+/// The delays of `delays-32k`.
+const DELAYS: [i64; 8] = [0, 3, 9, 17, 25, 38, 50, 62];
+
+/// Random synapses, shared out evenly over delays.
+fn spread(
+    (net, ends): (&mut Builder, (PopulationId, PopulationId)),
+    targets: u32,
+    delays: &[i64],
+) -> Result<(), OutOfRange> {
+    for (&delay, seed) in delays.iter().zip(2..) {
+        let fan_out = FAN_OUT / delays.len().max(1) as u32;
+        net.connect(ends, 0, SignMode::Mixed, random_synapses(targets, fan_out, seed))?;
+        net.delay_last(delay)?;
+    }
+    Ok(())
+}
+
+/// Steps of input of a network of layers.
+const LAYERS_STEPS: u32 = 64;
+
+/// Layers whose channels spike independently in so many of so many steps.
+fn layers(net: Builder, rate: (u64, u64), target: &'static str) -> Result<BenchNetwork, BuildError> {
+    let network = net.build()?;
+    Ok(BenchNetwork { period: independent_spikes(&network, LAYERS_STEPS, rate)?, network, target })
+}
+
+/// The PilotNet of lava-dl (`tutorials/lava/lib/dl/netx/pilotnet_snn`).
+pub(super) fn lava_pilotnet(name: &str) -> Result<Builder, OutOfRange> {
+    let mut layers = Layers::new(name, (3, 33, 100));
+    for (channels, stride) in [(24, 2), (36, 2), (64, 2), (64, 1)] {
+        layers.convolve(channels, 3, stride, 0)?;
+    }
+    for units in [200, 100, 50, 10, 1] {
+        layers.dense(units)?;
+    }
+    Ok(layers.net)
+}
+
+/// The gesture network of SANA-FE.
+pub(super) fn dvs_gesture(name: &str) -> Result<Builder, OutOfRange> {
+    let mut layers = Layers::new(name, (1, 32, 32));
+    layers.convolve(16, 3, 2, 0)?;
+    for channels in [32, 64, 11] {
+        layers.convolve(channels, 3, 1, 0)?;
+    }
+    layers.dense(11)?;
+    Ok(layers.net)
+}
+
+/// Eleven million compartments.
+pub(super) fn conv_10m(name: &str) -> Result<Builder, OutOfRange> {
+    let mut layers = Layers::new(name, (2, 512, 512));
+    for (channels, stride) in [(16, 1), (32, 2), (32, 1), (64, 2), (64, 1), (128, 2)] {
+        layers.convolve(channels, 3, stride, 1)?;
+    }
+    layers.pool(16)?;
+    layers.dense(11)?;
+    Ok(layers.net)
+}
+
+fn conv_98k(name: &str) -> Result<Builder, OutOfRange> {
+    let mut layers = Layers::new(name, (2, 128, 128));
+    layers.threshold = 800;
+    layers.convolve(4, 3, 1, 1)?;
+    layers.convolve(8, 3, 2, 1)?;
+    Ok(layers.net)
+}
+
 /// A random network: see the module.
 ///
+/// The recurrent synapses are shared out evenly over these delay fields.
+///
 /// # Errors
-/// [`BuildError`] when there is no compartment.
-pub fn random(name: &str, sizes: Random) -> Result<BenchNetwork, BuildError> {
+/// [`BuildError`] when there is no compartment, or a delay does not fit its field.
+pub fn random(name: &str, sizes: Random, delays: &[i64]) -> Result<BenchNetwork, BuildError> {
     let n = sizes.compartments;
     let (mut net, drive, neurons) = Builder::driven(name, n)?;
     if sizes.background > 0 {
         net.connect((drive, neurons), 0, SignMode::Mixed, random_synapses(n, sizes.background, 1))?;
     }
-    net.connect((neurons, neurons), 0, SignMode::Mixed, random_synapses(n, FAN_OUT, 2))?;
+    spread((&mut net, (neurons, neurons)), n, delays)?;
     let spikes = |t| {
         let channel = move |k| rng::below(u64::from(n), 3, u64::from(t), u64::from(k)) as u32;
         (0..sizes.driven).map(move |k| (t, ChannelId(channel(k))))
@@ -317,14 +310,24 @@ pub fn random(name: &str, sizes: Random) -> Result<BenchNetwork, BuildError> {
 /// # Errors
 /// [`BuildError`] when there is no compartment.
 pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<BenchNetwork, BuildError> {
-    let mut net = Builder::new("events-only");
+    events_over("events-only", compartments, driven, period, &[0])
+}
+
+fn events_over(
+    name: &str,
+    compartments: u32,
+    driven: u32,
+    period: u32,
+    delays: &[i64],
+) -> Result<BenchNetwork, BuildError> {
+    let mut net = Builder::new(name);
     let drive = net.input("drive", compartments);
     let neurons = net.loihi("neurons", compartments, 131_071, 1)?;
     if let Units::Compartments { neurons, .. } = &mut net.parts.populations[neurons].units {
         // Without memory, and with the greatest threshold.
         *neurons = PerCompartment::Same(Neuron::PLAIN);
     }
-    net.connect((drive, neurons), 0, SignMode::Mixed, random_synapses(compartments, FAN_OUT, 2))?;
+    spread((&mut net, (drive, neurons)), compartments, delays)?;
     // A stride that shares no factor with the number of channels visits each before any again.
     let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);
     let channel = |k: u64| ChannelId((k * stride % u64::from(compartments)) as u32);
@@ -383,7 +386,8 @@ mod tests {
     #[test]
     fn a_random_network_of_any_size_fires_as_it_is_driven() {
         // random-1m in small: 1 % firing and 64 synapses give 0.64 synaptic events a compartment besides the inputs'.
-        let bench = random("small", Random { compartments: 10_000, background: 0, driven: 102, period: 64 }).unwrap();
+        let bench =
+            random("small", Random { compartments: 10_000, background: 0, driven: 102, period: 64 }, &[0]).unwrap();
         let (spikes, events, _) = settled(&bench, 120);
         assert!((spikes - 100.0).abs() < 3.0, "{spikes} spikes a step");
         assert!((events - 6_500.0).abs() < 200.0, "{events} events a step");

@@ -14,9 +14,7 @@
 //! - `conv-33x100`: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x 49, 36 @ 7 x 24 and 64 @ 3 x 11, one more to
 //!   64 @ 1 x 9, then 200, 100, 50, 10, 1.
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
-//! - `conv-10m`: 2 @ 512 x 512, convolutions 3 x 3 to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32 @ 256 x 256, 64 @ 128 x
-//!   128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x 16, 11: 11,012,107 compartments, whose 2.2
-//!   thousand million synapses are never written out ([`crate::compile::Form::Symbolic`]); made up, to be as large.
+//! - `conv-10m`: that of [`crate::bench::networks`].
 //! - `random-N`: N compartments, each with a driving channel and 64 random synapses ([`crate::bench::networks::random`]).
 //! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
 //!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between
@@ -32,13 +30,14 @@
 //! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 / sqrt(j), as hubs of preferential
 //!   attachment do (Barabasi & Albert 1999); no compartment takes more than 2,000, so that its input axons fit a core.
 
-use crate::base::fixed::{OutOfRange, SignMode};
-use crate::base::id::PopulationId;
+use crate::base::fixed::SignMode;
 use crate::base::rng;
+use crate::bench::builder::Builder;
+use crate::bench::layers::Layers;
 use crate::bench::networks::{
-    BenchNetwork, BuildError, Builder, Random, independent_spikes, random, random_synapses, vtsnn,
+    BenchNetwork, BuildError, Random, conv_10m, dvs_gesture, independent_spikes, lava_pilotnet, random,
+    random_synapses, vtsnn,
 };
-use crate::ir::graph::Window;
 use crate::ir::quantised::Connectivity;
 
 /// Steps of input: enough for spikes to reach every layer.
@@ -97,9 +96,9 @@ pub fn cases() -> Vec<SuiteCase> {
         SuiteCase { copies: 32_000, ways: Ways::Default, ..case("copies-32000", small_copy) },
         SuiteCase { ways: Ways::Refused, ..case("microcircuit", |name| microcircuit(name, 0)) },
         case("lenet", lenet),
-        case("dvs-gesture", gesture),
+        case("dvs-gesture", |name| bench(dvs_gesture(name)?, "nahuku-32")),
         case("cifar-conv", cifar),
-        case("conv-33x100", wide_image),
+        case("conv-33x100", |name| bench(lava_pilotnet(name)?, "nahuku-32")),
         case("mlp-3x1024", perceptron),
         case("random-1k", |name| recurrent(name, 1_000)),
         case("small-world-1k", |name| small_world(name, 32)),
@@ -114,7 +113,7 @@ pub fn cases() -> Vec<SuiteCase> {
         SuiteCase { large: true, ..case("random-1m", |name| recurrent(name, 1_000_000)) },
         SuiteCase { large: true, ..case("small-world-1m", |name| small_world(name, 1_000)) },
         SuiteCase { large: true, ..case("scale-free-1m", |name| scale_free(name, 1_000_000)) },
-        SuiteCase { large: true, ..case("conv-10m", convolutions) },
+        SuiteCase { large: true, ..case("conv-10m", |name| bench(conv_10m(name)?, "pohoiki-springs")) },
         SuiteCase { large: true, relays: true, ..case("fly-140k", fly) },
         SuiteCase {
             large: true,
@@ -166,74 +165,6 @@ fn microcircuit(name: &'static str, delay: i64) -> Result<BenchNetwork, BuildErr
     bench(net, "pohoiki-springs")
 }
 
-/// Layers that grow one by one.
-struct Layers {
-    net: Builder,
-    last: PopulationId,
-    size: (u32, u32, u32),
-    seed: u64,
-}
-
-impl Layers {
-    fn new(name: &str, size: (u32, u32, u32)) -> Self {
-        let mut net = Builder::new(name);
-        let last = net.input("input", size.0 * size.1 * size.2);
-        net.over_space(size.0, size.1, size.2);
-        Layers { net, last, size, seed: 10 }
-    }
-
-    fn next(&mut self, size: (u32, u32, u32)) -> Result<PopulationId, OutOfRange> {
-        self.seed += 1;
-        let name = format!("layer{}", self.seed - 10);
-        let id = self.net.loihi(&name, size.0 * size.1 * size.2, 60, 1)?;
-        if size.1 * size.2 > 1 {
-            self.net.over_space(size.0, size.1, size.2);
-        }
-        Ok(id)
-    }
-
-    fn window(&self, to: u32, kernel: u32, stride: u32, padding: u32, groups: u32) -> Window {
-        let reach = |source: u32| (source + 2 * padding - kernel) / stride + 1;
-        let (_, h, w) = self.size;
-        Window {
-            source: self.size,
-            target: (to, reach(h), reach(w)),
-            kernel: (kernel, kernel),
-            stride: (stride, stride),
-            padding: (padding, padding),
-            dilation: (1, 1),
-            groups,
-        }
-    }
-
-    fn convolve(&mut self, channels: u32, kernel: u32, stride: u32, padding: u32) -> Result<(), OutOfRange> {
-        let window = self.window(channels, kernel, stride, padding, 1);
-        let to = self.next(window.target)?;
-        let weights = u64::from(channels * self.size.0 * kernel * kernel);
-        // Half as many positive as negative steps more: layers keep firing.
-        let weight = |index| -24 + 2 * rng::below(33, self.seed, index, 0) as i16;
-        let kernel = (0..weights).map(weight).collect();
-        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::Conv2d { window, kernel })?;
-        (self.last, self.size) = (to, window.target);
-        Ok(())
-    }
-
-    fn pool(&mut self, side: u32) -> Result<(), OutOfRange> {
-        let window = self.window(self.size.0, side, side, 0, self.size.0);
-        let to = self.next(window.target)?;
-        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::SumPool2d { window, weight: 80 })?;
-        (self.last, self.size) = (to, window.target);
-        Ok(())
-    }
-
-    fn dense(&mut self, units: u32) -> Result<(), OutOfRange> {
-        let to = self.next((units, 1, 1))?;
-        self.net.dense((self.last, to), (-24, 40), self.seed)?;
-        (self.last, self.size) = (to, (units, 1, 1));
-        Ok(())
-    }
-}
-
 fn lenet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (1, 28, 28));
     layers.convolve(6, 5, 1, 2)?;
@@ -246,33 +177,12 @@ fn lenet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     bench(layers.net, "nahuku-32")
 }
 
-fn gesture(name: &'static str) -> Result<BenchNetwork, BuildError> {
-    let mut layers = Layers::new(name, (1, 32, 32));
-    layers.convolve(16, 3, 2, 0)?;
-    for channels in [32, 64, 11] {
-        layers.convolve(channels, 3, 1, 0)?;
-    }
-    layers.dense(11)?;
-    bench(layers.net, "nahuku-32")
-}
-
 fn cifar(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (4, 32, 32));
     for (channels, kernel, stride) in [(64, 3, 2), (72, 3, 1), (256, 3, 2), (256, 1, 1), (64, 1, 1)] {
         layers.convolve(channels, kernel, stride, 0)?;
     }
     layers.dense(100)?;
-    bench(layers.net, "nahuku-32")
-}
-
-fn wide_image(name: &'static str) -> Result<BenchNetwork, BuildError> {
-    let mut layers = Layers::new(name, (3, 33, 100));
-    for (channels, stride) in [(24, 2), (36, 2), (64, 2), (64, 1)] {
-        layers.convolve(channels, 3, stride, 0)?;
-    }
-    for units in [200, 100, 50, 10, 1] {
-        layers.dense(units)?;
-    }
     bench(layers.net, "nahuku-32")
 }
 
@@ -290,16 +200,6 @@ fn pilotnet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     bench(layers.net, "pohoiki-springs")
 }
 
-fn convolutions(name: &'static str) -> Result<BenchNetwork, BuildError> {
-    let mut layers = Layers::new(name, (2, 512, 512));
-    for (channels, stride) in [(16, 1), (32, 2), (32, 1), (64, 2), (64, 1), (128, 2)] {
-        layers.convolve(channels, 3, stride, 1)?;
-    }
-    layers.pool(16)?;
-    layers.dense(11)?;
-    bench(layers.net, "pohoiki-springs")
-}
-
 fn perceptron(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (784, 1, 1));
     for units in [1024, 1024, 1024, 10] {
@@ -310,7 +210,7 @@ fn perceptron(name: &'static str) -> Result<BenchNetwork, BuildError> {
 
 fn recurrent(name: &'static str, compartments: u32) -> Result<BenchNetwork, BuildError> {
     let driven = compartments / 50;
-    random(name, Random { compartments, background: 0, driven, period: STEPS })
+    random(name, Random { compartments, background: 0, driven, period: STEPS }, &[0])
 }
 
 /// Compartments with a driving channel each and listed synapses.

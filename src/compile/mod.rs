@@ -36,7 +36,7 @@ pub use form::Form;
 pub use mapping::{Checked, Compiled, Mapping, Synapses};
 pub use options::{DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy};
 pub use reason::Reason;
-pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked};
+pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked, with_program};
 
 /// A network in integers.
 ///
@@ -87,7 +87,9 @@ pub fn load(
 /// # Errors
 /// [`CompileError`].
 pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
-    map(front.into(), target, options, &Rates::assumed(DEFAULT_RATE), Form::Written)?.into_compiled()
+    let front = front.into();
+    let form = Form::for_network(front.quantised(), options.copies);
+    with_program(map(front, target, options, &Rates::assumed(DEFAULT_RATE), form)?, target)
 }
 
 /// A program for a network on the cores of a saved mapping: [`load`].
@@ -100,5 +102,7 @@ pub fn compile_saved(
     options: &Options,
     file: &MappingFile,
 ) -> Result<Compiled, CompileError> {
-    load(front.into(), target, options, file, Form::Written)?.into_compiled()
+    let front = front.into();
+    let form = Form::for_network(front.quantised(), options.copies);
+    with_program(load(front, target, options, file, form)?, target)
 }

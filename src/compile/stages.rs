@@ -9,6 +9,7 @@ use std::time::Instant;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CoreId, IdVec};
 use crate::compile::check::{equivalence, relays, sampled, verify};
+use crate::compile::emit::boxes::route_boxes;
 use crate::compile::emit::route::route;
 use crate::compile::emit::sample::{SampledCore, sample};
 use crate::compile::error::{CompileError, Result};
@@ -18,7 +19,7 @@ use crate::compile::frontend::integers;
 use crate::compile::frontend::lower::lower;
 use crate::compile::frontend::prune::{Plan, prune};
 use crate::compile::frontend::relays::{Relayed, relayed};
-use crate::compile::mapping::{Checked, Mapping, Synapses};
+use crate::compile::mapping::{Checked, Compiled, Mapping, Synapses};
 use crate::compile::mapping_file::{self, pruned::plan};
 use crate::compile::options::{DEFAULT_RATE, Effort, Options};
 use crate::compile::partition::boxes::{self, Boxes};
@@ -204,10 +205,7 @@ impl Front {
         mapping_file::of_copies(file, options.copies)?;
         let rates = Rates::assumed(DEFAULT_RATE);
         let pruned = match form {
-            Form::Written => {
-                Form::require_written("running it on cores", &self.one, options.copies)?;
-                self.prune_as(file)?
-            }
+            Form::Written => self.prune_as(file)?,
             Form::Symbolic => self,
         };
         let (front, all) = pruned.copied(target, options, partition::Search::new(options, &rates), form)?;
@@ -349,6 +347,27 @@ impl Partitioned {
         self.clock = clock;
         Ok(Placed { partitioned: self, placement, name })
     }
+}
+
+/// The mapping with its program, which is written here if it was mapped by its kernels, and then verified and checked: every
+/// synapse of one core of each pattern.
+///
+/// # Errors
+/// [`CompileError::Fault`].
+pub fn with_program(mapping: Mapping, target: &Target) -> Result<Compiled> {
+    if mapping.form() == Form::Written {
+        return mapping.into_compiled();
+    }
+    let target = &*Form::Symbolic.counted_on(target);
+    let mut clock = Clock(mapping.seconds.clone());
+    let Mapping { quantised: network, partition, placement, .. } = &mapping;
+    let route = || route_boxes(network, partition, placement, target.limits());
+    let (program, sample) = clock.stage("write", route).map_err(CompileError::Fault)?;
+    clock.stage("verify", || verify::verify(&program, target)).map_err(CompileError::fault)?;
+    let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
+    let check = || sampled::check(network, partition, &chips, &sample, target.limits());
+    clock.stage("check", check).map_err(CompileError::Fault)?;
+    Mapping { program: Synapses::Written(Box::new(program)), seconds: clock.0, ..mapping }.into_compiled()
 }
 
 /// A network on the cores of the board, and the name of how they were placed.

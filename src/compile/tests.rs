@@ -364,7 +364,7 @@ fn mutated_programs_are_found_out() {
         }),
         ("seat of another", |p| p.seats[CompartmentId(0)] = p.seats[CompartmentId(1)]),
     ];
-    let frames: [Mutation; 7] = [
+    let frames: [Mutation; 8] = [
         ("changed threshold", |p| {
             p.cores[CoreId(0)].compartments[0].neuron.vth = ThresholdMantissa::new(81).unwrap();
         }),
@@ -373,7 +373,8 @@ fn mutated_programs_are_found_out() {
         ("changed threshold test", |p| p.threshold = ThresholdTest::Inclusive),
         ("wrong channel count", |p| p.channels.push([])),
         ("another output", |p| p.output = PopulationId(2)),
-        ("changed population", |p| p.populations[PopulationId(2)] = Some((CompartmentId(0), 7))),
+        ("changed population", |p| p.populations[PopulationId(2)].as_mut().unwrap().count = 7),
+        ("changed positions", |p| p.populations[PopulationId(2)].as_mut().unwrap().positions = 7),
     ];
     let (network, good) = mutable();
     let program = Program::new(good.clone()).unwrap();

@@ -44,6 +44,15 @@ impl Shape {
         }
     }
 
+    /// Positions of each channel: height times width, 1 on a line.
+    #[must_use]
+    pub fn positions(self) -> u32 {
+        match self {
+            Shape::Line(_) => 1,
+            Shape::Volume(_, h, w) => h * w,
+        }
+    }
+
     /// Whether there is none; a lowered population always has one.
     #[must_use]
     pub fn is_empty(self) -> bool {

@@ -12,7 +12,7 @@ use crate::base::csr::Csr;
 use crate::base::id::{CompartmentId, CoreId, Id, PopulationId};
 use crate::ir::partition::Seat;
 use crate::ir::placement::Site;
-use crate::ir::program::{AxonTarget, CoreImage, Graded, NotClosed, Parts, Program};
+use crate::ir::program::{AxonTarget, Compartments, CoreImage, Graded, NotClosed, Parts, Program};
 
 /// What of a program is one group.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -137,9 +137,9 @@ impl CoreGroups {
                 seats.push(Seat { core: core(seat.core)?, ..seat });
             }
             for id in copy * one.populations..(copy + 1) * one.populations {
-                let moved = |(first, size): (CompartmentId, u32)| {
-                    let first = number * one.compartments + first.0 % one.compartments;
-                    (CompartmentId(first), size)
+                let moved = |of_copy: Compartments| {
+                    let first = number * one.compartments + of_copy.first.0 % one.compartments;
+                    Compartments { first: CompartmentId(first), ..of_copy }
                 };
                 populations.push(whole.populations[PopulationId(id)].map(moved));
             }

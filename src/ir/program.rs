@@ -7,7 +7,7 @@
 //! is reached by two sources, and every stored list is selected.
 //! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -20,7 +20,7 @@ use crate::base::shared::Shared;
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::partition::Seat;
 use crate::ir::placement::{Mesh, Site};
-use crate::ir::quantised::{Neuron, Reset, SynapseFormat};
+use crate::ir::quantised::{Neuron, Population, Reset, SynapseFormat};
 
 /// An input axon of a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -257,8 +257,8 @@ pub struct Compartment {
 pub struct CoreImage {
     /// Where it is.
     pub site: Site,
-    /// Compartments by slot.
-    pub compartments: Vec<Compartment>,
+    /// Compartments by slot; cores with the same ones may hold them together.
+    pub compartments: Shared<Vec<Compartment>>,
     /// The network's number of each compartment, for what is shown to people.
     pub ids: Vec<CompartmentId>,
     /// Formats of its synapses.
@@ -278,6 +278,27 @@ pub struct Graded {
     pub payload: Payload,
 }
 
+/// The compartments of a population.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Compartments {
+    /// The first.
+    pub first: CompartmentId,
+    /// How many.
+    pub count: u32,
+    /// Positions of its shape over space, at least 1: compartments are numbered channel by channel, so that channel c at
+    /// position p is number `c * positions + p`.
+    pub positions: u32,
+}
+
+impl Compartments {
+    /// Those of a population, unless it is an input.
+    #[must_use]
+    pub fn in_population(population: &Population) -> Option<Self> {
+        let (count, positions) = (population.shape.len(), population.shape.positions());
+        population.first_compartment().map(|first| Compartments { first, count, positions })
+    }
+}
+
 /// What the parts of a [`Program`] are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Parts {
@@ -289,8 +310,8 @@ pub struct Parts {
     pub channels: Csr<AxonTarget>,
     /// Where each compartment of the network sits.
     pub seats: IdVec<CompartmentId, Seat>,
-    /// First compartment and number of compartments of each population; `None` for inputs.
-    pub populations: IdVec<PopulationId, Option<(CompartmentId, u32)>>,
+    /// The compartments of each population; `None` for inputs.
+    pub populations: IdVec<PopulationId, Option<Compartments>>,
     /// Sources of graded spikes, ascending; all others send binary spikes.
     pub graded: Vec<Graded>,
     /// The population whose spikes decide.
@@ -435,6 +456,23 @@ impl Program {
         &self.parts.cores
     }
 
+    /// The core that is the first to hold a core's tables and formats, by core; most often itself.
+    #[must_use]
+    pub fn first_with_tables(&self) -> IdVec<CoreId, CoreId> {
+        let mut known: HashMap<(usize, &[CoreFormat]), CoreId> = HashMap::new();
+        let mut firsts = IdVec::new();
+        for (core, image) in self.parts.cores.enumerate() {
+            firsts.push(*known.entry((image.inputs.address(), &image.formats)).or_insert(core));
+        }
+        firsts
+    }
+
+    /// The cores that are the first to hold their tables and formats.
+    pub fn cores_with_own_tables(&self) -> impl Iterator<Item = &CoreImage> {
+        let firsts = self.first_with_tables();
+        self.parts.cores.enumerate().filter(move |(core, _)| firsts[*core] == *core).map(|(_, image)| image)
+    }
+
     /// Where each compartment of the network sits.
     #[must_use]
     pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {
@@ -459,7 +497,8 @@ impl Program {
     /// Never: the constructor has checked it.
     #[must_use]
     pub fn output(&self) -> (CompartmentId, u32) {
-        self.parts.populations[self.parts.output].expect("checked by the constructor")
+        let output = self.parts.populations[self.parts.output].expect("checked by the constructor");
+        (output.first, output.count)
     }
 
     /// Number of compartments.

@@ -151,7 +151,7 @@ impl Export<'_> {
         }
         let leads = self.leads();
         for image in self.program().cores() {
-            for compartment in &image.compartments {
+            for compartment in image.compartments.iter() {
                 if compartment.start_step > 0 {
                     return Err(refused("that a population is held at zero before a step (start_step)"));
                 }

@@ -76,7 +76,8 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("a compartment too many", |p, d| {
         let (core, slot) = compartment(p, d);
         let image = &mut p.cores[core];
-        image.compartments.push(image.compartments[slot]);
+        let again = image.compartments[slot];
+        image.compartments.push(again);
         Some(NotClosed)
     }),
     ("a compartment too few", |p, d| {
@@ -435,7 +436,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("size of a population", |p, d| {
         let count = p.populations.len() as i64;
         let population = p.populations[PopulationId::new(d.from(0, count - 1) as usize)].as_mut()?;
-        population.1 += 1;
+        population.count += 1;
         Some(Verified)
     }),
     ("semantics", |p, d| {

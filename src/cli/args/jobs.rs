@@ -303,9 +303,9 @@ pub fn compiled(
             compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))
         }
         None => {
-            Form::require_written("running it on cores", front.quantised(), options.copies)?;
-            let mapped = mapped(front, target, options, &Rates::assumed(DEFAULT_RATE), Form::Written);
-            mapped.and_then(Mapping::into_compiled)
+            let form = Form::for_network(front.quantised(), options.copies);
+            let mapped = mapped(front, target, options, &Rates::assumed(DEFAULT_RATE), form);
+            mapped.and_then(|mapping| compile::with_program(mapping, target))
         }
     })
 }

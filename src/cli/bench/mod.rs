@@ -83,8 +83,8 @@ fn case(name: &str) -> Result<SuiteCase, String> {
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct StepArgs {
-    /// Only these networks: vtsnn-1pct, vtsnn-5pct, random-32k, random-1m, silent-1m [default: all; mapping the last two
-    /// takes a minute and 4 GiB]
+    /// Only these networks, for example vtsnn-1pct, random-32k, conv-98k [default: all; those of a million compartments and
+    /// more take a minute and 4 GiB to be mapped]
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = standard)]
     network: Vec<StandardNetwork>,
     /// Seconds of measurement per row, without set-up

@@ -33,7 +33,7 @@ use rayon::prelude::*;
 use crate::base::fixed::{Delay, SignMode};
 use crate::base::id::{ChannelId, CompartmentId, Id, PopulationId};
 use crate::compile::check::repeats::{self, messages_of};
-use crate::ir::program::{AxonTarget, Compartment, Program};
+use crate::ir::program::{AxonTarget, Compartment, Compartments, Program};
 use crate::ir::quantised::{Population, Projection, Quantised, SynapseFormat, Units};
 
 /// Synapses of the sources that are decoded together, on average: they should stay in a processor's cache.
@@ -134,7 +134,7 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
 
 fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
     let (meant, found) = (network.parts(), program.parts());
-    let populations = network.populations().iter().map(|p| p.first_compartment().map(|first| (first, p.shape.len())));
+    let populations = network.populations().iter().map(Compartments::in_population);
     let rules = [
         (program.channels() == network.channels(), "number of input channels"),
         (program.compartments() == network.compartments(), "number of compartments"),

@@ -1,5 +1,6 @@
 //! A program written out: routes, axon tables, synapse words.
 
+pub mod boxes;
 pub mod route;
 pub mod sample;
 #[cfg(test)]

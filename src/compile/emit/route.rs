@@ -27,7 +27,8 @@ use crate::desc::resource::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::program::{
-    AxonTarget, Compartment, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon, Program, Stored, Synapse,
+    AxonTarget, Compartment, Compartments, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon, Program,
+    Stored, Synapse,
 };
 use crate::ir::quantised::{Population, Quantised, Units};
 
@@ -85,6 +86,20 @@ pub fn route(
         cores.push(image);
         sources.push(of_core);
     }
+    assemble(network, partition, placement, (cores, sources))
+}
+
+/// The program of these cores, in order, each with the source of each of its input axons.
+///
+/// # Errors
+/// As [`route`].
+pub(super) fn assemble(
+    network: &Quantised,
+    partition: &Partition,
+    placement: &Placement,
+    (mut cores, sources): (Vec<CoreImage>, Vec<Vec<u32>>),
+) -> Result<Program, String> {
+    let (channels, compartments) = (network.channels(), network.compartments());
     let messages = messages(&sources, channels, compartments);
     drop(sources);
     cores.par_iter_mut().for_each(|image| {
@@ -94,11 +109,7 @@ pub fn route(
         }
         image.axons_out.shrink_to_fit();
     });
-    let populations = network
-        .populations()
-        .iter()
-        .map(|population| population.first_compartment().map(|first| (first, population.shape.len())))
-        .collect();
+    let populations = network.populations().iter().map(Compartments::in_population).collect();
     let parts = network.parts();
     Program::new(Parts {
         mesh: *placement.mesh(),
@@ -156,7 +167,7 @@ impl<'a> Tables<'a> {
             .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
         let image = CoreImage {
             site: self.placement.site(core),
-            compartments: compartments(self.network, held),
+            compartments: compartments(self.network, held).into(),
             ids: held.clone(),
             formats,
             inputs: inputs.into(),
@@ -167,7 +178,7 @@ impl<'a> Tables<'a> {
 }
 
 /// Parameters of compartments in slot order.
-fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
+pub(super) fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
     let mut known = None;
     held.iter()
         .filter_map(|&id| {

@@ -4,6 +4,8 @@ use crate::base::fixed::SignMode;
 use crate::base::id::CoreId;
 use crate::base::rng;
 use crate::compile::check::sampled;
+use crate::compile::emit::boxes::route_boxes;
+use crate::compile::emit::route::route;
 use crate::compile::emit::sample::{SampledCore, sample};
 use crate::compile::explore::box_costs::PlacedBoxes;
 use crate::compile::explore::cost_estimate::{Score, score_at};
@@ -439,4 +441,24 @@ fn profiles_make_boxes_smaller() {
         seen += 1;
     }
     assert!(seen > 3, "{seen} networks have several profiles");
+}
+
+/// What is written once for all boxes of a pattern is what each of them stores, and its sources are where they would be.
+#[test]
+fn programs_of_boxes_are_those_written_synapse_by_synapse() {
+    let (mut alike, mut cores) = (0, 0);
+    for seed in 0..120 {
+        let network = layered(seed);
+        let most = [12, 40, 1024][seed as usize % 3];
+        let board = target(8, 8, limits().with(Resource::Compartments, most));
+        let Ok(mapping) = symbolic(network, &board, &Options::default()) else { continue };
+        let Mapping { quantised: all, partition, placement, .. } = &mapping;
+        let meant = route(all, partition, placement, 1, board.limits()).unwrap();
+        let (written, sample) = route_boxes(all, partition, placement, board.limits()).unwrap();
+        assert!(written == meant, "seed {seed}");
+        (alike, cores) = (alike + partition.cores() - sample.len(), cores + partition.cores());
+        let compiled = with_program(mapping, &board).unwrap();
+        assert!(compiled.program == meant, "seed {seed}");
+    }
+    assert!(alike > 1_000 && cores > 2_000, "{alike} of {cores} cores are written as others are");
 }

@@ -81,6 +81,25 @@ impl WindowAxis {
         first.min(end) as u32..end as u32
     }
 
+    /// The first source that reaches a part of the targets, and what each of them reaches of it, by its distance from the
+    /// first; parts with equal patterns differ by a shift of all sources.
+    #[must_use]
+    pub fn pattern(self, part: &Range<u32>) -> (u32, Vec<(u32, ReceptiveField)>) {
+        let (mut first, mut pattern) = (0, Vec::new());
+        for source in self.under(part) {
+            let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
+            let field: ReceptiveField = inside.map(|(at, k)| ((at - part.start) as u16, k)).collect();
+            if field.is_empty() {
+                continue;
+            }
+            if pattern.is_empty() {
+                first = source;
+            }
+            pattern.push((source - first, field));
+        }
+        (first, pattern)
+    }
+
     /// What sources reach of a part, and how many sources reach the same.
     #[must_use]
     pub fn fields(self, part: &Range<u32>) -> Vec<(ReceptiveField, u64)> {

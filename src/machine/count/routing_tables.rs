@@ -57,6 +57,8 @@ pub(crate) struct Selected<'p> {
     pub source: u32,
     /// The core.
     pub core: CoreId,
+    /// The input axon.
+    pub axon: u16,
     /// The stored list.
     pub list: usize,
     /// Formats of the core.
@@ -130,7 +132,7 @@ impl<'p> RoutingTables<'p> {
         for Message { source, target, list, at, count, base } in messages.drain(..) {
             let core = &self.cores[target.core.index()];
             let (formats, stored) = (core.formats, &core.synapses[at..at + count]);
-            each(Selected { source, core: target.core, list, formats, base, stored });
+            each(Selected { source, core: target.core, axon: target.axon, list, formats, base, stored });
         }
     }
 }

@@ -19,7 +19,7 @@ use crate::machine::count::routing_tables::{RoutingTables, Selected};
 /// The longest delay field of a program's synapses.
 #[must_use]
 pub fn longest_delay(program: &Program) -> u32 {
-    let synapses = program.cores().iter().flat_map(|image| image.inputs.lists.items());
+    let synapses = program.cores_with_own_tables().flat_map(|image| image.inputs.lists.items());
     synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
 }
 
@@ -77,7 +77,9 @@ impl ListKinds {
 pub struct Tally<'p> {
     program: &'p Program,
     longest_delay: u32,
-    kinds: IdVec<CoreId, ListKinds>,
+    /// By core with tables of its own.
+    kinds: Vec<ListKinds>,
+    kind_of: IdVec<CoreId, u32>,
     sites: IdVec<CoreId, Site>,
     tables: RoutingTables<'p>,
 }
@@ -86,9 +88,23 @@ impl<'p> Tally<'p> {
     /// The counts of a program.
     #[must_use]
     pub fn new(program: &'p Program) -> Self {
-        let kinds = program.cores().iter().map(ListKinds::new).collect();
+        let kinds: Vec<ListKinds> = program.cores_with_own_tables().map(ListKinds::new).collect();
+        let (firsts, mut own) = (program.first_with_tables(), 0);
+        let mut kind_of: IdVec<CoreId, u32> = IdVec::new();
+        for (core, &first) in firsts.enumerate() {
+            let kind = if first == core { own } else { kind_of[first] };
+            own += u32::from(first == core);
+            kind_of.push(kind);
+        }
         let sites = program.cores().iter().map(|image| image.site).collect();
-        Tally { program, longest_delay: longest_delay(program), kinds, sites, tables: RoutingTables::new(program) }
+        Tally {
+            program,
+            longest_delay: longest_delay(program),
+            kinds,
+            kind_of,
+            sites,
+            tables: RoutingTables::new(program),
+        }
     }
 
     /// The longest delay field.
@@ -102,7 +118,7 @@ impl<'p> Tally<'p> {
     pub fn bytes(&self) -> usize {
         let of = |kinds: &ListKinds| if let ListKinds::Both(dense) = kinds { size_of_val(dense.as_slice()) } else { 0 };
         let kinds: usize = self.kinds.iter().map(|kinds| size_of::<ListKinds>() + of(kinds)).sum();
-        kinds + size_of::<Site>() * self.sites.len() + self.tables.bytes()
+        kinds + 4 * self.kind_of.len() + size_of::<Site>() * self.sites.len() + self.tables.bytes()
     }
 
     /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
@@ -114,7 +130,11 @@ impl<'p> Tally<'p> {
         formats: &[CoreFormat],
         reach: u32,
     ) -> (u64, u64) {
-        let known = if reach > self.longest_delay { self.kinds[core].split(list, stored.len() as u64) } else { None };
+        let known = if reach > self.longest_delay {
+            self.kinds[self.kind_of[core] as usize].split(list, stored.len() as u64)
+        } else {
+            None
+        };
         known.unwrap_or_else(|| counted(stored, formats, reach))
     }
 

@@ -6,11 +6,13 @@
 use crate::ir::spikes::Spike;
 use crate::machine::bits::ones;
 use crate::machine::deliver::accumulate::Accumulate;
+use crate::machine::deliver::prefetch::prefetch;
 use crate::machine::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
 use crate::machine::layout::fan_out::FanOut;
 use crate::machine::layout::lists::{ADDRESSED, ListForm, ListTable};
 use crate::machine::layout::shard::SKIP_BLOCK;
 use crate::machine::layout::store::Aligned;
+use crate::machine::layout::weight_rows::{RowPlace, RowTable, UNCHECKED};
 use crate::machine::update::kernel::{LANES, Sum};
 
 /// Arrivals of the coming steps, a slot each.
@@ -24,21 +26,25 @@ pub(crate) struct DelayRing<S> {
     pub arrivals: Vec<Vec<u64>>,
     /// Scratch memory.
     queue: Vec<u32>,
+    row_queue: Vec<RowPlace>,
 }
 
 impl<S: Sum> DelayRing<S> {
     /// An empty ring of so many lanes, slots, and words of skip blocks; `compact` if a list of the shard is.
     pub fn new(lanes: usize, compact: bool, words: usize, slots: usize) -> Self {
         // What lies beyond the lanes is untouched pages, which the OS never commits.
-        let sums = if compact { lanes.max(ADDRESSED) } else { lanes };
+        // The last chunk of a row may reach beyond them too, where it adds zeros.
+        let sums = if compact { (lanes + LANES).max(ADDRESSED) } else { lanes + LANES };
         let sums = (0..slots).map(|_| Aligned::new(sums)).collect();
-        DelayRing { lanes, sums, arrivals: vec![vec![0; words]; slots], queue: Vec::new() }
+        DelayRing { lanes, sums, arrivals: vec![vec![0; words]; slots], queue: Vec::new(), row_queue: Vec::new() }
     }
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
         let slot_bytes = |words: &Vec<u64>| size_of::<S>() * self.lanes + size_of_val(words.as_slice());
-        self.arrivals.iter().map(slot_bytes).sum::<usize>() + 4 * self.queue.capacity()
+        self.arrivals.iter().map(slot_bytes).sum::<usize>()
+            + 4 * self.queue.capacity()
+            + size_of::<RowPlace>() * self.row_queue.capacity()
     }
 
     /// Empties the ring.
@@ -95,6 +101,9 @@ impl<S: Sum> DelayRing<S> {
             let mut synapses = 0;
             if !fan_out.dense.blocks.is_empty() {
                 synapses += self.deliver_dense::<MARK, P>(&fan_out.dense, (spikes, &mut *counts), slot);
+            }
+            if let Some(rows) = &fan_out.rows {
+                synapses += self.deliver_rows::<MARK, P>(rows, spikes, slot);
             }
             if let Some(lists) = &fan_out.lists {
                 synapses += self.deliver_lists::<MARK, P>(lists, spikes, slot);
@@ -210,6 +219,52 @@ impl<S: Sum> DelayRing<S> {
         delivered
     }
 
+    /// Adds the rows of weights of each spike.
+    #[inline(always)]
+    fn deliver_rows<const MARK: bool, P: Spike>(&mut self, table: &RowTable, spikes: &[P], slot: usize) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
+        let mut queue = std::mem::take(&mut self.row_queue);
+        let mut events = 0;
+        // A loop over the few rows of each spike would end in a mispredicted branch, so rows of many spikes are queued; graded
+        // spikes come one by one, as queued rows do not know theirs.
+        for spikes in spikes.chunks(if P::BINARY { QUEUED_SPIKES } else { 1 }) {
+            let (rows, synapses) = enqueue_rows(table, spikes, &mut queue);
+            events += synapses;
+            for place in &queue[..rows] {
+                self.add_row::<MARK, P>(table, *place, spikes[0].payload(), slot);
+            }
+        }
+        self.row_queue = queue;
+        events
+    }
+
+    #[inline(always)]
+    fn add_row<const MARK: bool, P: Spike>(
+        &mut self,
+        table: &RowTable,
+        place: RowPlace,
+        payload: P::Payload,
+        slot: usize,
+    ) where
+        S: Accumulate<P::Payload>,
+    {
+        let (lane, weights) = (place.lane as usize, table.rows.weights(place.row));
+        let end = lane + weights.len() * LANES;
+        let (sums, _) = self.sums[slot][lane..end].as_chunks_mut::<LANES>();
+        for (sums, weights) in sums.iter_mut().zip(weights) {
+            add_weights(std::array::from_mut(sums), std::array::from_ref(weights), payload);
+        }
+        if MARK {
+            // Zeros beyond the last lane may lie in a skip block that does not exist.
+            let last = (end - 1).min(self.lanes - 1);
+            for skip_block in lane / SKIP_BLOCK..=last / SKIP_BLOCK {
+                self.arrivals[slot][skip_block / 64] |= 1 << (skip_block % 64);
+            }
+        }
+    }
+
     #[inline(always)]
     fn deliver_lists<const MARK: bool, P: Spike>(&mut self, table: &ListTable, spikes: &[P], slot: usize) -> u64
     where
@@ -226,6 +281,39 @@ impl<S: Sum> DelayRing<S> {
             ListForm::Split(lists) => lists.deliver(places, spikes, add_to::<MARK, S, _>(sums, arrivals)),
         }
     }
+}
+
+/// Spikes whose rows are queued at a time.
+const QUEUED_SPIKES: usize = 512;
+
+/// Spikes between the prefetch of a source's rows and their use.
+const PREFETCH_SPIKES: usize = 16;
+
+/// Queues the rows of these spikes; returns their number and that of the synapses in them.
+#[inline(always)]
+fn enqueue_rows(table: &RowTable, spikes: &[impl Spike], queue: &mut Vec<RowPlace>) -> (usize, u64) {
+    let (mut end, mut events) = (0, 0);
+    for (index, spike) in spikes.iter().enumerate() {
+        if let Some(far) = spikes.get(index + 2 * PREFETCH_SPIKES) {
+            prefetch(&table.sources, far.source());
+        }
+        if let Some(near) = spikes.get(index + PREFETCH_SPIKES) {
+            prefetch(&table.places, table.sources[near.source()].first as usize);
+        }
+        let [source, next] = [0, 1].map(|after| table.sources[spike.source() + after]);
+        let (first, rows) = (source.first as usize, (next.first - source.first) as usize);
+        events += u64::from(source.synapses);
+        let room = end + rows.max(UNCHECKED);
+        if queue.len() < room {
+            queue.resize(2 * room, table.places[0]);
+        }
+        queue[end..end + UNCHECKED].copy_from_slice(&table.places[first..first + UNCHECKED]);
+        if rows > UNCHECKED {
+            queue[end + UNCHECKED..end + rows].copy_from_slice(&table.places[first + UNCHECKED..first + rows]);
+        }
+        end += rows;
+    }
+    (end, events)
 }
 
 /// Adds to a sum, and marks its skip block.
@@ -365,12 +453,13 @@ mod tests {
     use super::*;
     use crate::base::id::{ChannelId, Id};
     use crate::base::rng;
+    use crate::machine::layout::flatten::Flattened;
     use crate::machine::layout::lists::{LaneWeight, ListBuilder};
 
     fn flattened(sources: &[Vec<LaneWeight>], lanes: usize) -> FanOut {
         let mut builder = ListBuilder::new(lanes);
         sources.iter().for_each(|synapses| builder.append(&[synapses.len() as u32], synapses));
-        FanOut::new(1, builder, lanes).unwrap().unwrap()
+        FanOut::new(1, Flattened::lists(builder), &std::sync::Arc::default(), lanes).unwrap().unwrap()
     }
 
     /// Sums, marked skip blocks and numbers of synapses are those of adding one synapse after the other.

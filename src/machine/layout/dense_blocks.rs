@@ -206,8 +206,10 @@ mod tests {
     use super::*;
     use crate::base::rng;
     use crate::machine::layout::fan_out::FanOut;
+    use crate::machine::layout::flatten::Flattened;
     use crate::machine::layout::lists::{LaneWeight, ListBuilder};
     use std::collections::BTreeMap;
+    use std::sync::Arc;
 
     /// Checks that blocks and lists together hold each source's weights by lane and its number of synapses.
     /// Returns the dense blocks and the number of synapses in lists.
@@ -216,7 +218,9 @@ mod tests {
         for synapses in sources {
             builder.append(&[synapses.len() as u32], synapses);
         }
-        let Some(FanOut { dense: blocks, lists: table, .. }) = FanOut::new(0, builder, lanes).unwrap() else {
+        let Some(FanOut { dense: blocks, lists: table, .. }) =
+            FanOut::new(0, Flattened::lists(builder), &Arc::default(), lanes).unwrap()
+        else {
             panic!("no synapses")
         };
         assert!(blocks.blocks.is_sorted_by(|a, b| a.end <= b.first));

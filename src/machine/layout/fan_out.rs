@@ -1,17 +1,23 @@
 //! The synapses that the sources of one kind reach over one delay, in the form in which they are delivered.
 //!
-//! Input: synapses source after source ([`ListBuilder`]). Output: dense blocks, and lists of the rest.
+//! Input: rows and synapses source after source ([`Flattened`]). Output: the rows, dense blocks, and lists of the rest.
 //! Errors: more synapses than a list position can index.
 
+use std::sync::Arc;
+
 use crate::machine::layout::dense_blocks::{BlockWriter, DenseBlock, DenseBlocks};
-use crate::machine::layout::lists::{ListBuilder, ListTable};
+use crate::machine::layout::flatten::Flattened;
+use crate::machine::layout::lists::ListTable;
 use crate::machine::layout::planner::Planner;
+use crate::machine::layout::weight_rows::{RowTable, WeightRows};
 
 /// Synapses of one delay, from the channels or the compartments, into one shard.
 #[derive(Debug)]
 pub(crate) struct FanOut {
     /// Delay field.
     pub delay: u8,
+    /// Synapses in rows of weights.
+    pub rows: Option<RowTable>,
     /// Synapses in dense blocks.
     pub dense: DenseBlocks,
     /// The others.
@@ -22,27 +28,34 @@ impl FanOut {
     /// Chooses which of these synapses become dense; `None` when there are none. The shard has so many lanes.
     ///
     /// # Errors
-    /// As [`ListBuilder::finish`].
-    pub fn new(delay: u8, mut builder: ListBuilder, lanes: usize) -> Result<Option<Self>, usize> {
+    /// The number of synapses or rows, when positions do not fit.
+    pub fn new(
+        delay: u8,
+        Flattened { lists: mut builder, rows }: Flattened,
+        weights: &Arc<WeightRows>,
+        lanes: usize,
+    ) -> Result<Option<Self>, usize> {
         let mut planner = Planner::new(lanes);
         builder.each(|source, synapses| planner.take(source, synapses));
         let mut blocks = BlockWriter::new(planner.choose(), lanes);
         if !blocks.is_empty() {
             builder.retain(|source, lane, weight| !blocks.put(source, lane, weight));
         }
-        let (dense, lists) = (blocks.finish(), builder.finish()?);
-        Ok((lists.is_some() || !dense.blocks.is_empty()).then_some(FanOut { delay, dense, lists }))
+        let (rows, dense, lists) = (rows.finish(weights)?, blocks.finish(), builder.finish()?);
+        let any = rows.is_some() || lists.is_some() || !dense.blocks.is_empty();
+        Ok(any.then_some(FanOut { delay, rows, dense, lists }))
     }
 
     /// Whether one narrow dense block follows the other, from the first source to the last, and there is nothing else.
     pub fn is_narrow(&self, sources: u32) -> bool {
         let adjacent =
             |end: u32, block: &DenseBlock| Some(block.end).filter(|_| block.first == end && block.narrow().is_some());
-        self.lists.is_none() && self.dense.blocks.iter().try_fold(0, adjacent) == Some(sources)
+        self.rows.is_none() && self.lists.is_none() && self.dense.blocks.iter().try_fold(0, adjacent) == Some(sources)
     }
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        self.dense.bytes() + self.lists.as_ref().map_or(0, ListTable::bytes)
+        let rows = self.rows.as_ref().map_or(0, RowTable::bytes);
+        rows + self.dense.bytes() + self.lists.as_ref().map_or(0, ListTable::bytes)
     }
 }

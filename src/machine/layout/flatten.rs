@@ -1,7 +1,8 @@
 //! The synapses of each source, collected from the cores' tables and flattened to lanes and weights.
 //!
-//! Input: a [`Program`], and the lane of each compartment. Output: a [`ListBuilder`] for each shard and delay, source after source,
-//! synapses in the order of the source's messages and their lists. Threads take consecutive sources; their results are joined in
+//! Input: a [`Program`], and the lane of each compartment. Output: for each shard and delay, source after source, the rows of
+//! weights ([`RowBuilder`]) and the synapses that are in none ([`ListBuilder`]), in the order of the source's messages and their
+//! lists. Threads take consecutive sources; their results are joined in
 //! the order of sources.
 
 use std::ops::Range;
@@ -13,6 +14,7 @@ use crate::base::id::Id;
 use crate::ir::program::{CoreFormat, Program, Synapse};
 use crate::machine::count::routing_tables::RoutingTables;
 use crate::machine::layout::lists::{LaneWeight, ListBuilder};
+use crate::machine::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
 
 /// Sources that a thread takes at a time.
 const PIECE: u32 = 1_024;
@@ -26,6 +28,27 @@ struct Piece {
     counts: Vec<u32>,
     /// The synapses, source after source.
     synapses: Vec<LaneWeight>,
+    /// Rows of each source, and synapses in them.
+    row_counts: Vec<(u32, u32)>,
+    /// The rows, source after source.
+    rows: Vec<RowPlace>,
+}
+
+/// What the sources of one kind reach over one delay in one shard.
+#[derive(Debug)]
+pub(crate) struct Flattened {
+    /// Synapses.
+    pub lists: ListBuilder,
+    /// Rows of weights.
+    pub rows: RowBuilder,
+}
+
+#[cfg(test)]
+impl Flattened {
+    /// Of lists only.
+    pub fn lists(lists: ListBuilder) -> Self {
+        Flattened { lists, rows: RowBuilder::new() }
+    }
 }
 
 /// Flattens the tables of a program.
@@ -36,35 +59,50 @@ pub(crate) struct Flattener<'a> {
     slots: Vec<u32>,
     /// The lane of each slot, over all shards, core after core.
     lanes: Vec<u32>,
+    /// The same lanes, ascending within each core.
+    ascending: Vec<u32>,
     /// First lane of each shard, over all.
     bases: &'a [u32],
     /// Delay fields, ascending.
     delays: &'a [u8],
+    rows: &'a ProgramRows,
 }
 
 impl<'a> Flattener<'a> {
-    /// For the lane of each compartment over all shards, the first lane of each shard, and all delay fields, ascending.
-    pub fn new(program: &'a Program, lane_of: &[u32], bases: &'a [u32], delays: &'a [u8]) -> Self {
+    /// For the lane of each compartment over all shards, the first lane of each shard, all delay fields, ascending, and the
+    /// rows that lists consist of.
+    pub fn new(
+        program: &'a Program,
+        lane_of: &[u32],
+        (bases, delays): (&'a [u32], &'a [u8]),
+        rows: &'a ProgramRows,
+    ) -> Self {
         let (mut slots, mut lanes) = (Vec::new(), Vec::with_capacity(lane_of.len()));
         for image in program.cores() {
             slots.push(lanes.len() as u32);
             lanes.extend(image.ids.iter().map(|id| lane_of[id.index()]));
         }
-        Flattener { tables: RoutingTables::new(program), slots, lanes, bases, delays }
+        let mut ascending = lanes.clone();
+        for (first, end) in slots.iter().zip(slots.iter().skip(1).chain([&(lanes.len() as u32)])) {
+            ascending[*first as usize..*end as usize].sort_unstable();
+        }
+        Flattener { tables: RoutingTables::new(program), slots, lanes, ascending, bases, delays, rows }
     }
 
     /// The synapses of these sources, by shard, then by delay; the shards have so many lanes. Sources are numbered channels
     /// first.
-    pub fn flatten(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<ListBuilder> {
-        let builders = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| ListBuilder::new(lanes)));
-        let mut builders: Vec<ListBuilder> = builders.collect();
+    pub fn flatten(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Flattened> {
+        let empty = |lanes| Flattened { lists: ListBuilder::new(lanes), rows: RowBuilder::new() };
+        let builders = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| empty(lanes)));
+        let mut builders: Vec<Flattened> = builders.collect();
         let pieces: Vec<u32> = sources.clone().step_by(PIECE as usize).collect();
         for some in pieces.chunks(PIECES * rayon::current_num_threads()) {
             let piece = |&first: &u32| self.piece(first..sources.end.min(first.saturating_add(PIECE)));
             let pieces: Vec<Vec<Piece>> = some.par_iter().map(piece).collect();
             builders.par_iter_mut().enumerate().for_each(|(place, builder)| {
                 for piece in pieces.iter().map(|piece| &piece[place]) {
-                    builder.append(&piece.counts, &piece.synapses);
+                    builder.lists.append(&piece.counts, &piece.synapses);
+                    builder.rows.append(&piece.row_counts, &piece.rows);
                 }
             });
         }
@@ -76,19 +114,50 @@ impl<'a> Flattener<'a> {
         for (place, &delay) in self.delays.iter().enumerate() {
             place_of[usize::from(delay)] = place;
         }
-        let empty = || Piece { counts: vec![0; sources.len()], synapses: Vec::new() };
+        let none = sources.len();
+        let empty =
+            || Piece { counts: vec![0; none], synapses: Vec::new(), row_counts: vec![(0, 0); none], rows: Vec::new() };
         let mut pieces: Vec<Piece> = (0..self.bases.len() * self.delays.len()).map(|_| empty()).collect();
         self.tables.resolve(sources.clone(), |selected| {
-            let slots = self.slots[selected.core.index()] as usize + usize::from(selected.base);
+            let first_slot = self.slots[selected.core.index()] as usize;
+            let source = (selected.source - sources.start) as usize;
+            let rows = self.rows.of_axon(selected.core, selected.axon);
+            let lanes = |row: &AxonRow| {
+                let first = first_slot + usize::from(row.rank);
+                (self.ascending[first], self.ascending[first + usize::from(row.span) - 1])
+            };
+            // Rows need lanes side by side, in one shard.
+            let adjacent = |row: &AxonRow| {
+                let (first, last) = lanes(row);
+                last - first + 1 == u32::from(row.span) && self.shard(first) == self.shard(last)
+            };
+            if !rows.is_empty() && rows.iter().all(adjacent) {
+                for row in rows {
+                    let (lane, _) = lanes(row);
+                    let shard = self.shard(lane);
+                    let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(row.delay)]];
+                    let (rows, synapses) = &mut piece.row_counts[source];
+                    (*rows, *synapses) = (*rows + 1, *synapses + row.synapses);
+                    piece.rows.push(RowPlace { lane: lane - self.bases[shard], row: row.row });
+                }
+                return;
+            }
+            let slots = first_slot + usize::from(selected.base);
             for synapse in selected.stored {
                 let lane = self.lanes[slots + usize::from(synapse.slot)];
-                let shard = self.bases.partition_point(|&base| base <= lane) - 1;
+                let shard = self.shard(lane);
                 let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
-                piece.counts[(selected.source - sources.start) as usize] += 1;
+                piece.counts[source] += 1;
                 piece.synapses.push((lane - self.bases[shard], scaled_units(selected.formats, synapse) as i16));
             }
         });
         pieces
+    }
+
+    /// The shard of a lane.
+    #[inline]
+    fn shard(&self, lane: u32) -> usize {
+        self.bases.partition_point(|&base| base <= lane) - 1
     }
 }
 
@@ -109,7 +178,7 @@ mod tests {
     use crate::ir::partition::Seat;
     use crate::ir::placement::{Mesh, Site};
     use crate::ir::program::{
-        AxonTarget, Compartment, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Stored, Synapse,
+        AxonTarget, Compartment, Compartments, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Stored, Synapse,
     };
     use crate::ir::quantised::{Neuron, SynapseFormat};
     use crate::machine::layout::image::Image;
@@ -185,7 +254,7 @@ mod tests {
             };
             cores.push(CoreImage {
                 site: Site { chip: 0, x: core as u32, y: 0, core: 0 },
-                compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize],
+                compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize].into(),
                 ids,
                 formats: vec![format(0, Some(4)), format(3, None)],
                 inputs: inputs.into(),
@@ -199,7 +268,8 @@ mod tests {
             cores: cores.into(),
             channels,
             seats: seats.into(),
-            populations: vec![Some((CompartmentId(0), compartments as u32))].into(),
+            populations: vec![Some(Compartments { first: CompartmentId(0), count: compartments as u32, positions: 1 })]
+                .into(),
             graded: Vec::new(),
             output: PopulationId(0),
             semantics: Semantics::Hardware,
@@ -241,7 +311,8 @@ mod tests {
             assert_eq!(image.shards.len(), shards);
             let lanes: Vec<usize> = image.shards.iter().map(|shard| shard.lanes).collect();
             let delays = [0, 3, 17];
-            let flattener = Flattener::new(&program, &image.lanes, &image.bases, &delays);
+            let rows = ProgramRows::new(&program);
+            let flattener = Flattener::new(&program, &image.lanes, (&image.bases, &delays), &rows);
             let split = program.channels();
             for sources in [0..split, split..split + program.compartments()] {
                 let builders = flattener.flatten(sources.clone(), &lanes);
@@ -250,7 +321,10 @@ mod tests {
                 for (place, mut builder) in builders.into_iter().enumerate() {
                     let (shard, delay) = (place / delays.len(), delays[place % delays.len()]);
                     let mut lists = vec![Vec::new(); sources.len()];
-                    builder.retain(|source, lane, weight| {
+                    for (source, lane, weight) in builder.rows.synapses(&rows.rows) {
+                        lists[source].push((lane, weight));
+                    }
+                    builder.lists.retain(|source, lane, weight| {
                         lists[source as usize].push((lane, weight));
                         true
                     });

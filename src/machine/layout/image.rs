@@ -4,7 +4,9 @@
 //! synapses of every source (`fan_out`). Errors: [`ImageError`]. Counts are not taken from here but from the program (`tally`), so
 //! the layout cannot change them.
 //!
-//! Compartments are laid out in the order of cores and slots.
+//! Compartments are laid out core by core (`lane_order`).
+
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -16,7 +18,9 @@ use crate::machine::count::residual::Residual;
 use crate::machine::count::tally::Tally;
 use crate::machine::layout::fan_out::FanOut;
 use crate::machine::layout::flatten::{Flattener, scaled_units};
+use crate::machine::layout::lane_order::LaneOrder;
 use crate::machine::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun};
+use crate::machine::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::machine::update::kernel::{LANES, Shared};
 use crate::neuron::{self, Fields};
 
@@ -77,6 +81,8 @@ pub struct Image<'p> {
     pub(crate) residual: Residual,
     /// Skip blocks of all shards.
     pub(crate) skip_blocks: usize,
+    /// Rows of weights that sources share.
+    rows: Arc<WeightRows>,
 }
 
 impl<'p> Image<'p> {
@@ -106,6 +112,7 @@ impl<'p> Image<'p> {
             delivery_counts_channels: false,
             residual: Residual::default(),
             skip_blocks: 0,
+            rows: Arc::default(),
         };
         let blocks = image.lay_out();
         image.check_fan_in()?;
@@ -157,7 +164,12 @@ impl<'p> Image<'p> {
     pub fn bytes(&self) -> usize {
         let shards: usize = self.shards.iter().map(Shard::bytes).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
-        shards + fields + 4 * (self.lanes.len() + self.payloads.len()) + self.residual.bytes() + self.tally.bytes()
+        shards
+            + fields
+            + 4 * (self.lanes.len() + self.payloads.len())
+            + self.residual.bytes()
+            + self.tally.bytes()
+            + self.rows.bytes()
     }
 
     /// Lays compartments out in lanes over all shards and returns their blocks.
@@ -167,12 +179,14 @@ impl<'p> Image<'p> {
         let (mut blocks, mut lane) = (Vec::new(), 0u32);
         // Parameters and population of the last block, if it is updated as vectors.
         let mut last: Option<(u32, usize)> = None;
-        let firsts: Vec<CompartmentId> = parts.populations.iter().flatten().map(|(first, _)| *first).collect();
+        let order = LaneOrder::new(self.program);
         for (core, core_image) in parts.cores.enumerate() {
-            let field_of: Vec<u32> = core_image
-                .compartments
+            let slots = order.slots(core);
+            let ids: Vec<CompartmentId> = slots.iter().map(|&slot| core_image.ids[usize::from(slot)]).collect();
+            let field_of: Vec<u32> = slots
                 .iter()
-                .map(|compartment| {
+                .map(|&slot| {
+                    let compartment = core_image.compartments[usize::from(slot)];
                     *known.entry((compartment.neuron, compartment.start_step)).or_insert_with(|| {
                         let (neuron, start) = (compartment.neuron, compartment.start_step);
                         let fields = neuron::fields(&neuron, start, parts.semantics, parts.threshold);
@@ -183,12 +197,8 @@ impl<'p> Image<'p> {
                 })
                 .collect();
             // Weights of dense blocks are aligned when a population begins with a core block of its own.
-            let kind_of: Vec<(u32, usize)> = core_image
-                .ids
-                .iter()
-                .zip(&field_of)
-                .map(|(id, &f)| (f, firsts.partition_point(|first| first <= id)))
-                .collect();
+            let kind_of: Vec<(u32, usize)> =
+                ids.iter().zip(&field_of).map(|(&id, &f)| (f, order.population(id))).collect();
             let mut slot = 0;
             while slot < field_of.len() {
                 // Without padding between cores: it would be a third of a large network.
@@ -221,7 +231,7 @@ impl<'p> Image<'p> {
                 let starts = field_of[slot..slot + length].iter().map(|&f| self.fields[f as usize].start_step).min();
                 let length = length as u32;
                 blocks.push(CoreBlock { start: lane, length, core, fields, starts: starts.unwrap_or(0) });
-                for (offset, &compartment) in core_image.ids[slot..slot + length as usize].iter().enumerate() {
+                for (offset, &compartment) in ids[slot..slot + length as usize].iter().enumerate() {
                     self.lanes[compartment.index()] = lane + offset as u32;
                 }
                 lane += length;
@@ -248,7 +258,7 @@ impl<'p> Image<'p> {
         let factor = self.payloads.iter().map(|payload| u64::from(payload.unsigned_abs())).max().unwrap_or(1).max(1);
         let bits = if self.payloads.is_empty() { 31 } else { 63 };
         let mut most = 0;
-        for image in self.program.cores() {
+        for image in self.program.cores_with_own_tables() {
             let mut weight = vec![0u64; image.compartments.len()];
             for synapse in image.inputs.synapses() {
                 let units = scaled_units(&image.formats, &synapse).unsigned_abs();
@@ -346,9 +356,8 @@ impl<'p> Image<'p> {
 
     /// Lays out the synapses of all sources.
     fn connect(&mut self) -> Result<(), ImageError> {
-        let parts = self.program.parts();
         let mut delays: Vec<u8> = Vec::new();
-        for image in &parts.cores {
+        for image in self.program.cores_with_own_tables() {
             for synapse in image.inputs.lists.items() {
                 let delay = synapse.delay.get();
                 if !delays.contains(&delay) {
@@ -358,11 +367,16 @@ impl<'p> Image<'p> {
         }
         delays.sort_unstable();
         let lanes: Vec<usize> = self.shards.iter().map(|shard| shard.lanes).collect();
-        let flattener = Flattener::new(self.program, &self.lanes, &self.bases, &delays);
+        let rows = ProgramRows::new(self.program);
+        self.rows = Arc::clone(&rows.rows);
+        let flattener = Flattener::new(self.program, &self.lanes, (&self.bases, &delays), &rows);
         for (kind, sources) in [0..self.channels, self.channels..self.sources() as u32].into_iter().enumerate() {
             let builders = flattener.flatten(sources, &lanes).into_par_iter().enumerate();
             let fan_outs: Vec<_> = builders
-                .map(|(index, builder)| FanOut::new(delays[index % delays.len()], builder, lanes[index / delays.len()]))
+                .map(|(index, builder)| {
+                    let (delay, lanes) = (delays[index % delays.len()], lanes[index / delays.len()]);
+                    FanOut::new(delay, builder, &rows.rows, lanes)
+                })
                 .collect();
             let mut fan_outs = fan_outs.into_iter();
             for shard in &mut self.shards {
