@@ -1,11 +1,22 @@
-//! Tells the program which compiler built it: a measured time means little without.
+//! Tells the program which compiler built it: a measured time means little without. Deflates what pages embed.
 
+use std::io::Write;
+use std::path::Path;
 use std::process::Command;
 
-fn main() {
+const CHARTS: &str = "assets/echarts/echarts.min.js";
+
+fn main() -> std::io::Result<()> {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=RUSTC");
     let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let version = Command::new(rustc).arg("--version").output().ok().and_then(|out| String::from_utf8(out.stdout).ok());
     println!("cargo::rustc-env=NSIM_RUSTC={}", version.as_deref().map_or("rustc unknown", str::trim));
+    println!("cargo::rerun-if-changed={CHARTS}");
+    let out = std::env::var_os("OUT_DIR").unwrap_or_default();
+    let file = std::fs::File::create(Path::new(&out).join("echarts.min.js.deflate"))?;
+    let mut deflated = flate2::write::DeflateEncoder::new(file, flate2::Compression::best());
+    deflated.write_all(&std::fs::read(CHARTS)?)?;
+    deflated.finish()?;
+    Ok(())
 }

@@ -318,9 +318,9 @@ fn options_that_cannot_be_met_are_refused() {
     place.ends(&format!("nsim run ok.ron --input '{NOISE}' --threads 1000000"), &[2]);
     let output = place.ends("nsim --help > /dev/full", &[3]);
     assert!(!output.stderr.is_empty());
-    place.ends("nsim map ok.ron --svg p.png", &[2]);
+    place.ends("nsim map ok.ron --svg p.gif", &[2]);
     assert!(!place.path("p.png").exists());
-    for option in ["--svg", "-o"] {
+    for option in ["--plot", "-o"] {
         let error = place.object(&format!("nsim map ok.ron {option} -"), 2);
         assert_eq!(error["code"], "usage");
         let alone = place.ends(&format!("nsim map ok.ron {option} -"), &[0]);

@@ -28,16 +28,20 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 43] = [
+const WRITING: [Case; 47] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
-    case("map i/GEN.ron --svg m.svg", "a", "b"),
+    case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
-    case("map i/GEN.ron -o deep/er/m.ron --svg m.svg --pareto p.svg", "a", "b"),
+    case("map i/GEN.ron -o deep/er/m.ron --plot m.png --pareto p.pdf", "a", "b"),
     // These are large enough for the cache: what it holds is old or complete, and no fault in it is one of the command.
     case("map i/GEN.ron", "large-a", "large-b"),
     case("map i/GEN.ron -o m.ron", "large-a", "large-a"),
     case("map i/GEN.ron -o -", "a", "b"),
     case("map i/GEN.ron --svg -", "a", "b"),
+    case("plot raster i/GEN.ron --input scene:noise?samples=1&steps=9 -o r.svg", "a", "b"),
+    case("plot voltage i/GEN.ron --input i/labels.ron --probe o -o v.pdf", "a", "b"),
+    case("plot map i/GEN.ron -o m.png", "a", "b"),
+    case("plot agreement i/GEN.json -o a.svg", "agree-one", "agree-two"),
     case("export i/GEN.ron -o m.nir", "a", "b"),
     case("export i/GEN.ron -o m.nir --format csv", "w", "x"),
     case("import i/GEN.nir -o m.ron --format json", "w", "x"),
@@ -59,24 +63,24 @@ const WRITING: [Case; 43] = [
     case("train i/t.ron --seed GEN --log - -o m.ron", "1", "2"),
     case("train i/t.ron --study runs --seeds GEN", "1..3", "2..4"),
     case("train i/t.ron --study runs --seeds 1..2 --folds 2 --set weight_decay=GEN", "0", "0.01"),
-    case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --svg e.svg", "a", "b"),
+    case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --plot e.svg", "a", "b"),
     case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --export-sanafe s", "a", "b"),
     case("energy --calibrate i/GEN-table.ron --input scene:noise?samples=1&steps=9 -o c.ron", "a", "b"),
-    case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --svg g.svg", "a", "b"),
+    case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --plot-causes g.svg", "a", "b"),
     case("agree i/GEN.ron --input i/e.npy --against i/b.ron --plot g.svg", "a", "r"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --update page.md --force", "a", "b"),
     case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 -o m.ron", "r", "q"),
     case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 --update page.md --force --format json", "r", "q"),
     case("bench early i/GEN.ron --input i/labels.ron -o early", "a", "b"),
     case("bench early --study i/runs --input i/d -o GEN", "one", "two"),
-    case("bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --svg p.svg", "a", "b"),
+    case("bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --plot p.svg", "a", "b"),
     case(
         "bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --update page.md --force",
         "a",
         "b",
     ),
     case("run i/GEN.ron --mapping i/GEN-map.ron --input i/labels.ron --probe o.spikes -o p --format json", "a", "b"),
-    Case { arguments: "bench published --svg GEN.svg --preset GEN.ron", generations: ["one", "two"], slow: true },
+    Case { arguments: "bench published --plot GEN.svg --preset GEN.ron", generations: ["one", "two"], slow: true },
 ];
 
 /// Commands that only read.
@@ -231,6 +235,10 @@ fn prepare(i: &Path) {
     for name in ["one", "two"] {
         put(&format!("{name}.json"), format!("{{\"schema\": \"nsim.run/1\", \"model\": \"{name}\"}}").as_bytes());
     }
+    for (name, layer) in [("agree-one", "hidden"), ("agree-two", "out")] {
+        let layers = format!("[{{\"name\": \"{layer}\", \"coincidence\": 0.5}}]");
+        put(&format!("{name}.json"), format!("{{\"schema\": \"nsim.agree/1\", \"layers\": {layers}}}").as_bytes());
+    }
     let page = |mark: &str| format!("# A page\n<!-- {mark} x -->\nold\n<!-- end {mark} x -->\nmore\n");
     put("page.md", ["agree", "convert", "pareto"].map(page).concat().as_bytes());
     let here = i.parent().unwrap();
@@ -357,7 +365,8 @@ impl Expected {
         // checkpoints are files on their own, as are the runs of a study.
         let unfinished = there.contains_key("s/.nsim-unfinished") && !there.contains_key("s/dataset.ron");
         let apart = |name: &&str| {
-            [".svg", ".csv", ".st", ".md"].iter().any(|end| name.ends_with(end)) || name.starts_with("runs/")
+            [".svg", ".csv", ".st", ".md", ".png", ".pdf"].iter().any(|end| name.ends_with(end))
+                || name.starts_with("runs/")
         };
         if !self.line.contains("bench early") {
             olds.retain(|name| !apart(name));
@@ -482,8 +491,8 @@ fn every_option_that_writes_is_tried() {
         "--training",
     ];
     let commands = [
-        "map", "run", "energy", "report", "help", "agree", "convert", "scene", "train", "import", "export", "inspect",
-        "stress",
+        "map", "run", "energy", "plot", "report", "help", "agree", "convert", "scene", "train", "import", "export",
+        "inspect", "stress",
     ];
     let benches = ["step", "map", "early", "pareto", "published"].map(|name| format!("bench {name}"));
     for command in commands.map(str::to_string).iter().chain(&benches) {

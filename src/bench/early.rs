@@ -18,6 +18,8 @@ use crate::train::loss::class_of;
 pub struct Trial {
     /// Milliseconds of a timestep.
     pub timestep_ms: f64,
+    /// Share of the commonest class of the samples, which naming it always reaches.
+    pub chance: f64,
     /// Share of the samples that are right on the spikes up to each step.
     pub accuracy: Vec<f64>,
     /// Mean energy that one copy has spent up to the end of each step.
@@ -53,7 +55,8 @@ impl Trial {
             Some(*energy)
         };
         let energy_uj = spent_uj.iter().scan(0.0, so_far).collect();
-        let mut trial = Trial { timestep_ms, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
+        let chance = commonest(samples);
+        let mut trial = Trial { timestep_ms, chance, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
         let share = 1.0 / samples.len().max(1) as f64;
         for (index, (outcome, sample)) in outcomes.iter().zip(samples).enumerate() {
             let Some(label) = sample.label() else {
@@ -77,6 +80,14 @@ impl Trial {
         }
         Ok(trial)
     }
+}
+
+/// The share of the commonest label.
+fn commonest(samples: &[&Sample]) -> f64 {
+    let mut labels: Vec<u32> = samples.iter().filter_map(|sample| sample.label()).collect();
+    labels.sort_unstable();
+    let most = labels.chunk_by(|a, b| a == b).map(<[u32]>::len).max().unwrap_or(0);
+    most as f64 / labels.len().max(1) as f64
 }
 
 /// Models of one kind: the folds of a cross-validation, or a single one.

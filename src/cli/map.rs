@@ -30,7 +30,7 @@ EXAMPLES:
   nsim map wide.ron --relays                        with compartments that carry spikes on where output axons are few
   nsim map --objective latency --profile recordings.npy   short timesteps at the firing rates of these recordings
   nsim map --pareto front.svg                       cores, energy and time of several mappings, with the Pareto front
-  nsim map --copies 32 --svg board.svg              a picture of the chips in use
+  nsim map --copies 32 --plot board.svg             a picture of the chips in use
   nsim map model.ron --format json                  for scripts";
 
 /// Seconds, at most a day, in milliseconds.
@@ -73,11 +73,11 @@ pub struct MapArgs {
     #[arg(long, value_name = "SOURCE")]
     pub profile: Vec<String>,
     /// Compare several mappings and draw cores, energy and step time, with the Pareto front
-    #[arg(long, value_name = "FILE.svg", conflicts_with = "mapping")]
+    #[arg(long, value_name = "FILE.svg|png|pdf", conflicts_with = "mapping")]
     pub pareto: Option<PathBuf>,
     /// Draw the cores on their chips, what they hold, and the traffic of the links
-    #[arg(long, value_name = "FILE.svg")]
-    pub svg: Option<PathBuf>,
+    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    pub plot: Option<PathBuf>,
     /// Where to save the mapping
     #[arg(short, long)]
     pub output: Option<PathBuf>,
@@ -88,7 +88,7 @@ pub struct MapArgs {
 /// # Errors
 /// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
-    let pictures = [&args.svg, &args.pareto].into_iter().flatten();
+    let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
     let network = io::model::load_model(&args.job.model)?;
     let target = io::target::load_target(&args.job.target)?;
@@ -162,11 +162,11 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         if let Some(output) = &args.output {
             io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
         }
-        if let Some(path) = &args.svg {
-            io::write::text(path, context.force, &board::svg(mapped, target, &mapped.links()))?;
+        if let Some(path) = &args.plot {
+            output::write_picture(path, &board::svg(mapped, target, &mapped.links()), context)?;
         }
         if let Some(path) = &args.pareto {
-            io::write::text(path, context.force, &report::pareto_svg(model, &candidates))?;
+            output::write_picture(path, &report::pareto_svg(model, &candidates), context)?;
         }
     }
     // A file that goes to stdout goes there alone.

@@ -15,6 +15,7 @@ pub mod import;
 pub mod inspect;
 pub mod map;
 pub mod output;
+pub mod plot;
 pub mod probes;
 pub mod process;
 pub mod report;
@@ -80,6 +81,7 @@ enum Command {
     Run(run::Args),
     /// Estimate power, latency and energy of a network, and compare with other hardware
     Energy(energy::args::EnergyArgs),
+    Plot(plot::Args),
     Report(report::Args),
     Agree(agree::Args),
     Convert(convert::Args),
@@ -109,6 +111,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Map(args) => map::run(args, context),
         Command::Run(args) => run::run(args, context),
         Command::Energy(args) => energy::run(args, context),
+        Command::Plot(args) => plot::run(args, context),
         Command::Report(args) => report::run(args, context),
         Command::Agree(args) => agree::run(args, context),
         Command::Convert(args) => convert::run(args, context),

@@ -11,6 +11,7 @@ use crate::drive::samples::Progress;
 use crate::drive::warnings::Warning;
 use crate::error::Error;
 use crate::io;
+use crate::report::charts::picture::{ENDINGS, PictureFormat};
 use crate::report::text::{self, replaced};
 
 /// Checks the files that a command is to write, before it works: that they may be written, that pictures are named for
@@ -25,10 +26,7 @@ pub fn check_files<'a>(
 ) -> Result<bool, Error> {
     let pictures: Vec<&PathBuf> = pictures.into_iter().collect();
     for picture in &pictures {
-        let named = picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
-        if !named && !io::text::is_standard_stream(picture) {
-            return Err(Error::Usage(format!("{}: pictures are written as SVG; name it .svg", picture.display())));
-        }
+        picture_format(picture)?;
     }
     let all: Vec<&PathBuf> = files.into_iter().chain(pictures).collect();
     let on_stdout = all.iter().filter(|path| io::text::is_standard_stream(path)).count();
@@ -40,6 +38,35 @@ pub fn check_files<'a>(
     }
     io::write::check_all_free(all, context.force)?;
     Ok(on_stdout == 1)
+}
+
+/// What kind of file a picture is to be; SVG on stdout.
+fn picture_format(path: &Path) -> Result<PictureFormat, Error> {
+    if io::text::is_standard_stream(path) {
+        return Ok(PictureFormat::Svg);
+    }
+    let known = PictureFormat::from_name(path).ok_or_else(|| format!("name the picture {ENDINGS}"));
+    known
+        .and_then(|format| format.check().map(|()| format))
+        .map_err(|message| Error::Usage(format!("{}: {message}", path.display())))
+}
+
+/// The bytes of a picture for a file of this name.
+///
+/// # Errors
+/// [`Error::Usage`] for a name of another kind; a fault when it cannot be drawn.
+pub fn picture_bytes(path: &Path, svg: &str) -> Result<Vec<u8>, Error> {
+    let drawn = picture_format(path)?.bytes(svg);
+    drawn.map_err(|message| Error::Fault(format!("{}: {message}", path.display())))
+}
+
+/// Writes a picture as what its name says.
+///
+/// # Errors
+/// As [`picture_bytes`]; when the file cannot be written.
+pub fn write_picture(path: &Path, svg: &str, context: Context) -> Result<(), Error> {
+    let bytes = picture_bytes(path, svg)?;
+    Ok(io::write::file(path, context.force, |out| out.write_all(&bytes))?)
 }
 
 /// Prints a result in the format that is asked for.
@@ -132,7 +159,7 @@ pub fn update_section(
 ) -> Result<(), Error> {
     let beside = path.parent().unwrap_or(Path::new("")).join(picture);
     let changed = with_section(path, mark, section)?;
-    io::write::file(&beside, context.force, |out| out.write_all(svg.as_bytes()))?;
+    write_picture(&beside, svg, context)?;
     Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
 }
 

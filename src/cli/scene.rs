@@ -45,7 +45,7 @@ pub struct Args {
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
     /// Draw the spikes of one sample: taxels and pixels over time, with the onset
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg|png|pdf")]
     pub plot: Option<PathBuf>,
     /// The sample to draw [default: the first with an onset]
     #[arg(long, value_name = "N", requires = "plot")]
@@ -95,7 +95,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(path) = &args.plot {
         let with_onset = || facts.iter().position(|fact| fact.onset_ms.is_some()).unwrap_or(0) as u32;
         let sample = args.plot_sample.unwrap_or_else(with_onset);
-        write::text(path, context.force, &raster(&scene, &argument, sample).svg())?;
+        output::write_picture(path, &raster(&scene, &argument, sample).svg(), context)?;
     }
     if let Some(folder) = &args.output {
         warn_of_others(folder, &entries);

@@ -9,6 +9,7 @@ use crate::agree::compare::LayerRow;
 use crate::compile::frontend::analytic::Fit;
 use crate::convert::search::{ConversionScore, SearchResult};
 use crate::report::charts::plot::{self, Axis, Series};
+use crate::report::charts::results;
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -436,13 +437,6 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
 /// A bar chart of the causes, forward and reversed.
 #[must_use]
 pub fn bars(model: &str, attribution: &Attribution) -> String {
-    let causes: Vec<String> = attribution.shares.iter().map(|share| share.cause.name().to_string()).collect();
-    let of = |pick: fn(&Share) -> f64| attribution.shares.iter().map(pick).collect::<Vec<f64>>();
-    let series = [
-        ("forward".to_string(), of(|share| share.forward)),
-        ("reversed".to_string(), of(|share| share.reversed)),
-        ("mean".to_string(), of(|share| (share.forward + share.reversed) / 2.0)),
-    ];
-    let title = format!("{model}: what parts the machine from the trained network");
-    plot::bars(&title, &Axis::linear("added disagreement (1 - coincidence)"), &causes, &series)
+    let shares: Vec<Value> = attribution.shares.iter().map(AgreeReport::share_json).collect();
+    results::agreement(&json!({ "model": model, "attribution": shares })).unwrap_or_default()
 }

@@ -21,7 +21,7 @@ use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::CoreUsage;
 use crate::ir::pruned::Row as PrunedRow;
-use crate::report::charts::plot::{Axis, Series, chart};
+use crate::report::charts::results;
 
 /// Cores that a table shows before it is shortened, and the number shown at its beginning then.
 const LONGEST_TABLE: usize = 40;
@@ -192,17 +192,7 @@ pub fn pareto_text(found: &[Found]) -> String {
 /// Energy over step time of all candidates; the front is joined.
 #[must_use]
 pub fn pareto_svg(model: &str, found: &[Found]) -> String {
-    let front = front(found);
-    let point = |one: &Found| (one.score.step_us, one.score.energy_uj, format!("{} cores", one.score.cores));
-    let others: Vec<_> = found.iter().filter(|one| !front.iter().any(|f| std::ptr::eq(*f, *one))).map(point).collect();
-    let mut on_front: Vec<_> = front.into_iter().map(point).collect();
-    on_front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut series = vec![Series::Points { name: "front".to_string(), points: on_front, joined: true }];
-    if !others.is_empty() {
-        series.push(Series::Points { name: "other mappings".to_string(), points: others, joined: false });
-    }
-    let (x, y) = (Axis::linear("time of a mean step (us)"), Axis::linear("energy of a mean step (uJ)"));
-    chart(&format!("Mappings of {model}"), &x, &y, &series)
+    results::pareto(&json!({ "model": model, "pareto": pareto_json(found) })).unwrap_or_default()
 }
 
 /// What was pruned, an object a kind.

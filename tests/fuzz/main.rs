@@ -323,7 +323,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     let named = ["m.ron", "slip-tactile", "self.ron", input.as_str(), "absent"];
     let model = if draw.chance(60) { named[draw.below(2)] } else { named[draw.below(5)] }.to_string();
     let words = |line: &str| line.split(' ').map(str::to_string).collect::<Vec<_>>();
-    let out = ["-o out.ron", "--svg out.svg", "--pareto out.svg", "-q"];
+    let out = ["-o out.ron", "--plot out.png", "--pareto out.svg", "-q"];
     let mut arguments = match command {
         0 | 1 => [words("inspect"), vec![input]].concat(),
         2 => [words("import"), vec![input], words("-o out.ron")].concat(),
@@ -336,7 +336,25 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
         6 | 7 => [words("run"), vec![model], words("--input"), vec![source]].concat(),
         8 => [words("export"), vec![model], words("-o out.nir")].concat(),
         9 => [words("run"), vec![model], words("--engine golden --input"), vec![source]].concat(),
-        10 => match draw.below(4) {
+        10 => match draw.below(6) {
+            4 => {
+                let what = draw.one(&["raster", "voltage", "map", "time", "pareto"]);
+                let probe = draw.one(&["--probe p0", "--probe p0[0]", "--probe *", "--probe x[9]", "-q"]);
+                let line = format!("plot {what} -o out.png --samples 0..1 {probe} --input");
+                [words(&line), vec![source, model]].concat()
+            }
+            5 => {
+                let mut bytes = br#"{"schema": "nsim.bench/1", "name": "early", "rows": [{"name": "a", "models": 2, "chance": 0.5,
+                    "time_ms": [1, 2], "accuracy": [0, 1], "accuracy_sd": [0, 0.1], "energy_uj": [1, 9]}], "pareto": [{}]}"#
+                    .to_vec();
+                mutate(draw, &mut bytes);
+                std::fs::write(folder.join("r.json"), bytes).unwrap();
+                words(draw.one(&[
+                    "plot early r.json -o o.pdf",
+                    "plot pareto r.json -o o.svg",
+                    "plot early-energy r.json -o o.png",
+                ]))
+            }
             0 => [words("report"), vec![model], words("-o out.html --samples 0..1 --input"), vec![source]].concat(),
             1 => {
                 let mut bytes = br#"{"schema": "nsim.run/1", "model": "m", "populations": [{"name": "a"}]}"#.to_vec();
@@ -399,7 +417,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
             "--probe",
             "-o",
             "--steps",
-            "--svg",
+            "--plot",
             "--early-exit",
         ]);
         arguments.extend([

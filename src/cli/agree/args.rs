@@ -9,10 +9,10 @@ use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
+use crate::cli::output;
 use crate::compile::Compiled;
 use crate::drive::warnings::{Warning, warnings_of};
 use crate::error::Error;
-use crate::io;
 use crate::ir::spikes::Sample;
 use crate::report::agree::AgreeReport;
 
@@ -25,7 +25,7 @@ EXAMPLES:
   nsim agree srm.ron --against converted.ron             the trained network against a model file, on the same input
   nsim agree srm.ron --against converted.ron --against tuned.ron    several model files side by side
   nsim agree srm.ron --against converted.ron --plot first.svg    both potentials around the first spike that differs
-  nsim agree --require-class-agreement 0.99 --svg causes.svg";
+  nsim agree --require-class-agreement 0.99 --plot-causes causes.svg";
 
 /// Compare a trained network with its deployed form: spikes, potentials, classes, and the causes of differences
 #[derive(Debug, clap::Args)]
@@ -55,10 +55,10 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) attribution_samples: u32,
     /// Write a bar chart of the causes
-    #[arg(long, value_name = "FILE.svg")]
-    pub(super) svg: Option<PathBuf>,
+    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    pub(super) plot_causes: Option<PathBuf>,
     /// Draw both potentials around the first spike in which the two part
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg|png|pdf")]
     pub(super) plot: Option<PathBuf>,
     /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to it
     #[arg(long, value_name = "FILE.md")]
@@ -94,7 +94,7 @@ pub(super) fn deployed_warnings(deployed: &Compiled, samples: &[&Sample]) -> Res
 pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<(), Error> {
     let Some(path) = &args.plot else { return Ok(()) };
     match crate::report::agree::potentials(model, layers) {
-        Some(svg) => Ok(io::write::text(path, context.force, &svg)?),
+        Some(svg) => output::write_picture(path, &svg, context),
         None => {
             tracing::warn!("no spike parts whose potentials are known: {} is not written", path.display());
             Ok(())

@@ -36,7 +36,7 @@ use crate::report::agree::AgreeReport;
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let taken = output::check_files(None, args.svg.iter().chain(&args.plot), context)?;
+    let taken = output::check_files(None, args.plot_causes.iter().chain(&args.plot), context)?;
     if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
         return Err(Error::Usage("--require-class-agreement is a share between 0 and 1".to_string()));
     }
@@ -68,8 +68,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Err(other) => return Err(other.into()),
     };
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
-    if args.svg.is_some() && !attributed {
-        let message = "--svg draws the causes of disagreement, which --against srm or cuba has, with --attribution on";
+    if args.plot_causes.is_some() && !attributed {
+        let message =
+            "--plot-causes draws the causes of disagreement, which --against srm or cuba has, with --attribution on";
         return Err(Error::Usage(message.to_string()));
     }
     let program = &compiled.program;
@@ -84,9 +85,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         }
         false => None,
     };
-    if let (Some(path), Some(attribution)) = (&args.svg, &attribution) {
-        let svg = crate::report::agree::bars(&args.model, attribution);
-        io::write::file(path, context.force, |out| out.write_all(svg.as_bytes()))?;
+    if let (Some(path), Some(attribution)) = (&args.plot_causes, &attribution) {
+        let svg = crate::report::agree::bars(&graph.facts().name, attribution);
+        output::write_picture(path, &svg, context)?;
     }
     draw(args, &graph.facts().name, &agreement.layers, context)?;
     let report = AgreeReport {

@@ -164,8 +164,8 @@ pub(super) fn with_several(
     (stimulus, samples): (&Stimulus, &[&Sample]),
     context: Context,
 ) -> Result<Answer, Error> {
-    if args.plot.is_some() || args.svg.is_some() || args.update.is_some() {
-        let message = "--plot, --svg and --update show one comparison: give one --against";
+    if args.plot.is_some() || args.plot_causes.is_some() || args.update.is_some() {
+        let message = "--plot, --plot-causes and --update show one comparison: give one --against";
         return Err(Error::Usage(message.to_string()));
     }
     let all = match compared(args, (graph, integers), files, samples, context) {

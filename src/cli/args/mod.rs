@@ -4,5 +4,6 @@ pub mod conversion;
 pub mod input;
 pub mod jobs;
 pub mod prune;
+pub mod saved;
 pub mod steps;
 pub mod values;

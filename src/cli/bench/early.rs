@@ -123,7 +123,8 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
     let texts = [report.csv(), report.over_time(), report.over_energy()];
     let mut batch = io::write::Batch::new(context.force);
     for (path, text) in paths.iter().zip(texts) {
-        batch.add(path, |out| out.write_all(text.as_bytes()))?;
+        let bytes = if path.ends_with("early.csv") { text.into_bytes() } else { output::picture_bytes(path, &text)? };
+        batch.add(path, |out| out.write_all(&bytes))?;
     }
     batch.commit()?;
     output::print(context.format, || report.text(), || report.json(), || Ok(report.csv()))?;

@@ -21,7 +21,7 @@ use crate::report::bench::pareto::ParetoReport;
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench pareto                                          the shipped network on its shipped scene
-  nsim bench pareto container-tactile-srm --input dataset.ron --svg front.svg
+  nsim bench pareto container-tactile-srm --input dataset.ron --plot front.svg
   nsim bench pareto --update docs/benchmarks.md --force      replaces the section of this network and its picture";
 
 /// Run time against error: variants of one network (precision, bits, merged steps, early exit) on the same samples
@@ -42,8 +42,8 @@ pub struct ParetoArgs {
     #[arg(long, default_value = "nahuku-32")]
     target: String,
     /// Write a chart with the Pareto front
-    #[arg(long, value_name = "FILE.svg")]
-    svg: Option<PathBuf>,
+    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    plot: Option<PathBuf>,
     /// Replace the section `<!-- pareto MODEL -->` of this document, and write the chart next to it
     #[arg(long, value_name = "FILE.md")]
     update: Option<PathBuf>,
@@ -67,7 +67,7 @@ const CALIBRATION_SAMPLES: usize = 100;
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
-    let taken = output::check_files(None, &args.svg, context)?;
+    let taken = output::check_files(None, &args.plot, context)?;
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);
     let network = io::model::load_model(&args.model)?;
@@ -96,8 +96,8 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
         environment: &environment,
         rows: &rows,
     };
-    if let Some(path) = &args.svg {
-        io::write::file(path, context.force, |out| out.write_all(report.svg().as_bytes()))?;
+    if let Some(path) = &args.plot {
+        output::write_picture(path, &report.svg(), context)?;
     }
     if let Some(path) = &args.update {
         let picture = format!("pareto-{name}.svg");

@@ -17,7 +17,7 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench published                            every published figure, predicted with and without its own work
   nsim bench published --only vt-snn              of one work
-  nsim bench published --svg published.svg        published against predicted, with intervals
+  nsim bench published --plot published.pdf       published against predicted, with intervals
   nsim bench published --preset constants.ron     the median of the evidence, to be edited and used
   nsim bench published --format csv > rows.csv    a row a figure";
 
@@ -30,8 +30,8 @@ pub struct PublishedArgs {
     #[arg(long, value_name = "WORK")]
     only: Option<String>,
     /// Write a chart of published against predicted figures
-    #[arg(long, value_name = "FILE.svg")]
-    svg: Option<PathBuf>,
+    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    plot: Option<PathBuf>,
     /// Write the preset that all evidence comes to: the median of the findings of each constant
     #[arg(long, value_name = "FILE.ron")]
     preset: Option<PathBuf>,
@@ -51,7 +51,7 @@ impl From<PredictError> for Error {
 /// # Errors
 /// [`Error`] when no workload has the name, or the chart cannot be written.
 pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
-    io::write::check_all_free(args.svg.iter().chain(&args.preset), context.force)?;
+    let taken = output::check_files(&args.preset, &args.plot, context)?;
     let evidence = evidence::shipped()?;
     let base = io::target::load_constants(&evidence.base.value)?;
     let workloads = workload::shipped()?;
@@ -70,8 +70,9 @@ pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
     }
     let report = PublishedReport { rows: &rows };
     let mut batch = io::write::Batch::new(context.force);
-    if let Some(path) = &args.svg {
-        batch.add(path, |out| out.write_all(report.svg().as_bytes()))?;
+    if let Some(path) = &args.plot {
+        let picture = output::picture_bytes(path, &report.svg())?;
+        batch.add(path, |out| out.write_all(&picture))?;
     }
     if let Some(path) = &args.preset {
         let constants = preset(&evidence, &base, Accounting::Profiler);
@@ -79,6 +80,8 @@ pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
         batch.add(path, |out| out.write_all(text.as_bytes()))?;
     }
     batch.commit()?;
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    if !taken {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
     Ok(Answer::Yes)
 }

@@ -25,7 +25,7 @@ EXAMPLES:
   nsim energy --transport analytic                no queues: the longest route and the busiest link
   nsim energy --host none                         the chips alone, without what hands spikes over
   nsim energy --steps steps.csv                   a row a timestep: where spikes, time and energy go
-  nsim energy --svg energy.svg                    a chart of where the energy goes
+  nsim energy --plot energy.pdf                   a chart of where the energy goes
   nsim energy --copies 1 --export-sanafe DIR      the same program for SANA-FE
   nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
   nsim energy --calibrate vtsnn-realtime          a table that names nothing to fit is only compared
@@ -94,8 +94,8 @@ pub struct EnergyArgs {
     #[command(flatten)]
     pub cost: CostArgs,
     /// A chart of where the energy goes
-    #[arg(long, value_name = "FILE.svg")]
-    pub svg: Option<PathBuf>,
+    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    pub plot: Option<PathBuf>,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part
     #[arg(long, value_name = "FILE.csv|FILE.npy")]
     pub steps: Option<PathBuf>,

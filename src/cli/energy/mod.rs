@@ -29,13 +29,13 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     if !args.calibrate.is_empty() {
         return calibrate::run(args, context);
     }
-    let taken = output::check_files(None, &args.svg, context)?;
+    let taken = output::check_files(None, &args.plot, context)?;
     io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
     let reported = |workload: &Workload<'_>, evaluated: Evaluated| {
         let Evaluated { energy, run, deployment } = evaluated;
-        if let (Some(path), Some(svg)) = (&args.svg, energy.svg()) {
-            io::write::text(path, context.force, &svg)?;
+        if let (Some(path), Some(svg)) = (&args.plot, energy.svg()) {
+            output::write_picture(path, &svg, context)?;
         }
         if let Some(folder) = &args.export_sanafe {
             let Copies { copies, channels } = workload.shown();

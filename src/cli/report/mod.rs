@@ -5,12 +5,10 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
-
 use crate::agree::compare::{Side, compare_networks, machine_trace, output_layer, real_trace};
 use crate::agree::ladder::layers;
-use crate::base::diagnostic::Diagnostic;
 use crate::base::id::CompartmentId;
+use crate::cli::args::saved;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
@@ -75,8 +73,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(format!("{}: a page is HTML; name it .html", args.output.display())));
     }
     io::write::check_all_free([&args.output], context.force)?;
-    if is_result(&args.cost.job.model) {
-        return saved(args, context);
+    if saved::is_result(&args.cost.job.model) {
+        return saved_results(args, context);
     }
     if let Some(other) = &args.other {
         return Err(Error::Usage(format!(
@@ -87,24 +85,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     evaluate(&args.cost, None, context, |workload, evaluated| page(args, workload, &evaluated, context))
 }
 
-fn is_result(name: &str) -> bool {
-    Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
-}
-
 /// A page of one or two results that were saved.
-fn saved(args: &Args, context: Context) -> Result<Answer, Error> {
+fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
     let (mut results, mut origins) = (Vec::new(), Vec::new());
     for path in [Some(Path::new(&args.cost.job.model)), args.other.as_deref()].into_iter().flatten() {
-        let text = io::text::read_text(path)?;
-        let wrong = |message: String| {
-            let help = "give what nsim energy or nsim run printed with --format json";
-            Error::Input(Diagnostic::new("report.result", message).in_file(path).help(help).into())
-        };
-        let result: Value = serde_json::from_str(text.text()).map_err(|error| wrong(format!("no JSON: {error}")))?;
-        let schema = result["schema"].as_str().unwrap_or_default();
-        if !["nsim.energy/1", "nsim.run/1"].contains(&schema) {
-            return Err(wrong(format!("holds '{schema}', not nsim.energy/1 or nsim.run/1")));
-        }
+        let help = "give what nsim energy or nsim run printed with --format json";
+        let (result, text) = saved::read(path, &["nsim.energy/1", "nsim.run/1"], help)?;
         origins.push(origin("result", &path.display().to_string(), text.text().as_bytes()));
         results.push(result);
     }

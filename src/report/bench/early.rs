@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::bench::early::{Trial, TrialGroup};
-use crate::report::charts::plot::{Axis, Series, chart};
+use crate::report::charts::results::{Over, early};
 use crate::report::text::{Column, four, or_empty, table_of};
 use crate::report::train::mean_sd;
 
@@ -50,6 +50,11 @@ impl TrialGroup {
         Some((mean_sd(&means).0, *means.get(means.len() / 2)?))
     }
 
+    /// What naming the commonest class of the samples reaches, in the mean of the models.
+    fn chance(&self) -> f64 {
+        mean_sd(&self.trials.iter().map(|trial| trial.chance).collect::<Vec<_>>()).0
+    }
+
     /// Mean accuracy over all steps: the area under the curve, which grows when decisions come earlier.
     fn area(&self) -> f64 {
         mean_sd(&self.points().iter().map(|point| point.accuracy.0).collect::<Vec<_>>()).0
@@ -67,6 +72,7 @@ impl EarlyReport<'_> {
             json!({
                 "name": group.name,
                 "models": group.trials.len(),
+                "chance": group.chance(),
                 "right_for_good_ms": group.decided_ms().map(|(mean, median)| json!({ "mean": mean, "median": median })),
                 "mean_accuracy_over_time": group.area(),
                 "time_ms": column(&|p| p.time_ms),
@@ -103,37 +109,16 @@ impl EarlyReport<'_> {
         out
     }
 
-    fn lines(&self, x: fn(&Point) -> f64) -> Vec<Series> {
-        let line = |group: &TrialGroup| {
-            let points = group.points();
-            let band = match group.trials.len() {
-                1 => Vec::new(),
-                _ => points
-                    .iter()
-                    .map(|p| ((p.accuracy.0 - p.accuracy.1).max(0.0), (p.accuracy.0 + p.accuracy.1).min(1.0)))
-                    .collect(),
-            };
-            Series::Line {
-                name: group.name.clone(),
-                points: points.iter().map(|p| (x(p), p.accuracy.0)).collect(),
-                band,
-            }
-        };
-        self.groups.iter().map(line).collect()
-    }
-
     /// Accuracy over time; the band is one standard deviation over the models of a group.
     #[must_use]
     pub fn over_time(&self) -> String {
-        let axes = (Axis::linear("time into the sample, ms"), Axis::linear("accuracy on the spikes so far"));
-        chart("Accuracy over time", &axes.0, &axes.1, &self.lines(|p| p.time_ms))
+        early(&self.json(), Over::Time).unwrap_or_default()
     }
 
     /// Accuracy over the energy that one copy has spent.
     #[must_use]
     pub fn over_energy(&self) -> String {
-        let axes = (Axis::linear("energy of one copy so far, uJ"), Axis::linear("accuracy on the spikes so far"));
-        chart("Accuracy over energy", &axes.0, &axes.1, &self.lines(|p| p.energy_uj.0))
+        early(&self.json(), Over::Energy).unwrap_or_default()
     }
 
     /// For people.
@@ -169,6 +154,7 @@ mod tests {
     fn models_of_a_group_are_one_line_with_a_band() {
         let trial = |late: f64| Trial {
             timestep_ms: 2.0,
+            chance: 0.5,
             accuracy: vec![0.5, 1.0 - late],
             energy_uj: vec![1.0, 2.0],
             decided_ms: vec![Some(2.0 + late), None],
@@ -180,8 +166,9 @@ mod tests {
         assert_eq!((&row["time_ms"], &row["energy_uj"]), (&json!([2.0, 4.0]), &json!([1.0, 2.0])));
         assert_eq!((&row["accuracy"][1], &row["right_for_good_ms"]["median"]), (&json!(0.75), &json!(2.25)));
         assert_eq!(report.csv().lines().count(), 3);
-        let Series::Line { points, band, .. } = &report.lines(|p| p.time_ms)[0] else { panic!() };
-        assert_eq!((points[1], band.len()), ((4.0, 0.75), 2));
-        assert!(report.over_time().starts_with("<svg") && report.text().contains("0.7500"));
+        assert_eq!((&row["accuracy_sd"][0], &row["chance"]), (&json!(0.0), &json!(0.5)));
+        let picture = report.over_time();
+        assert!(picture.starts_with("<svg") && picture.contains("<polygon") && picture.contains("chance (0.500)"));
+        assert!(report.text().contains("0.7500"));
     }
 }

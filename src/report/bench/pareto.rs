@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::bench::Environment;
 use crate::bench::pareto::VariantRow;
-use crate::report::charts::plot::{self, Axis, Series};
+use crate::report::charts::results;
 use crate::report::text::{Column, csv_of, four, markdown_of, or_empty, table_of};
 
 /// Everything that the report says.
@@ -109,21 +109,7 @@ impl ParetoReport<'_> {
     /// Run time against error, with the front.
     #[must_use]
     pub fn svg(&self) -> String {
-        // Nothing is exactly at the reference on an axis of factors: what is nearer than this is drawn here.
-        const NEAREST: f64 = 1e-4;
-        let point = |row: &VariantRow| (row.us_per_timestep, (1.0 - row.coincidence).max(NEAREST), row.variant.name());
-        let pick = |on_front: bool| self.rows.iter().filter(|row| row.on_front == on_front).map(point).collect();
-        let series = [
-            Series::Points { name: "on the front".to_string(), points: pick(true), joined: true },
-            Series::Points { name: "behind it".to_string(), points: pick(false), joined: false },
-        ];
-        let title = format!("{}: run time against error", self.model);
-        plot::chart(
-            &title,
-            &Axis::log("microseconds a timestep"),
-            &Axis::log("1 - coincidence (0.0001: none)"),
-            &series,
-        )
+        results::pareto(&self.json()).unwrap_or_default()
     }
 }
 

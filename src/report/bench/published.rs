@@ -123,17 +123,13 @@ impl PublishedReport<'_> {
         let (low, high) = ends.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), x| (low.min(x), high.max(x)));
         let equal = vec![(low, low), (high, high)];
         let mut series = vec![Series::Line { name: "equal".to_string(), points: equal, band: Vec::new() }];
+        series.push(Series::Intervals {
+            name: "90 % interval".to_string(),
+            points: own.iter().map(|row| (row.published, row.predicted.low, row.predicted.high)).collect(),
+        });
         series.push(Series::Points {
             name: "predicted, its work left out".to_string(),
             points: own.iter().map(|row| (row.published, row.predicted.value, String::new())).collect(),
-            joined: false,
-        });
-        series.push(Series::Points {
-            name: "ends of the interval".to_string(),
-            points: own
-                .iter()
-                .flat_map(|row| [row.predicted.low, row.predicted.high].map(|end| (row.published, end, String::new())))
-                .collect(),
             joined: false,
         });
         plot::chart("published and predicted (mW, us, nJ)", &Axis::log("published"), &Axis::log("predicted"), &series)

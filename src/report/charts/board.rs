@@ -13,6 +13,7 @@ use crate::compile::Mapping;
 use crate::compile::explore::traffic::Links;
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
+use crate::report::text::count;
 
 const COLOURS: [&str; 8] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#7f7f7f"];
 const CORE: f64 = 15.0;
@@ -20,6 +21,10 @@ const LINK: f64 = 9.0;
 const GAP: f64 = 20.0;
 const LEFT: f64 = 20.0;
 const TOP: f64 = 56.0;
+/// Room for the legend, on the right.
+const LEGEND: f64 = 185.0;
+/// Populations that the legend names.
+const MOST_NAMES: usize = 24;
 /// Cores that bars are drawn for; more would be thinner than a line.
 const MOST_BARS: usize = 512;
 const BAR_HEIGHT: f64 = 54.0;
@@ -32,7 +37,7 @@ const BARS: [(Resource, &str); 4] = [
 
 /// The picture.
 #[must_use]
-pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
+pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
     let mesh = compiled.placement.mesh();
     let limits = target.limits();
     let side = (f64::from(mesh.cores_per_tile)).sqrt().ceil().max(1.0);
@@ -52,21 +57,22 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
     let cores = compiled.partition.cores();
     let with_bars = cores <= MOST_BARS;
     let legend = names(compiled);
-    let width = (LEFT * 2.0 + columns.len() as f64 * wide).max(520.0) + 150.0;
+    let width = (LEFT * 2.0 + columns.len() as f64 * wide).max(560.0) + LEGEND + 5.0;
     let bars_height = if with_bars { BARS.len() as f64 * (BAR_HEIGHT + 22.0) + 20.0 } else { 20.0 };
-    let height = (bars_top + bars_height).max(TOP + 20.0 + 18.0 * legend.len() as f64);
+    let height = (bars_top + bars_height).max(TOP + 130.0 + 18.0 * legend.len() as f64);
     let mut out = String::new();
     let _ = writeln!(
         out,
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" \
          viewBox=\"0 0 {width:.0} {height:.0}\" font-family=\"sans-serif\" font-size=\"11\">\n\
          <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
-         <text x=\"{LEFT}\" y=\"22\" font-size=\"14\">{} on {}: {cores} cores on {} chips</text>\n\
+         <text x=\"{LEFT}\" y=\"22\" font-size=\"14\">{} on {}: {} on {}</text>\n\
          <text x=\"{LEFT}\" y=\"40\" fill=\"#555\">cores are filled by the resource that they use most of; \
          the busiest link carries {:.3} messages a step</text>",
         escaped(&compiled.one.parts().name),
         escaped(target.name()),
-        compiled.placement.chips_used(),
+        count(cores as u64, "core"),
+        count(u64::from(compiled.placement.chips_used()), "chip"),
         links.busiest()
     );
     // Links first, so that cores lie above them.
@@ -93,13 +99,11 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
                     (links.north_south(left + x, top + y), (y + 1 < mesh.height).then(|| middle(x, y + 1))),
                 ] {
                     if let Some((bx, by)) = to.filter(|_| load > 0.0) {
-                        let part = load / links.busiest().max(f64::MIN_POSITIVE);
+                        let (colour, thick) = link(load / links.busiest().max(f64::MIN_POSITIVE));
                         let _ = writeln!(
                             out,
-                            "<line x1=\"{ax:.1}\" y1=\"{ay:.1}\" x2=\"{bx:.1}\" y2=\"{by:.1}\" stroke=\"{}\" \
-                             stroke-width=\"{:.2}\"><title>{load:.4} messages a step</title></line>",
-                            if part > 0.66 { "#b2182b" } else { "#777" },
-                            0.4 + 5.0 * part
+                            "<line x1=\"{ax:.1}\" y1=\"{ay:.1}\" x2=\"{bx:.1}\" y2=\"{by:.1}\" stroke=\"{colour}\" \
+                             stroke-width=\"{thick:.2}\"><title>{load:.4} messages a step</title></line>"
                         );
                     }
                 }
@@ -132,26 +136,74 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
             y + inner - filled,
         );
     }
+    let x = width - LEGEND;
     for (index, (name, colour)) in legend.iter().enumerate() {
-        let (x, y) = (width - 145.0, TOP + 18.0 * index as f64);
+        let y = TOP + 18.0 * index as f64;
+        let (fill, said) = colour.map_or(("none", " (beside others)"), |colour| (colour, ""));
         let _ = writeln!(
             out,
-            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"12\" height=\"12\" fill=\"{colour}\"/>\
-             <text x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"12\" height=\"12\" fill=\"{fill}\" stroke=\"#444\" \
+             stroke-width=\"0.5\"/><text x=\"{:.1}\" y=\"{:.1}\">{}{said}</text>",
             x + 17.0,
             y + 10.0,
             escaped(name)
         );
     }
+    scales(&mut out, (x, TOP + 18.0 * legend.len() as f64 + 16.0), links.busiest());
     if with_bars {
-        bars(&mut out, compiled, target, bars_top, width - 170.0);
+        bars(&mut out, compiled, target, bars_top, width - LEGEND - 25.0);
     }
     out += "</svg>\n";
     out
 }
 
+/// How full a core is drawn, and how thick a link.
+fn scales(out: &mut String, (x, top): (f64, f64), busiest: f64) {
+    let _ = writeln!(out, "<text x=\"{x:.1}\" y=\"{top:.1}\" fill=\"#555\">of its fullest resource</text>");
+    for (index, percent) in [25, 50, 100].into_iter().enumerate() {
+        let (left, y) = (x + 46.0 * index as f64, top + 6.0);
+        let (inner, filled) = (CORE - 1.0, (CORE - 1.0) * f64::from(percent) / 100.0);
+        let _ = writeln!(
+            out,
+            "<rect x=\"{left:.1}\" y=\"{y:.1}\" width=\"{inner}\" height=\"{inner}\" fill=\"#eee\" stroke=\"#444\" \
+             stroke-width=\"0.5\"/><rect x=\"{left:.1}\" y=\"{:.1}\" width=\"{inner}\" height=\"{filled:.1}\" \
+             fill=\"#666\"/><text x=\"{:.1}\" y=\"{:.1}\" font-size=\"9\">{percent} %</text>",
+            y + inner - filled,
+            left + inner + 3.0,
+            y + 11.0
+        );
+    }
+    if busiest <= 0.0 {
+        return;
+    }
+    let top = top + 42.0;
+    let _ = writeln!(out, "<text x=\"{x:.1}\" y=\"{top:.1}\" fill=\"#555\">messages a step on a link</text>");
+    for (index, part) in [0.1, 0.5, 1.0].into_iter().enumerate() {
+        let y = top + 13.0 + 15.0 * index as f64;
+        let (colour, thick) = link(part);
+        let _ = writeln!(
+            out,
+            "<path d=\"M{x:.1} {y:.1}h24\" stroke=\"{colour}\" stroke-width=\"{thick:.2}\"/><text x=\"{:.1}\" \
+             y=\"{:.1}\">{}</text>",
+            x + 30.0,
+            y + 4.0,
+            three_digits(part * busiest)
+        );
+    }
+}
+
+/// Colour and thickness of a link that carries this part of what the busiest does.
+fn link(part: f64) -> (&'static str, f64) {
+    (if part > 0.66 { "#b2182b" } else { "#777" }, 0.4 + 5.0 * part)
+}
+
+fn three_digits(number: f64) -> String {
+    let decimals = (2.0 - number.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
+    format!("{number:.decimals$}")
+}
+
 /// A bar a core for each resource.
-fn bars(out: &mut String, compiled: &Mapping, target: &Target, top: f64, width: f64) {
+fn bars<P>(out: &mut String, compiled: &Mapping<P>, target: &Target, top: f64, width: f64) {
     let each = (width - LEFT) / compiled.partition.cores().max(1) as f64;
     for (row, (resource, name)) in BARS.iter().enumerate() {
         let y = top + row as f64 * (BAR_HEIGHT + 22.0) + 16.0;
@@ -181,7 +233,7 @@ fn bars(out: &mut String, compiled: &Mapping, target: &Target, top: f64, width: 
 }
 
 /// A population by the name that all its copies have, and its colour.
-fn colour(compiled: &Mapping, core: CoreId) -> (String, &'static str) {
+fn colour<P>(compiled: &Mapping<P>, core: CoreId) -> (String, &'static str) {
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
     let per_copy = compiled.one.populations().len() as u32;
     for &id in &compiled.partition.members()[core] {
@@ -194,16 +246,19 @@ fn colour(compiled: &Mapping, core: CoreId) -> (String, &'static str) {
     (name.to_string(), COLOURS[population as usize % COLOURS.len()])
 }
 
-/// Populations that some core mostly holds, with their colours.
-fn names(compiled: &Mapping) -> Vec<(String, &'static str)> {
-    let mut known = Vec::new();
+/// Populations with compartments and their colours; of those that no core holds most of, without.
+fn names<P>(compiled: &Mapping<P>) -> Vec<(String, Option<&'static str>)> {
+    let mut known = std::collections::BTreeSet::new();
     for core in compiled.partition.usage().ids() {
-        let entry = colour(compiled, core);
-        if !known.contains(&entry) {
-            known.push(entry);
-        }
+        known.insert(colour(compiled, core));
     }
-    known
+    let held = compiled.one.populations().iter().filter(|population| population.first_compartment().is_some());
+    held.take(MOST_NAMES)
+        .map(|population| {
+            let found = known.iter().find(|(name, _)| *name == population.name);
+            (population.name.clone(), found.map(|(_, colour)| *colour))
+        })
+        .collect()
 }
 
 fn escaped(text: &str) -> String {
@@ -227,7 +282,7 @@ mod tests {
         assert_eq!(picture.matches("<g><title>core").count(), 40);
         // 40 cores are ten tiles; every tile but the corner's has inputs come over a link.
         assert!(picture.matches("<line x1").count() > 9, "{picture}");
-        assert!(picture.contains("test on test-board: 40 cores on 1 chips") && picture.contains(">touch<"));
+        assert!(picture.contains("test on test-board: 40 cores on 1 chip<") && picture.contains(">touch<"));
         assert!(picture.starts_with("<svg") && picture.ends_with("</svg>\n") && !picture.contains("NaN"));
     }
 }

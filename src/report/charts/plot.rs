@@ -63,6 +63,13 @@ pub enum Series {
         /// Whether steps join them, as for a front on which less is better.
         joined: bool,
     },
+    /// Upright lines between two numbers.
+    Intervals {
+        /// Their name in the legend.
+        name: String,
+        /// x, low and high.
+        points: Vec<(f64, f64, f64)>,
+    },
 }
 
 /// A chart of lines and points.
@@ -112,6 +119,19 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
                 );
                 (name, Mark::Line(dash))
             }
+            Series::Intervals { name, points } => {
+                let mut path = String::new();
+                for &(x, low, high) in points {
+                    if let (Some(x), Some(low), Some(high)) = (across.place(x), up.place(low), up.place(high)) {
+                        _ = write!(path, "M{x:.1} {low:.1}V{high:.1}");
+                    }
+                }
+                _ = writeln!(
+                    out,
+                    r#"<path d="{path}" fill="none" stroke="{colour}" stroke-width="1.2" opacity="0.6"/>"#
+                );
+                (name, Mark::Line(""))
+            }
             Series::Points { name, points, joined } => {
                 let mut placed: Vec<(f64, f64, &str)> = points
                     .iter()
@@ -129,7 +149,7 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
                 }
                 for (px, py, label) in placed {
                     _ = writeln!(out, r#"<circle cx="{px:.1}" cy="{py:.1}" r="4" fill="{colour}"/>"#);
-                    labels.add(is_front(one), px + 6.0, py - 5.0, label);
+                    labels.add(is_front(one), px, py, label);
                 }
                 (name, Mark::Dot)
             }
@@ -222,7 +242,8 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
     out + "</svg>\n"
 }
 
-/// Words beside points. Those that would lie over others are left out; a front's come first.
+/// Words beside points, where there is room around them. Those that would lie over others or over points everywhere are left
+/// out; a front's come first.
 #[derive(Default)]
 struct Labels(Vec<(bool, f64, f64, String)>);
 
@@ -233,13 +254,21 @@ impl Labels {
 
     fn write(mut self, out: &mut String) {
         self.0.sort_by_key(|(first, ..)| !first);
-        let mut taken: Vec<(f64, f64, f64)> = Vec::new();
+        // From, to and the middle of each line of words, and of each point.
+        let mut taken: Vec<(f64, f64, f64)> = self.0.iter().map(|(_, x, y, _)| (x - 4.0, x + 4.0, *y)).collect();
         for (_, x, y, text) in self.0 {
-            let right = x + 5.2 * text.chars().count() as f64;
-            let free = taken.iter().all(|&(from, to, line)| right < from || x > to || (y - line).abs() > 10.0);
-            if free {
-                small(out, x, y, &text);
-                taken.push((x, right, y));
+            let wide = 5.0 * text.chars().count() as f64;
+            let places = [(x + 6.0, y - 5.0), (x + 6.0, y + 5.0), (x - 6.0 - wide, y - 5.0), (x - 6.0 - wide, y + 5.0)];
+            let upright = [(x - wide / 2.0, y - 9.0), (x - wide / 2.0, y + 10.0), (x + 7.0, y), (x - 7.0 - wide, y)];
+            let free = |&(left, middle): &(f64, f64)| {
+                left >= LEFT - 10.0
+                    && (TOP..HEIGHT - BOTTOM - 2.0).contains(&middle)
+                    && left + wide <= WIDTH
+                    && taken.iter().all(|&(from, to, at)| left + wide < from || left > to || (middle - at).abs() > 8.5)
+            };
+            if let Some((left, middle)) = places.into_iter().chain(upright).find(free) {
+                small(out, left, middle + 3.0, &text);
+                taken.push((left, left + wide, middle));
             }
         }
     }
@@ -252,6 +281,7 @@ fn extent(series: &Series) -> Vec<(f64, f64)> {
             points.iter().copied().chain(edges).collect()
         }
         Series::Points { points, .. } => points.iter().map(|p| (p.0, p.1)).collect(),
+        Series::Intervals { points, .. } => points.iter().flat_map(|p| [(p.0, p.1), (p.0, p.2)]).collect(),
     }
 }
 
@@ -272,7 +302,10 @@ impl Scale {
             (low, high) = if axis.log { (1.0, 10.0) } else { (0.0, 1.0) };
         }
         if axis.log {
-            (low, high) = (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()));
+            (low, high) = (round_below(low), round_above(high));
+            if high < 9.0 * low {
+                (low, high) = (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()));
+            }
             if low == high {
                 high *= 10.0;
             }
@@ -297,14 +330,33 @@ impl Scale {
 
     pub(super) fn ticks(&self) -> Vec<(f64, String)> {
         let numbers: Vec<f64> = if self.log {
-            let decades = (self.high / self.low).log10().round() as i32;
-            (0..=decades).map(|k| self.low * 10f64.powi(k)).collect()
+            let (from, to) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
+            let digits: &[f64] = if (self.high / self.low).log10() > 3.5 { &[1.0] } else { &ROUND_DIGITS };
+            let all = (from..=to).flat_map(|decade| digits.iter().map(move |digit| digit * 10f64.powi(decade)));
+            all.filter(|n| (self.low * 0.999..=self.high * 1.001).contains(n)).collect()
         } else {
             let step = step(self.high - self.low);
             (0..=((self.high - self.low) / step).round() as i32).map(|k| self.low + step * f64::from(k)).collect()
         };
         numbers.into_iter().filter_map(|n| Some((self.place(n)?, number(n)))).collect()
     }
+}
+
+/// First digits of the ends of a logarithmic axis.
+const ROUND_DIGITS: [f64; 3] = [1.0, 2.0, 5.0];
+
+/// The largest 1, 2 or 5 times a power of ten that is at most this.
+fn round_below(number: f64) -> f64 {
+    let decade = 10f64.powf(number.log10().floor());
+    let digit = ROUND_DIGITS.into_iter().rev().find(|digit| digit * decade <= number * 1.000_001);
+    digit.unwrap_or(1.0) * decade
+}
+
+/// The smallest that is at least this.
+fn round_above(number: f64) -> f64 {
+    let decade = 10f64.powf(number.log10().floor());
+    let digit = ROUND_DIGITS.into_iter().find(|digit| digit * decade >= number * 0.999_999);
+    digit.unwrap_or(10.0) * decade
 }
 
 /// A round step that divides a range into about six.
@@ -338,7 +390,7 @@ fn path(points: &[(f64, f64)]) -> String {
     points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ")
 }
 
-fn escaped(text: &str) -> String {
+pub(super) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
@@ -383,7 +435,7 @@ pub(super) fn frame(title: &str, x: &str, y: &str) -> String {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" \
          font-size=\"12\">\n<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"white\"/>\n"
     );
-    _ = writeln!(out, r#"<text x="{LEFT}" y="22" font-size="15" font-weight="bold">{}</text>"#, escaped(title));
+    _ = writeln!(out, r#"<text x="{LEFT}" y="22" font-size="15">{}</text>"#, escaped(title));
     text_at(&mut out, (LEFT + WIDTH - RIGHT) / 2.0, HEIGHT - 14.0, "middle", x);
     let middle = (TOP + HEIGHT - BOTTOM) / 2.0;
     _ = writeln!(
@@ -406,7 +458,9 @@ mod tests {
         assert_eq!((log.place(0.0), log.place(0.01), log.place(1.0)), (None, Some(0.0), Some(100.0)));
         assert!((log.place(0.1).unwrap() - 50.0).abs() < 1e-9);
         let ticks: Vec<String> = log.ticks().into_iter().map(|(_, label)| label).collect();
-        assert_eq!(ticks, ["0.01", "0.1", "1"]);
+        assert_eq!(ticks, ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]);
+        let tight = Scale::new(&Axis::log(""), [0.06, 75.0].into_iter(), 0.0, 100.0);
+        assert!((tight.low, tight.high) == (0.05, 100.0), "{} to {}", tight.low, tight.high);
     }
 
     #[test]
@@ -448,10 +502,21 @@ mod tests {
         let other = Series::Points { name: "others".into(), points: near("other"), joined: false };
         let front = Series::Points { name: "front".into(), points: near("best"), joined: true };
         let svg = chart("", &Axis::linear(""), &Axis::linear(""), &[front, other]);
-        assert_eq!(
-            (svg.matches(">best<").count(), svg.matches(">other<").count(), svg.matches(">far<").count()),
-            (1, 0, 1)
-        );
+        let words = svg.lines().filter(|line| line.contains("font-size=\"9\""));
+        let words: Vec<(f64, f64, f64)> = words
+            .map(|line| {
+                let number = |name: &str| -> f64 {
+                    line.split(&format!(" {name}=\"")).nth(1).unwrap().split('"').next().unwrap().parse().unwrap()
+                };
+                let text = line.split('>').nth(1).unwrap().split('<').next().unwrap();
+                (number("x"), number("x") + 5.0 * text.len() as f64, number("y"))
+            })
+            .collect();
+        for (index, a) in words.iter().enumerate() {
+            let apart = |b: &(f64, f64, f64)| a.1 < b.0 || b.1 < a.0 || (a.2 - b.2).abs() > 8.0;
+            assert!(words[..index].iter().all(apart), "{svg}");
+        }
+        assert_eq!((svg.matches(">best<").count(), svg.matches(">far<").count()), (2, 2), "{svg}");
         // The front is drawn last.
         assert!(svg.rfind(COLOURS[0]).unwrap() > svg.rfind(COLOURS[1]).unwrap());
     }

@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 
 use crate::report::charts::plot::{
-    Axis, BOTTOM, COLOURS, HEIGHT, LEFT, Mark, RIGHT, Scale, TOP, WIDTH, frame, legend, text_at,
+    Axis, BOTTOM, COLOURS, HEIGHT, LEFT, Mark, RIGHT, Scale, TOP, WIDTH, escaped, frame, legend, text_at,
 };
 
 /// The spikes of one sense.
@@ -64,7 +64,7 @@ impl Raster {
             _ = writeln!(
                 out,
                 r#"<text x="18" y="{middle:.1}" text-anchor="middle" transform="rotate(-90 18 {middle:.1})">{}</text>"#,
-                panel.label
+                escaped(&panel.label)
             );
             text_at(&mut out, LEFT - 8.0, top + 10.0, "end", "0");
             text_at(&mut out, LEFT - 8.0, top + height, "end", &panel.channels.saturating_sub(1).to_string());
@@ -82,7 +82,8 @@ impl Raster {
             }
             top += height + GAP;
         }
-        for (x, label) in across.ticks() {
+        // The axis is rounded up, the panels end with the recording.
+        for (x, label) in across.ticks().into_iter().filter(|(x, _)| *x <= at(end_ms) + 0.5) {
             text_at(&mut out, x, HEIGHT - BOTTOM + 18.0, "middle", &label);
         }
         if let Some(onset) = self.onset_ms {
@@ -91,9 +92,9 @@ impl Raster {
                 out,
                 r##"<line x1="{x:.1}" y1="{:.1}" x2="{x:.1}" y2="{:.1}" stroke="#000" stroke-dasharray="5 3"/>"##,
                 TOP - 8.0,
-                HEIGHT - BOTTOM
+                HEIGHT - BOTTOM + 22.0
             );
-            text_at(&mut out, x, TOP - 10.0, "middle", &format!("onset {onset:.0} ms"));
+            text_at(&mut out, x, HEIGHT - BOTTOM + 34.0, "middle", &format!("onset {onset:.0} ms"));
         }
         out + "</svg>\n"
     }

@@ -8,12 +8,15 @@ pub mod fit;
 pub mod network;
 pub mod sample;
 
+use std::io::Read;
+
 use serde_json::{Value, json};
 
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
-const CHARTS: &str = include_str!("../../../assets/echarts/echarts.min.js");
+/// Apache ECharts, as the build deflated it.
+const CHARTS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/echarts.min.js.deflate"));
 
 /// A file or source that a page was made from.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
@@ -71,10 +74,10 @@ pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String
     });
     // Within a script nothing ends it but its closing tag.
     let data = data.to_string().replace("</", "<\\/");
-    let parts = [("title", escaped(title)), ("style", STYLE.to_string()), ("charts", CHARTS.to_string())];
+    let parts = [("title", escaped(title)), ("style", STYLE.to_string()), ("charts", charts())];
     let parts = parts.into_iter().chain([("data", data), ("script", SCRIPT.to_string())]);
     let mut rest = TEMPLATE;
-    let mut page = String::with_capacity(TEMPLATE.len() + CHARTS.len() + (1 << 20));
+    let mut page = String::with_capacity(TEMPLATE.len() + (2 << 20));
     for (name, text) in parts {
         let mark = format!("{{{{{name}}}}}");
         if let Some((before, after)) = rest.split_once(&mark) {
@@ -86,6 +89,14 @@ pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String
     page + rest
 }
 
+/// The program of the charts.
+fn charts() -> String {
+    let mut text = String::new();
+    // What the build deflated comes out whole; a test compares it with the file.
+    let _ = flate2::read::DeflateDecoder::new(CHARTS).read_to_string(&mut text);
+    text
+}
+
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
@@ -93,6 +104,12 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_charts_are_the_file() {
+        let file = include_str!("../../../assets/echarts/echarts.min.js");
+        assert!(charts() == file && file.len() > 500_000);
+    }
 
     #[test]
     fn a_page_holds_its_data_once_and_nothing_of_it_ends_a_script() {

@@ -1,0 +1,30 @@
+//! Results that commands printed as JSON and that were saved.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::error::Error;
+use crate::io;
+
+/// Whether a name is that of a saved result.
+#[must_use]
+pub fn is_result(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
+}
+
+/// A saved result of one of these schemas, and its text.
+///
+/// # Errors
+/// `report.result` when it is none; when the file cannot be read.
+pub fn read(path: &Path, schemas: &[&str], help: &str) -> Result<(Value, SourceText), Error> {
+    let text = io::text::read_text(path)?;
+    let wrong = |message: String| Diagnostic::new("report.result", message).in_file(path).help(help);
+    let result: Value = serde_json::from_str(text.text()).map_err(|error| wrong(format!("no JSON: {error}")))?;
+    let schema = result["schema"].as_str().unwrap_or_default();
+    if !schemas.contains(&schema) {
+        return Err(wrong(format!("holds '{schema}', not {}", schemas.join(" or "))).into());
+    }
+    Ok((result, text))
+}

@@ -1,0 +1,306 @@
+//! `nsim plot`: one picture, of a run of a model on an input, of a mapping, or of a saved result.
+//!
+//! Input: what to draw; a model and what `nsim energy` takes, or a JSON object that a command printed. Output: an SVG, PNG or PDF
+//! file, as its name says. Of a run the first sample that is chosen is drawn.
+//!
+//! Errors: what is drawn from results alone and gets a model; a result that has not what is drawn.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::id::{CompartmentId, PopulationId};
+use crate::base::names::fits_pattern;
+use crate::cli::args::jobs::{self, Prepared, Wanted};
+use crate::cli::args::saved;
+use crate::cli::context::{Answer, Context, Format};
+use crate::cli::energy::args::CostArgs;
+use crate::cli::energy::evaluate::evaluate;
+use crate::cli::energy::workload::workload;
+use crate::cli::output;
+use crate::compile::DEFAULT_RATE;
+use crate::drive::priced::Metered;
+use crate::error::Error;
+use crate::io;
+use crate::ir::firing_rates::Rates;
+use crate::ir::quantised::Quantised;
+use crate::neuron;
+use crate::report::charts::board;
+use crate::report::charts::results::{self, Over};
+use crate::report::charts::sample::{Traced, raster, voltage};
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim plot raster -o raster.svg                        spikes of inputs and populations in one sample
+  nsim plot raster model.ron --input s.npy --samples 3..4 --probe 'hid*' -o raster.png
+  nsim plot voltage model.ron --probe 'out[2]' --probe hidden -o voltage.pdf
+  nsim plot energy --copies 32 -o energy.pdf            where the energy of a timestep goes
+  nsim plot time result.json -o time.svg                where its time goes, of a result that was saved
+  nsim plot map model.ron --copies 8 -o map.png         cores on their chips, and what links carry
+  nsim agree --format json > a.json && nsim plot agreement a.json -o causes.svg
+  nsim bench early --format json > e.json && nsim plot early e.json -o early.pdf
+  nsim map --pareto p.svg --format json > m.json && nsim plot pareto m.json -o pareto.png";
+
+/// What is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum What {
+    /// Spikes of a sample over time, a panel for each population
+    Raster,
+    /// Potentials of compartments over time
+    Voltage,
+    /// Where the energy of a timestep goes
+    Energy,
+    /// Where the time of a timestep goes
+    Time,
+    /// Cores on their chips, what they hold, and the traffic of links
+    Map,
+    /// Results of bench pareto or map --pareto, and their front
+    Pareto,
+    /// A result of agree: the causes of disagreement
+    Agreement,
+    /// A result of bench early: accuracy over time
+    Early,
+    /// A result of bench early: accuracy over energy
+    EarlyEnergy,
+}
+
+impl What {
+    /// The name that is typed.
+    fn name(self) -> &'static str {
+        match self {
+            What::Raster => "raster",
+            What::Voltage => "voltage",
+            What::Energy => "energy",
+            What::Time => "time",
+            What::Map => "map",
+            What::Pareto => "pareto",
+            What::Agreement => "agreement",
+            What::Early => "early",
+            What::EarlyEnergy => "early-energy",
+        }
+    }
+
+    /// The schemas of results that it is drawn from, and the command that prints one; none for what needs a run.
+    fn results(self) -> Option<(&'static [&'static str], &'static str)> {
+        match self {
+            What::Raster | What::Voltage | What::Map => None,
+            What::Energy | What::Time => Some((&["nsim.energy/1"], "nsim energy")),
+            What::Pareto => Some((&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto")),
+            What::Agreement => Some((&["nsim.agree/1"], "nsim agree")),
+            What::Early | What::EarlyEnergy => Some((&["nsim.bench/1"], "nsim bench early")),
+        }
+    }
+
+    /// The picture of a result.
+    fn of_result(self, result: &Value) -> Option<String> {
+        match self {
+            What::Energy => results::energy(result),
+            What::Time => results::time(result),
+            What::Pareto => results::pareto(result),
+            What::Agreement => results::agreement(result),
+            What::Early => results::early(result, Over::Time),
+            What::EarlyEnergy => results::early(result, Over::Energy),
+            What::Raster | What::Voltage | What::Map => None,
+        }
+    }
+}
+
+/// Draw a picture as SVG, PNG or PDF: of a run, of a mapping, or of a saved result
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// What to draw
+    #[arg(value_enum, value_name = "WHAT")]
+    what: What,
+    #[command(flatten)]
+    cost: CostArgs,
+    /// Populations to draw, by name or pattern; for voltage also single compartments, such as 'out[2]' [default: all; of
+    /// potentials those that spike most]
+    #[arg(long, value_name = "POP")]
+    probe: Vec<String>,
+    /// The picture; its name says what kind it is
+    #[arg(short, long, value_name = "FILE.svg|png|pdf")]
+    output: PathBuf,
+}
+
+/// Compartments of a population that are drawn when none is named.
+const OF_EACH: usize = 3;
+/// Compartments that are drawn.
+const MOST_TRACED: usize = 11;
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Error`] when an input cannot be used or the picture cannot be written.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    if context.format != Format::Text {
+        return Err(Error::Usage("nsim plot draws a picture: --format is for results".to_string()));
+    }
+    let taken = output::check_files(None, [&args.output], context)?;
+    let what = args.what;
+    if !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage) {
+        return Err(Error::Usage(format!("nsim plot {}: --probe is for raster and voltage", what.name())));
+    }
+    let model = &args.cost.job.model;
+    if let (true, results) = (saved::is_result(model), what.results()) {
+        let Some((schemas, command)) = results else {
+            return Err(Error::Usage(format!("nsim plot {} runs a model: {model} is a result", what.name())));
+        };
+        let help = format!("give what {command} printed with --format json");
+        let (result, _) = saved::read(Path::new(model), schemas, &help)?;
+        let missing = || {
+            let message = format!("has nothing to draw as {}", what.name());
+            Diagnostic::new("report.result", message).in_file(Path::new(model)).help(help.as_str())
+        };
+        return write(args, &what.of_result(&result).ok_or_else(missing)?, taken, context);
+    }
+    match what {
+        What::Energy | What::Time => evaluate(&args.cost, None, context, |_, evaluated| {
+            let picture = what.of_result(&evaluated.energy.json());
+            let picture =
+                picture.ok_or_else(|| Error::Usage(format!("nsim plot {}: the run has no timesteps", what.name())))?;
+            write(args, &picture, taken, context)
+        }),
+        What::Raster | What::Voltage | What::Map => mapped(args, taken, context),
+        What::Pareto | What::Agreement | What::Early | What::EarlyEnergy => {
+            let command = what.results().map_or("", |(_, command)| command);
+            Err(Error::Usage(format!(
+                "nsim plot {} draws a result: {command} {model} --format json > FILE.json, then give that file",
+                what.name()
+            )))
+        }
+    }
+}
+
+/// A picture of a mapping or of a sample on it.
+fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
+    let cost = &args.cost;
+    let copies = if args.what == What::Map { cost.copies } else { cost.copies.or(Some(1)) };
+    let names: Vec<&str> = args.probe.iter().map(|text| pattern(text).0).collect();
+    let job = match jobs::prepare_probed(&cost.job, Wanted::Mapped, copies, &names)? {
+        Prepared::Ready(job) => job,
+        Prepared::DoesNotFit(refusal) => return refusal.say(Value::Null, context),
+    };
+    if args.what == What::Map {
+        let Some((compiled, target)) = job.mapped() else {
+            return Err(Error::Fault("a map needs a mapped job".to_string()));
+        };
+        return write(
+            args,
+            &board::svg(compiled, target, &compiled.links_at(&Rates::assumed(DEFAULT_RATE))),
+            taken,
+            context,
+        );
+    }
+    let workload = workload(&job, &cost.input)?;
+    let network = &workload.compiled.one;
+    let samples = workload.samples();
+    let Some(sample) = samples.first() else {
+        return Err(Error::Usage("there is no sample to draw".to_string()));
+    };
+    let metered = Metered::new(workload.compiled);
+    let drawn = |ids: &[CompartmentId]| {
+        let (settings, deployment) = metered.offline(workload.target)?;
+        workload.timeline((settings, deployment.cores_powered), sample, ids)
+    };
+    let number = cost.input.samples.as_ref().map_or(0, |range| range.0.start);
+    let label = sample.label().map_or(String::new(), |label| {
+        let name = network.parts().classes.get(label as usize).cloned().unwrap_or_else(|| label.to_string());
+        format!(", class {name}")
+    });
+    let title = format!("{}, sample {number}{label}", network.parts().name);
+    let timeline = output::with_progress(context, 1, "sample", |_| drawn(&[]))?;
+    let populations = chosen(network, &args.probe, args.what)?;
+    if args.what == What::Raster {
+        let shown: Vec<PopulationId> = populations.into_iter().map(|(id, _)| id).collect();
+        return write(args, &raster(&title, network, &timeline, &shown), taken, context);
+    }
+    let mut counts = vec![0u32; network.compartments() as usize];
+    for (population, raster) in network.populations().iter().zip(&timeline.rasters) {
+        if let Some(first) = population.first_compartment() {
+            raster.spikes.iter().for_each(|&(_, unit)| counts[(first.0 + unit) as usize] += 1);
+        }
+    }
+    let (ids, traced) = traced(network, populations, &counts);
+    let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
+    write(args, &voltage(&title, network, &timeline, &traced), taken, context)
+}
+
+/// The pattern of a probe, and the compartment that it names.
+fn pattern(text: &str) -> (&str, Option<&str>) {
+    match text.strip_suffix(']').and_then(|text| text.rsplit_once('[')) {
+        Some((pattern, index)) => (pattern, Some(index)),
+        None => (text, None),
+    }
+}
+
+/// The populations that are named, with the compartment of each that is; all when none is named.
+fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(PopulationId, Option<u32>)>, Error> {
+    let fits = |id: PopulationId| what == What::Raster || network.populations()[id].first_compartment().is_some();
+    let all: Vec<PopulationId> = network.populations().ids().filter(|&id| fits(id)).collect();
+    if probes.is_empty() {
+        return Ok(all.into_iter().map(|id| (id, None)).collect());
+    }
+    let mut found = Vec::new();
+    for text in probes {
+        let (named, index) = pattern(text);
+        let before = found.len();
+        for &id in all.iter().filter(|&&id| fits_pattern(named, &network.populations()[id].name)) {
+            let index = match index {
+                None => None,
+                Some(index) if what == What::Voltage => {
+                    let shown = index.parse().ok().and_then(|index| network.index_of_shown(id, index));
+                    let units = network.units_shown(id);
+                    let name = &network.populations()[id].name;
+                    Some(shown.ok_or_else(|| {
+                        Error::Usage(format!("--probe {text}: '{name}' has compartments 0 to {}", units.max(1) - 1))
+                    })?)
+                }
+                Some(_) => return Err(Error::Usage(format!("--probe {text}: a raster shows whole populations"))),
+            };
+            found.push((id, index));
+        }
+        if found.len() == before {
+            let names: Vec<&str> = all.iter().map(|&id| network.populations()[id].name.as_str()).collect();
+            return Err(Error::Usage(format!("--probe {text}: there are {}", names.join(", "))));
+        }
+    }
+    let first = |at: usize| found[..at].iter().all(|other| *other != found[at]);
+    Ok((0..found.len()).filter(|&at| first(at)).map(|at| found[at]).collect())
+}
+
+/// The compartments to draw: those that are named, and of populations those that spike most.
+fn traced(
+    network: &Quantised,
+    populations: Vec<(PopulationId, Option<u32>)>,
+    counts: &[u32],
+) -> (Vec<CompartmentId>, Vec<Traced>) {
+    let thresholds = neuron::thresholds(network);
+    let (mut ids, mut traced) = (Vec::new(), Vec::new());
+    for (id, named) in populations {
+        let population = &network.populations()[id];
+        let Some(first) = population.first_compartment() else { continue };
+        let mut units: Vec<u32> = match named {
+            Some(unit) => vec![unit],
+            None => (0..population.shape.len()).collect(),
+        };
+        units.sort_by_key(|&unit| std::cmp::Reverse(counts[(first.0 + unit) as usize]));
+        units.truncate(OF_EACH);
+        units.sort_unstable();
+        for unit in units.into_iter().take(MOST_TRACED.saturating_sub(ids.len())) {
+            ids.push(CompartmentId(first.0 + unit));
+            let name = format!("{}[{}]", population.name, network.index_shown(id, unit));
+            traced.push(Traced { name, threshold: thresholds[(first.0 + unit) as usize] });
+        }
+    }
+    (ids, traced)
+}
+
+fn write(args: &Args, svg: &str, taken: bool, context: Context) -> Result<Answer, Error> {
+    output::write_picture(&args.output, svg, context)?;
+    if !taken {
+        io::write::stdout(&format!("{}\n", args.output.display()))?;
+    }
+    Ok(Answer::Yes)
+}

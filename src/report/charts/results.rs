@@ -1,0 +1,251 @@
+//! Pictures of results: from the JSON objects that commands print.
+//!
+//! Input: a result of `nsim energy`, `bench pareto`, `bench early`, `map --pareto` or `agree`. Output: an SVG text, or none when the
+//! result has not what is drawn. A command draws its own result by the same function, so that a stored one looks the same.
+
+use serde_json::Value;
+
+use super::plot::{self, Axis, Series};
+
+fn number(value: &Value) -> Option<f64> {
+    value.as_f64().filter(|number| number.is_finite())
+}
+
+fn words(value: &Value) -> &str {
+    value.as_str().unwrap_or_default()
+}
+
+fn rows(value: &Value) -> &[Value] {
+    value.as_array().map_or(&[], Vec::as_slice)
+}
+
+/// Positive parts of an object of numbers, with spaces for underscores.
+fn parts(value: &Value) -> Vec<(String, f64)> {
+    let entries = value.as_object().into_iter().flatten();
+    entries
+        .filter_map(|(name, part)| Some((name.replace('_', " "), number(part).filter(|part| *part > 0.0)?)))
+        .collect()
+}
+
+/// Three digits of a number.
+fn short(number: f64) -> String {
+    match number.abs() {
+        100.0.. => format!("{number:.0}"),
+        10.0..100.0 => format!("{number:.1}"),
+        1.0..10.0 => format!("{number:.2}"),
+        _ => format!("{number:.3}"),
+    }
+}
+
+/// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the neuron cores.
+#[must_use]
+pub fn energy(result: &Value) -> Option<String> {
+    let unit = |unit: &str| rows(&result["rows"]).iter().find(|row| row["hardware"] == "loihi" && row["unit"] == unit);
+    let (x86, neuron, total) = (unit("x86")?, unit("neuron")?, unit("total")?);
+    let powers = [
+        ("x86 static", number(&x86["static_mw"])?),
+        ("x86 busy", number(&x86["dynamic_mw"])?),
+        ("neuron static", number(&neuron["static_mw"])?),
+        ("neuron dynamic", number(&neuron["dynamic_mw"])?),
+    ];
+    let parts = parts(&result["breakdown_pj_per_timestep"]);
+    let share = |value: f64, total: f64| if total > 0.0 { 100.0 * value / total } else { 0.0 };
+    let (all, dynamic): (f64, f64) = (powers.iter().map(|(_, mw)| mw).sum(), parts.iter().map(|(_, pj)| pj).sum());
+    let mut series: Vec<(String, Vec<f64>)> =
+        powers.iter().map(|(name, mw)| ((*name).to_string(), vec![share(*mw, all), 0.0])).collect();
+    series.extend(parts.iter().map(|(name, pj)| (name.clone(), vec![0.0, share(*pj, dynamic)])));
+    let title =
+        format!("{} on {}: where the energy of a timestep goes", words(&result["model"]), words(&result["target"]));
+    let whole = format!("all: {} uJ", short(number(&total["energy_uj"])?));
+    // What events cost is little beside static power, and less than a microjoule.
+    let of_events = match dynamic / 1e6 {
+        uj if uj < 0.1 => format!("neuron dynamic: {} nJ", short(uj * 1e3)),
+        uj => format!("neuron dynamic: {} uJ", short(uj)),
+    };
+    Some(plot::stacked(&title, &Axis::linear("share (%)"), &[whole, of_events], &series))
+}
+
+/// Where the time of a timestep goes, of `nsim.energy/1`: a bar for each part.
+#[must_use]
+pub fn time(result: &Value) -> Option<String> {
+    let parts = parts(&result["time_us_per_timestep"]);
+    let total: f64 = parts.iter().map(|(_, us)| us).sum();
+    let title = format!(
+        "{} on {}: where the {} us of a timestep go",
+        words(&result["model"]),
+        words(&result["target"]),
+        short(total)
+    );
+    let (names, values): (Vec<String>, Vec<f64>) = parts.into_iter().unzip();
+    let labels: Vec<String> =
+        names.iter().zip(&values).map(|(name, us)| format!("{name}: {} us", short(*us))).collect();
+    (!labels.is_empty())
+        .then(|| plot::bars(&title, &Axis::linear("time of a mean timestep (us)"), &labels, &[(String::new(), values)]))
+}
+
+/// Run time against error of `nsim bench pareto`, or energy against time of `nsim map --pareto`, with the front.
+#[must_use]
+pub fn pareto(result: &Value) -> Option<String> {
+    let benched = result["name"] == "pareto";
+    let all = rows(if benched { &result["rows"] } else { &result["pareto"] });
+    let point = |row: &Value| {
+        Some(match benched {
+            true => (
+                number(&row["us_per_timestep"])?,
+                1.0 - number(&row["coincidence"])?,
+                words(&row["variant"]).to_string(),
+            ),
+            false => (
+                number(&row["step_us"])?,
+                number(&row["energy_uj"])?,
+                row["cores"].as_u64().map_or(String::new(), |cores| format!("{cores} cores")),
+            ),
+        })
+    };
+    let pick = |front: bool| -> Vec<(f64, f64, String)> {
+        all.iter().filter(|row| (row["on_front"] == true) == front).filter_map(point).collect()
+    };
+    let (front, others) = (pick(true), pick(false));
+    if front.is_empty() && others.is_empty() {
+        return None;
+    }
+    let series = [
+        Series::Points { name: "on the front".to_string(), points: front, joined: true },
+        Series::Points { name: "behind it".to_string(), points: others, joined: false },
+    ];
+    let series = &series[..if all.iter().all(|row| row["on_front"] == true) { 1 } else { 2 }];
+    let model = words(&result["model"]);
+    let (title, x, y) = match benched {
+        true => (
+            format!("{model}: run time against error"),
+            Axis::log("microseconds a timestep"),
+            Axis::linear("1 - coincidence (0: every spike)"),
+        ),
+        false => (
+            format!("Mappings of {model}"),
+            Axis::linear("time of a mean step (us)"),
+            Axis::linear("energy of a mean step (uJ)"),
+        ),
+    };
+    Some(plot::chart(&title, &x, &y, series))
+}
+
+/// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer agrees.
+#[must_use]
+pub fn agreement(result: &Value) -> Option<String> {
+    let model = words(&result["model"]);
+    let shares = rows(&result["attribution"]);
+    if shares.is_empty() {
+        let layers = rows(&result["layers"]);
+        let layers: Vec<(String, f64)> = layers
+            .iter()
+            .filter_map(|layer| Some((words(&layer["name"]).to_string(), number(&layer["coincidence"])?)))
+            .collect();
+        let (names, values): (Vec<String>, Vec<f64>) = layers.into_iter().unzip();
+        let title = format!("{model} and {}: spikes that coincide", words(&result["against"]));
+        let series = [(String::new(), values)];
+        return (!names.is_empty()).then(|| plot::bars(&title, &Axis::linear("coincidence (1: all)"), &names, &series));
+    }
+    let causes: Vec<String> = shares.iter().map(|share| words(&share["cause"]).to_string()).collect();
+    let each = |pick: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
+        let both = |share: &Value| Some(pick(number(&share["forward"])?, number(&share["reversed"])?));
+        shares.iter().map(|share| both(share).unwrap_or(0.0)).collect()
+    };
+    let series = [
+        ("forward".to_string(), each(&|forward, _| forward)),
+        ("reversed".to_string(), each(&|_, reversed| reversed)),
+        ("mean".to_string(), each(&|forward, reversed| (forward + reversed) / 2.0)),
+    ];
+    let title = format!("{model}: what parts the machine from the trained network");
+    Some(plot::bars(&title, &Axis::linear("added disagreement (1 - coincidence)"), &causes, &series))
+}
+
+/// What a curve of early decisions runs over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Over {
+    /// Time into the sample.
+    Time,
+    /// Energy of one copy so far.
+    Energy,
+}
+
+/// Accuracy over time or energy of `nsim bench early`, with one standard deviation over the models of a group, and chance.
+#[must_use]
+pub fn early(result: &Value, over: Over) -> Option<String> {
+    let (key, title, label) = match over {
+        Over::Time => ("time_ms", "Accuracy over time", "time into the sample, ms"),
+        Over::Energy => ("energy_uj", "Accuracy over energy", "energy of one copy so far, uJ"),
+    };
+    let column = |group: &Value, key: &str| rows(&group[key]).iter().filter_map(number).collect::<Vec<f64>>();
+    let mut series = Vec::new();
+    let mut range: Option<(f64, f64)> = None;
+    for group in rows(&result["rows"]) {
+        let (xs, accuracy, sd) = (column(group, key), column(group, "accuracy"), column(group, "accuracy_sd"));
+        let several = group["models"].as_u64().is_some_and(|models| models > 1) && sd.len() == accuracy.len();
+        let edges = accuracy.iter().zip(&sd).map(|(mean, sd)| ((mean - sd).max(0.0), (mean + sd).min(1.0)));
+        let band = if several { edges.collect() } else { Vec::new() };
+        if let Some((&first, &last)) = xs.first().zip(xs.last()) {
+            range = Some(range.map_or((first, last), |(low, high)| (low.min(first), high.max(last))));
+        }
+        series.push(Series::Line {
+            name: words(&group["name"]).to_string(),
+            points: xs.into_iter().zip(accuracy).collect(),
+            band,
+        });
+    }
+    let (low, high) = range?;
+    let chance: Vec<f64> = rows(&result["rows"]).iter().filter_map(|group| number(&group["chance"])).collect();
+    if let Some(&chance) = chance.first().filter(|first| chance.iter().all(|other| other == *first)) {
+        series.push(Series::Line {
+            name: format!("chance ({})", short(chance)),
+            points: vec![(low, chance), (high, chance)],
+            band: Vec::new(),
+        });
+    }
+    Some(plot::chart(title, &Axis::linear(label), &Axis::linear("accuracy on the spikes so far"), &series))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn results_are_drawn_and_what_lacks_its_numbers_is_not() {
+        let row = |unit: &str, mw: f64| json!({ "hardware": "loihi", "unit": unit, "static_mw": mw, "dynamic_mw": 1.0, "energy_uj": 5.0 });
+        let result = json!({
+            "model": "m", "target": "t", "rows": [row("x86", 3.0), row("neuron", 2.0), row("total", 5.0)],
+            "breakdown_pj_per_timestep": { "synaptic_event": 30.0, "hop": 0.0, "spike": 70.0 },
+            "time_us_per_timestep": { "slowest_core": 2.0, "barrier": 1.0, "host": 0.0 },
+        });
+        let svg = energy(&result).unwrap();
+        assert!(svg.contains(">synaptic event<") && !svg.contains(">hop<") && svg.contains("all: 5.00 uJ"));
+        let svg = time(&result).unwrap();
+        assert!(svg.contains("where the 3.00 us of a timestep go") && svg.contains("slowest core: 2.00 us"));
+        let row = |x: f64, front: bool| json!({ "us_per_timestep": x, "coincidence": 0.9, "variant": "v", "on_front": front });
+        let benched = json!({ "name": "pareto", "model": "m", "rows": [row(1.0, true), row(2.0, false)] });
+        assert!(pareto(&benched).unwrap().contains("behind it"));
+        let mapped =
+            json!({ "model": "m", "pareto": [{ "step_us": 1.0, "energy_uj": 2.0, "cores": 3, "on_front": true }] });
+        let svg = pareto(&mapped).unwrap();
+        assert!(svg.contains("3 cores") && !svg.contains("behind it"));
+        let agreed = json!({ "model": "m", "against": "srm", "layers": [{ "name": "hidden", "coincidence": 0.5 }] });
+        assert!(agreement(&agreed).unwrap().contains(">hidden<"));
+        let caused = json!({ "attribution": [{ "cause": "weights", "forward": 0.1, "reversed": 0.2 }] });
+        assert!(agreement(&caused).unwrap().contains(">weights<"));
+        let group = json!({
+            "name": "g", "models": 2, "chance": 0.5, "time_ms": [1.0, 2.0], "accuracy": [0.4, 0.9],
+            "accuracy_sd": [0.1, 0.0], "energy_uj": [1.0, 3.0],
+        });
+        let svg = early(&json!({ "rows": [group] }), Over::Energy).unwrap();
+        assert!(svg.contains("chance (0.500)") && svg.contains("<polygon"));
+        for drawn in [energy, time, pareto, agreement, |value: &Value| early(value, Over::Time)] {
+            for nothing in
+                [json!({}), json!([]), json!({ "rows": [{}], "pareto": [7], "layers": "x", "attribution": [] })]
+            {
+                assert!(drawn(&nothing).is_none_or(|svg| !svg.contains("NaN")), "{nothing}");
+            }
+        }
+    }
+}
