@@ -10,7 +10,7 @@ use common::random;
 use nsim::base::id::{CompartmentId, Id};
 use nsim::bench::networks::{Random, random as random_network};
 use nsim::compile::frontend::prune::{Plan, prune};
-use nsim::compile::{Compiled, Options, compile, compile_saved, front};
+use nsim::compile::{self, Compiled, DEFAULT_RATE, Form, Options, compile, compile_saved, front, with_program};
 use nsim::desc::resource::Resource;
 use nsim::desc::stimulus::SceneArg;
 use nsim::desc::target::Target;
@@ -18,6 +18,7 @@ use nsim::golden::Golden;
 use nsim::io::model::load_model;
 use nsim::io::target::load_target;
 use nsim::ir::activity::{Activity, Overflow, Totals};
+use nsim::ir::firing_rates::Rates;
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Engine, Sample};
@@ -25,6 +26,7 @@ use nsim::machine::{Image, Machine, Settings};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 1000;
+const CONVOLUTIONS: u64 = 500;
 
 /// What an engine showed: after each step the spikes and all of u, v and the probed register.
 #[derive(Debug, PartialEq)]
@@ -96,15 +98,24 @@ fn compare(seed: u64, chip: &Target) -> u64 {
     let sample = random::sample(&network, seed);
     let n = network.compartments();
     let golden = trace(&mut Golden::new(&network), n, &sample);
-    for (name, compiled) in partitions(&network, chip, seed) {
+    compare_on(&golden, &sample, partitions(&network, chip, seed), seed);
+    golden.totals.spikes
+}
+
+/// A golden trace against the machine's on every mapping and setting; returns how many chunks of shared weights it added.
+fn compare_on(golden: &Trace, sample: &Sample, mapped: Vec<(&'static str, Compiled)>, seed: u64) -> usize {
+    let mut shared = 0;
+    for (name, compiled) in mapped {
+        let n = compiled.program.compartments();
         let mut counts: Option<Activity> = None;
         for shares in [1, 2, 8] {
             let image = Image::new(&compiled.program, shares).unwrap();
+            shared += image.shared_chunks();
             for (skip, per_step) in [(true, false), (false, true)] {
                 let mut machine = Machine::new(&image, Settings { skip, per_step });
-                let fast = trace(&mut machine, n, &sample);
+                let fast = trace(&mut machine, n, sample);
                 let what = format!("network {seed}, {name}, {shares} shares, skip {skip}");
-                assert_same(&golden, &fast, &what);
+                assert_same(golden, &fast, &what);
                 let activity = machine.take_activity();
                 assert_eq!(activity.totals(), golden.totals, "{what}: counts by core add up");
                 let expected = counts.get_or_insert_with(|| activity.clone());
@@ -112,7 +123,37 @@ fn compare(seed: u64, chip: &Target) -> u64 {
             }
         }
     }
-    golden.totals.spikes
+    shared
+}
+
+/// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles, compartments dealt out, and
+/// the program that is written box by box where kernels stay kernels.
+#[test]
+fn random_convolutions_are_the_same_in_both_engines() {
+    let chip = load_target("loihi1-chip").unwrap();
+    let board = load_target("nahuku-32").unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+    let compare = |seed: u64| {
+        let network = random::convolutional(seed);
+        let sample = random::sample(&network, seed);
+        let golden = trace(&mut Golden::new(&network), network.compartments(), &sample);
+        let (mut mapped, mut boxes) = (partitions(&network, &chip, seed), 0);
+        let limits = board.limits().clone().with(Resource::Compartments, 30);
+        let small = Options { place: false, ..Options::default() };
+        for (name, target) in [("boxes", board.clone()), ("small boxes", board.clone().with_limits(limits))] {
+            let rates = Rates::assumed(DEFAULT_RATE);
+            let symbolic = compile::map(network.clone().into(), &target, &small, &rates, Form::Symbolic);
+            if let Ok(symbolic) = symbolic {
+                mapped.push((name, with_program(symbolic, &target).unwrap()));
+                boxes += 1;
+            }
+        }
+        (golden.totals.spikes, compare_on(&golden, &sample, mapped, seed), boxes)
+    };
+    let found: Vec<_> = pool.install(|| (0..CONVOLUTIONS).into_par_iter().map(compare).collect());
+    let (spiking, shared) = (found.iter().filter(|found| found.0 > 0), found.iter().filter(|found| found.1 > 0));
+    let (spiking, shared, boxes) = (spiking.count(), shared.count(), found.iter().map(|found| found.2).sum::<u64>());
+    assert!(spiking > 350 && shared > 250 && boxes > 300, "{spiking} spike, {shared} share weights, {boxes} in boxes");
 }
 
 #[test]

@@ -265,6 +265,7 @@ pub(super) fn dvs_gesture(name: &str) -> Result<Builder, OutOfRange> {
 /// Eleven million compartments.
 pub(super) fn conv_10m(name: &str) -> Result<Builder, OutOfRange> {
     let mut layers = Layers::new(name, (2, 512, 512));
+    layers.threshold = 900;
     for (channels, stride) in [(16, 1), (32, 2), (32, 1), (64, 2), (64, 1), (128, 2)] {
         layers.convolve(channels, 3, stride, 1)?;
     }

@@ -254,3 +254,74 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
         layers: Vec::new(),
     }
 }
+
+/// Convolutions and poolings over a few channels, one after the other, that depend on the seed only: strides, paddings,
+/// dilations and groups of all kinds, delays, layers that reach themselves or come back from the layer after.
+pub fn convolutional(seed: u64) -> Quantised {
+    let draw = &mut Draw::new(seed ^ 0xc0_4401);
+    let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
+    let mut net = Net::with(semantics);
+    if draw.chance(20) {
+        net.reset(draw.from(1, 20) as u32, draw.from(0, 5) as u32);
+    }
+    let mut shape = (draw.from(1, 3) as u32, draw.from(5, 11) as u32, draw.from(5, 11) as u32);
+    let volume = |(c, h, w): (u32, u32, u32)| Shape::Volume(c, h, w);
+    let mut layers: Vec<(PopulationId, (u32, u32, u32))> = vec![(net.input(volume(shape)), shape)];
+    for _ in 0..draw.from(1, 3) {
+        let (from, source) = layers[layers.len() - 1];
+        let pool = layers.len() > 1 && draw.chance(20);
+        let kernel = if pool { (2, 2) } else { (draw.from(1, 4) as u32, draw.from(1, 4) as u32) };
+        let stride = if pool { (2, 2) } else { draw.one_of(&[(1, 1), (1, 1), (2, 2), (1, 2)]) };
+        let padding = if pool { (0, 0) } else { (draw.from(0, 2) as u32, draw.from(0, 2) as u32) };
+        let dilation = if pool { (1, 1) } else { draw.one_of(&[(1, 1), (1, 1), (1, 2), (2, 2)]) };
+        let side = |s: u32, k: u32, stride: u32, p: u32, d: u32| {
+            (s + 2 * p).checked_sub(d * (k - 1) + 1).map(|rest| rest / stride + 1)
+        };
+        let height = side(source.1, kernel.0, stride.0, padding.0, dilation.0);
+        let width = side(source.2, kernel.1, stride.1, padding.1, dilation.1);
+        let (Some(height), Some(width)) = (height, width) else { continue };
+        let groups = if pool || draw.chance(20) { source.0 } else { 1 };
+        let channels = if pool { source.0 } else { groups * draw.from(1, if groups > 1 { 2 } else { 7 }) as u32 };
+        shape = (channels, height, width);
+        let neuron = random_neuron(draw, semantics);
+        let to = net.loihi(volume(shape), &vec![neuron; (channels * height * width) as usize], 0);
+        let window = Window { source, target: shape, kernel, stride, padding, dilation, groups };
+        let format = random_format(draw);
+        let connectivity = match pool {
+            true => Connectivity::SumPool2d { window, weight: weight(draw, format) },
+            false => convolution(draw, window, format),
+        };
+        net.project(from, to, format, draw.one_of(&[0, 0, 1, 17, 62]), connectivity);
+        layers.push((to, shape));
+    }
+    let (last, shape) = layers[layers.len() - 1];
+    if layers.len() == 1 {
+        let neuron = random_neuron(draw, semantics);
+        let to = net.loihi(volume(shape), &vec![neuron; volume(shape).len() as usize], 0);
+        let window = recurrent(shape, 1);
+        let format = random_format(draw);
+        let connectivity = convolution(draw, window, format);
+        net.project(last, to, format, 0, connectivity);
+        layers.push((to, shape));
+    }
+    if draw.chance(40) {
+        let (to, shape) = layers[draw.from(1, layers.len() as i64 - 1) as usize];
+        let window = recurrent(shape, draw.from(1, 3) as u32);
+        let format = random_format(draw);
+        let connectivity = convolution(draw, window, format);
+        net.project(to, to, format, draw.from(0, 9), connectivity);
+    }
+    net.build()
+}
+
+/// A window of this side that keeps the shape, which an odd side does.
+fn recurrent(shape: (u32, u32, u32), side: u32) -> Window {
+    let side = side | 1;
+    let (kernel, padding) = ((side, side), (side / 2, side / 2));
+    Window { source: shape, target: shape, kernel, stride: (1, 1), padding, dilation: (1, 1), groups: 1 }
+}
+
+fn convolution(draw: &mut Draw, window: Window, format: SynapseFormat) -> Connectivity {
+    let size = window.target.0 * window.source.0 / window.groups * window.kernel.0 * window.kernel.1;
+    Connectivity::Conv2d { window, kernel: (0..size).map(|_| weight(draw, format)).collect() }
+}

@@ -146,6 +146,12 @@ impl<'p> Image<'p> {
         self.channels as usize + self.compartments()
     }
 
+    /// Chunks of sixteen weights that several sources share.
+    #[must_use]
+    pub fn shared_chunks(&self) -> usize {
+        self.rows.chunks()
+    }
+
     /// The parameters of a compartment.
     pub(crate) fn neuron(&self, compartment: CompartmentId) -> Neuron {
         let seat = self.program.seats()[compartment];

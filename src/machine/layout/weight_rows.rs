@@ -28,8 +28,11 @@ const CHUNK_COST: usize = 5;
 const SYNAPSE_COST: usize = 6;
 /// Lanes without a synapse that a row may bridge.
 const BRIDGED: u16 = LANES as u16;
-/// How often a core's rows must be used on average: rows of one source each belong to dense blocks.
+/// How often rows must be used on average: rows of one source each belong to dense blocks.
 const USES: usize = 3;
+/// Synapses of a program from which on rows that only other cores use too are shared: the weights of fewer fit a cache, where
+/// dense blocks are faster.
+const MANY: u64 = 1 << 26;
 
 /// A row: its first chunk in the high bits, its number of chunks in the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,6 +72,11 @@ impl WeightRows {
     #[inline(always)]
     pub fn weights(&self, row: WeightRow) -> &[[i16; LANES]] {
         &self.weights[row.first()..row.first() + row.chunks()]
+    }
+
+    /// Chunks of all rows.
+    pub fn chunks(&self) -> usize {
+        self.weights.len()
     }
 
     /// Bytes of memory that they hold.
@@ -129,20 +137,25 @@ impl ProgramRows {
         let ranks: Vec<Vec<u16>> =
             program.cores().ids().collect::<Vec<_>>().par_iter().map(|&core| ranks(&order.slots(core))).collect();
         let mut known: HashMap<(usize, &[CoreFormat], &[u16]), usize> = HashMap::new();
-        let mut firsts: Vec<(&CoreImage, &[u16])> = Vec::new();
+        let mut firsts: Vec<(&CoreImage, &[u16], usize)> = Vec::new();
         let same: Vec<usize> = program
             .cores()
             .iter()
             .zip(&ranks)
             .map(|(image, ranks)| {
-                *known.entry((image.inputs.address(), &image.formats, ranks)).or_insert_with(|| {
-                    firsts.push((image, ranks));
+                let first = *known.entry((image.inputs.address(), &image.formats, ranks)).or_insert_with(|| {
+                    firsts.push((image, ranks, 0));
                     firsts.len() - 1
-                })
+                });
+                firsts[first].2 += 1;
+                first
             })
             .collect();
-        let found: Vec<Option<CoreRows>> =
-            firsts.par_iter().map(|&(image, ranks)| CoreRows::of_image(image, ranks)).collect();
+        let synapses: u64 = firsts.par_iter().map(|(image, _, cores)| image.inputs.count() * *cores as u64).sum();
+        let found: Vec<Option<CoreRows>> = firsts
+            .par_iter()
+            .map(|&(image, ranks, cores)| CoreRows::of_image(image, ranks, if synapses < MANY { 1 } else { cores }))
+            .collect();
         let (mut rows, mut axons, mut place_of) = (WeightRows::default(), Vec::new(), Vec::new());
         let mut known: HashMap<Content, WeightRow> = HashMap::new();
         for found in found {
@@ -196,8 +209,8 @@ struct CoreRows {
 }
 
 impl CoreRows {
-    /// The rows of a core's input axons, if they are shared enough.
-    fn of_image(image: &CoreImage, ranks: &[u16]) -> Option<Self> {
+    /// The rows of a core's input axons, if they are shared enough when so many cores share them.
+    fn of_image(image: &CoreImage, ranks: &[u16], cores: usize) -> Option<Self> {
         let stored: &Stored = &image.inputs;
         let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
         let mut axons = Csr::with_capacity(stored.len(), 0);
@@ -214,7 +227,8 @@ impl CoreRows {
             }
             axons.end();
         }
-        (!contents.is_empty() && axons.items().len() >= USES * contents.len()).then_some(CoreRows { contents, axons })
+        (!contents.is_empty() && cores * axons.items().len() >= USES * contents.len())
+            .then_some(CoreRows { contents, axons })
     }
 }
 
