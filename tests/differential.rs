@@ -73,8 +73,8 @@ fn assert_same(golden: &Trace, fast: &Trace, what: &str) {
     assert_eq!((golden.totals, golden.overflow), (fast.totals, fast.overflow), "{what}: counts");
 }
 
-/// Three partitions: as few cores as possible, at most five compartments a core, dealt out at random.
-fn partitions(network: &Quantised, chip: &Target, seed: u64) -> Vec<(&'static str, Compiled)> {
+/// Three partitions: as few cores as possible, at most so many compartments a core, dealt out at random.
+fn partitions(network: &Quantised, chip: &Target, few: u32, seed: u64) -> Vec<(&'static str, Compiled)> {
     // Searching for places takes most of the time and decides nothing here; dealt out, cores stand anywhere.
     let options = Options { place: seed.is_multiple_of(8), ..Options::default() };
     let mut compiled = Vec::new();
@@ -85,10 +85,13 @@ fn partitions(network: &Quantised, chip: &Target, seed: u64) -> Vec<(&'static st
     limits[Resource::SynapseFormats] = 64;
     let roomy = chip.clone().with_limits(limits.clone());
     compiled.push(("sequential", compile(network.clone(), &roomy, &options)));
-    limits[Resource::Compartments] = 5;
+    limits[Resource::Compartments] = few;
     compiled.push(("small cores", compile(network.clone(), &chip.clone().with_limits(limits), &options)));
-    let mapping = random::mapping(network, &Mesh::for_target(chip), seed);
-    compiled.push(("dealt out", compile_saved(network.clone(), &roomy, &options, &mapping)));
+    // More might be dealt to one core than it holds.
+    if network.compartments() <= chip.limits()[Resource::Compartments] {
+        let mapping = random::mapping(network, &Mesh::for_target(chip), seed);
+        compiled.push(("dealt out", compile_saved(network.clone(), &roomy, &options, &mapping)));
+    }
     compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
 }
 
@@ -98,7 +101,7 @@ fn compare(seed: u64, chip: &Target) -> u64 {
     let sample = random::sample(&network, seed);
     let n = network.compartments();
     let golden = trace(&mut Golden::new(&network), n, &sample);
-    compare_on(&golden, &sample, partitions(&network, chip, seed), seed);
+    compare_on(&golden, &sample, partitions(&network, chip, 5, seed), seed);
     golden.totals.spikes
 }
 
@@ -137,7 +140,7 @@ fn random_convolutions_are_the_same_in_both_engines() {
         let network = random::convolutional(seed);
         let sample = random::sample(&network, seed);
         let golden = trace(&mut Golden::new(&network), network.compartments(), &sample);
-        let (mut mapped, mut boxes) = (partitions(&network, &chip, seed), 0);
+        let (mut mapped, mut boxes) = (partitions(&network, &chip, 32, seed), 0);
         let limits = board.limits().clone().with(Resource::Compartments, 30);
         let small = Options { place: false, ..Options::default() };
         for (name, target) in [("boxes", board.clone()), ("small boxes", board.clone().with_limits(limits))] {
@@ -153,7 +156,7 @@ fn random_convolutions_are_the_same_in_both_engines() {
     let found: Vec<_> = pool.install(|| (0..CONVOLUTIONS).into_par_iter().map(compare).collect());
     let (spiking, shared) = (found.iter().filter(|found| found.0 > 0), found.iter().filter(|found| found.1 > 0));
     let (spiking, shared, boxes) = (spiking.count(), shared.count(), found.iter().map(|found| found.2).sum::<u64>());
-    assert!(spiking > 350 && shared > 250 && boxes > 300, "{spiking} spike, {shared} share weights, {boxes} in boxes");
+    assert!(spiking > 250 && shared > 350 && boxes > 900, "{spiking} spike, {shared} share weights, {boxes} in boxes");
 }
 
 #[test]

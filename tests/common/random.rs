@@ -1,6 +1,6 @@
 //! Random small networks over the whole language: every kind of projection, sign, exponent, delay, field and semantics.
 
-use nsim::base::fixed::{SignMode, VmaxExponent, VminExponent, WeightBits, WeightExponent};
+use nsim::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits, WeightExponent};
 use nsim::base::id::{ChannelId, PopulationId};
 use nsim::base::rng;
 use nsim::desc::mapping::{MappedCore, MappingFile, Run};
@@ -283,7 +283,7 @@ pub fn convolutional(seed: u64) -> Quantised {
         let groups = if pool || draw.chance(20) { source.0 } else { 1 };
         let channels = if pool { source.0 } else { groups * draw.from(1, if groups > 1 { 2 } else { 7 }) as u32 };
         shape = (channels, height, width);
-        let neuron = random_neuron(draw, semantics);
+        let neuron = ready_neuron(draw, semantics);
         let to = net.loihi(volume(shape), &vec![neuron; (channels * height * width) as usize], 0);
         let window = Window { source, target: shape, kernel, stride, padding, dilation, groups };
         let format = random_format(draw);
@@ -296,7 +296,7 @@ pub fn convolutional(seed: u64) -> Quantised {
     }
     let (last, shape) = layers[layers.len() - 1];
     if layers.len() == 1 {
-        let neuron = random_neuron(draw, semantics);
+        let neuron = ready_neuron(draw, semantics);
         let to = net.loihi(volume(shape), &vec![neuron; volume(shape).len() as usize], 0);
         let window = recurrent(shape, 1);
         let format = random_format(draw);
@@ -312,6 +312,13 @@ pub fn convolutional(seed: u64) -> Quantised {
         net.project(to, to, format, draw.from(0, 9), connectivity);
     }
     net.build()
+}
+
+/// A neuron that mostly fires after a few spikes.
+fn ready_neuron(draw: &mut Draw, semantics: Semantics) -> Neuron {
+    let neuron = random_neuron(draw, semantics);
+    let vth = draw.from(1, 60);
+    if draw.chance(85) { Neuron { vth: ThresholdMantissa::new(vth).unwrap(), ..neuron } } else { neuron }
 }
 
 /// A window of this side that keeps the shape, which an odd side does.
