@@ -27,7 +27,7 @@
 //! - `delays-busy`: 32,768 channels, of which 70 % spike in each step, with 64 synapses of those delays to as many compartments
 //!   that never fire.
 //!
-//! Channels of the convolutions spike independently: 5 % a step, in `conv-10m` 1 %, in `conv-98k` 9 %, whose compartments
+//! Channels of the convolutions spike independently: 5 % a step, in `conv-10m` 1 %, in `conv-98k` 8 %, whose compartments
 //! have thirteen times the threshold of the others, so that about 4 % of them fire.
 
 use crate::base::fixed::{OutOfRange, SignMode};
@@ -149,7 +149,7 @@ impl StandardNetwork {
             }
             StandardNetwork::PilotNet => layers(lava_pilotnet(self.name())?, (5, 100), "nahuku-32"),
             StandardNetwork::DvsGesture => layers(dvs_gesture(self.name())?, (5, 100), "nahuku-32"),
-            StandardNetwork::Conv98k => layers(conv_98k(self.name())?, (9, 100), "pohoiki-springs"),
+            StandardNetwork::Conv98k => layers(conv_98k(self.name())?, (8, 100), "pohoiki-springs"),
             StandardNetwork::Conv10m => layers(conv_10m(self.name())?, (1, 100), "pohoiki-springs"),
             StandardNetwork::Delays32k => {
                 let sizes = Random { compartments: 32_768, background: 0, driven: 714, period: 256 };
@@ -265,7 +265,7 @@ pub(super) fn dvs_gesture(name: &str) -> Result<Builder, OutOfRange> {
 /// Eleven million compartments.
 pub(super) fn conv_10m(name: &str) -> Result<Builder, OutOfRange> {
     let mut layers = Layers::new(name, (2, 512, 512));
-    layers.threshold = 900;
+    layers.threshold = 650;
     for (channels, stride) in [(16, 1), (32, 2), (32, 1), (64, 2), (64, 1), (128, 2)] {
         layers.convolve(channels, 3, stride, 1)?;
     }

@@ -12,12 +12,17 @@ use crate::ir::quantised::Quantised;
 /// gigabytes, and building them several more.
 pub const MOST_WRITTEN: u64 = 1 << 28;
 
+/// Synapses, of all copies, above which a network that is mapped by its kernels is not run: its messages and rows of weights take
+/// a byte or two for each.
+pub const MOST_RUN: u64 = 1 << 32;
+
 /// How far the synapses of a network are expanded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
-    /// Every synapse is written into a program, which can run.
+    /// Every synapse is written into a program.
     Written,
-    /// Kernels stay kernels: layers are cut into boxes and counted from their geometry. There is no program.
+    /// Kernels stay kernels: layers are cut into boxes and counted from their geometry. A program is written only where the
+    /// network is run, once for all boxes alike ([`crate::compile::emit::boxes`]).
     Symbolic,
 }
 
@@ -51,14 +56,31 @@ impl Form {
     /// # Errors
     /// `map.described`.
     pub fn require_written(what: &str, one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
-        if Form::for_network(one, copies) == Form::Written {
-            return Ok(());
+        match Form::for_network(one, copies) {
+            Form::Written => Ok(()),
+            Form::Symbolic => Err(too_many(format!("{what} needs every synapse"), one, copies, MOST_WRITTEN)),
         }
-        let synapses = one.synapses().saturating_mul(u64::from(copies));
-        let name = &one.parts().name;
-        let message = format!("{what} needs every synapse of {name} written out: {synapses}, more than {MOST_WRITTEN}");
-        let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run --engine reference \
-                    simulates one copy of it in real numbers; for all else make it smaller, or map fewer copies";
-        Err(Diagnostic::new("map.described", message).help(help))
     }
+
+    /// Refuses to run a network whose program would take too much memory even where its kernels are written once.
+    ///
+    /// # Errors
+    /// `map.described`.
+    pub fn require_program(self, one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
+        match self {
+            Form::Symbolic if one.synapses().saturating_mul(u64::from(copies)) > MOST_RUN => {
+                Err(too_many("running it on cores needs the program".to_string(), one, copies, MOST_RUN))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+fn too_many(what: String, one: &Quantised, copies: u32, most: u64) -> Diagnostic {
+    let synapses = one.synapses().saturating_mul(u64::from(copies));
+    let message = format!("{what} of {} written out: {synapses} synapses, more than {most}", one.parts().name);
+    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy run it up \
+                to 2^32 synapses, and --engine reference one copy of it in real numbers; for all else make it smaller, or \
+                map fewer copies";
+    Diagnostic::new("map.described", message).help(help)
 }

@@ -89,6 +89,7 @@ pub fn load(
 pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
     let front = front.into();
     let form = Form::for_network(front.quantised(), options.copies);
+    form.require_program(front.quantised(), options.copies)?;
     with_program(map(front, target, options, &Rates::assumed(DEFAULT_RATE), form)?, target)
 }
 
@@ -104,5 +105,6 @@ pub fn compile_saved(
 ) -> Result<Compiled, CompileError> {
     let front = front.into();
     let form = Form::for_network(front.quantised(), options.copies);
+    form.require_program(front.quantised(), options.copies)?;
     with_program(load(front, target, options, file, form)?, target)
 }

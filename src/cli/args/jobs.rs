@@ -304,6 +304,7 @@ pub fn compiled(
         }
         None => {
             let form = Form::for_network(front.quantised(), options.copies);
+            form.require_program(front.quantised(), options.copies)?;
             let mapped = mapped(front, target, options, &Rates::assumed(DEFAULT_RATE), form);
             mapped.and_then(|mapping| compile::with_program(mapping, target))
         }
