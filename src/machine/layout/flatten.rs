@@ -9,9 +9,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::base::fixed::WEIGHT_SHIFT;
 use crate::base::id::Id;
-use crate::ir::program::{CoreFormat, Program, Synapse};
+use crate::ir::program::Program;
 use crate::machine::count::routing_tables::RoutingTables;
 use crate::machine::layout::lists::{LaneWeight, ListBuilder};
 use crate::machine::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
@@ -148,7 +147,7 @@ impl<'a> Flattener<'a> {
                 let shard = self.shard(lane);
                 let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
                 piece.counts[source] += 1;
-                piece.synapses.push((lane - self.bases[shard], scaled_units(selected.formats, synapse) as i16));
+                piece.synapses.push((lane - self.bases[shard], synapse.units(selected.formats) as i16));
             }
         });
         pieces
@@ -159,12 +158,6 @@ impl<'a> Flattener<'a> {
     fn shard(&self, lane: u32) -> usize {
         self.bases.partition_point(|&base| base <= lane) - 1
     }
-}
-
-/// A synapse's weight in units of 64, which fits 16 bits: |w| <= 256 and the exponent is at most 7.
-#[inline]
-pub(crate) fn scaled_units(formats: &[CoreFormat], synapse: &Synapse) -> i32 {
-    formats[usize::from(synapse.format)].synapse.scaled(synapse.weight) >> WEIGHT_SHIFT
 }
 
 #[cfg(test)]

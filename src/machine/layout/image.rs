@@ -17,7 +17,7 @@ use crate::ir::quantised::{Neuron, Reset};
 use crate::machine::count::residual::Residual;
 use crate::machine::count::tally::Tally;
 use crate::machine::layout::fan_out::FanOut;
-use crate::machine::layout::flatten::{Flattener, scaled_units};
+use crate::machine::layout::flatten::Flattener;
 use crate::machine::layout::lane_order::LaneOrder;
 use crate::machine::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun};
 use crate::machine::layout::weight_rows::{ProgramRows, WeightRows};
@@ -267,7 +267,7 @@ impl<'p> Image<'p> {
         for image in self.program.cores_with_own_tables() {
             let mut weight = vec![0u64; image.compartments.len()];
             for synapse in image.inputs.synapses() {
-                let units = scaled_units(&image.formats, &synapse).unsigned_abs();
+                let units = synapse.units(&image.formats).unsigned_abs();
                 weight[usize::from(synapse.slot)] += u64::from(units) * factor;
             }
             if let Some(slot) = weight.iter().position(|&weight| weight >= 1 << bits) {

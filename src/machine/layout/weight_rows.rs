@@ -18,7 +18,6 @@ use rayon::prelude::*;
 use crate::base::csr::Csr;
 use crate::base::id::{CoreId, Id};
 use crate::ir::program::{CoreFormat, CoreImage, Program, Selected, Stored, Synapse};
-use crate::machine::layout::flatten::scaled_units;
 use crate::machine::layout::lane_order::LaneOrder;
 use crate::machine::update::kernel::LANES;
 
@@ -242,7 +241,7 @@ fn rows_of(
 ) -> Option<Vec<(u16, u8, Content)>> {
     scratch.clear();
     let rank = |s: &Synapse| ranks[usize::from(s.slot + axon.base)];
-    scratch.extend(axon.stored.iter().map(|s| (s.delay.get(), rank(s), scaled_units(formats, s) as i16)));
+    scratch.extend(axon.stored.iter().map(|s| (s.delay.get(), rank(s), s.units(formats) as i16)));
     if !scratch.is_sorted_by_key(|&(delay, rank, _)| (delay, rank)) {
         scratch.sort_unstable();
     }
@@ -399,7 +398,7 @@ mod tests {
             let mut expected = std::collections::BTreeMap::new();
             for synapse in &list {
                 let at = (synapse.delay.get(), ranks[usize::from(synapse.slot + base)]);
-                *expected.entry(at).or_insert(0) += scaled_units(&formats, synapse);
+                *expected.entry(at).or_insert(0) += synapse.units(&formats);
             }
             expected.retain(|_, weight| *weight != 0);
             let mut held = std::collections::BTreeMap::new();
