@@ -10,6 +10,7 @@
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -84,12 +85,15 @@ const WRITING: [Case; 47] = [
 ];
 
 /// Commands that only read.
-const READING: [&str; 16] = [
+const READING: [&str; 19] = [
     "inspect i/w.nir",
     "inspect i/a.ron --format json",
     "inspect i/many.safetensors",
     "run i/a.ron --input i/e.npy --format json",
     "run i/a.ron --input i/e.csv --format json",
+    "run i/a.ron --input i/e.npz --format json",
+    "run i/a.ron --input i/e.npy --labels i/labels.npy --format json",
+    "run i/a.ron --input i/events.csv?polarity=merge&steps=9 --format json",
     "run i/a.ron --input i/labels.ron --format json",
     "run i/v.ron --input i/d --format json",
     "run i/v.ron --input i/events.bs2?size=6,2&polarity=merge --format json",
@@ -201,6 +205,14 @@ fn prepare(i: &Path) {
         put(&format!("d/sample_{sample}_label_{}.npy", sample % 2), &npy("(12, 5)", &spikes));
     }
     put("e.npy", &npy("(4, 9)", &(0..36).map(|at| u8::from(at % 3 == 0)).collect::<Vec<u8>>()));
+    put("labels.npy", &npy("(1,)", &[1]));
+    put("events.csv", b"p,t,x\n1,0,0\n0,1000,1\n1,4000,3\n");
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, array) in [("in.npy", npy("(1, 4, 9)", &[1; 36])), ("y.npy", npy("(1,)", &[1]))] {
+        zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(&array).unwrap();
+    }
+    put("e.npz", &zip.finish().unwrap().into_inner());
     put("e.csv", b"# steps: 9\n0,0\n1,1\n2,2\n3,3\n5,0\n7,2\n");
     put(
         "labels.ron",
@@ -479,7 +491,7 @@ fn every_command_writes_all_or_nothing_and_says_what_it_could_not_read() {
 /// Every option that takes a file or a folder is one that is read, or stands in a command above.
 #[test]
 fn every_option_that_writes_is_tried() {
-    const READ: [&str; 9] = [
+    const READ: [&str; 10] = [
         "--mapping",
         "--calibrate",
         "--image",
@@ -488,6 +500,7 @@ fn every_option_that_writes_is_tried() {
         "--deployment",
         "--against",
         "--input",
+        "--labels",
         "--training",
     ];
     let commands = [

@@ -85,7 +85,7 @@ pub struct Args {
     probes: ProbeArgs,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part, under the
     /// target's first constants
-    #[arg(long, value_name = "FILE.csv|FILE.npy")]
+    #[arg(long, value_name = "FILE.csv|npy|parquet")]
     steps: Option<PathBuf>,
 }
 
@@ -105,7 +105,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Prepared::DoesNotFit(refusal) => return refusal.say(crate::report::run::nothing("fast"), context),
     };
     let network = job.quantised();
-    let stimulus = inputs::stimulus(network, &args.input.input, job.scene(), args.input.seed)?;
+    let stimulus = inputs::stimulus(network, &args.input.sources()?, job.scene(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     check_pruned(network, &samples, &args.input)?;
     let probes = args.probes.probes(network, &samples)?;

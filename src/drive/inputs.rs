@@ -3,7 +3,7 @@
 //! Each input population needs a source; a bare source serves the only input population, or all that it names. Sources of
 //! several populations are matched sample by sample: they must agree in number, steps and labels.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::ChannelId;
@@ -11,7 +11,9 @@ use crate::base::names::did_you_mean;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
 use crate::io::budget::MOST_STEPS_TOGETHER;
-use crate::io::spikes::{EventOptions, Expected, Manifest, PopulationSpikes, SpikeFormat, read_manifest, read_spikes};
+use crate::io::spikes::{
+    EventOptions, Expected, Manifest, PopulationSpikes, SpikeFormat, labels, read_manifest, read_spikes,
+};
 use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Sample, Stimulus};
 use crate::scene;
@@ -46,6 +48,8 @@ pub fn stimulus(
                 return Err(Error::Usage("a scene drives all input populations and stands alone".to_string()));
             }
         };
+        let (pairs, labels) = without_labels(path, pairs)?;
+        let pairs = pairs.as_slice();
         let is_manifest = SpikeFormat::from_name(path) == Some(SpikeFormat::Manifest);
         let wanted: Vec<usize> = match &argument.population {
             Some(name) => vec![inputs.iter().position(|p| &p.name == name).ok_or_else(|| unknown(name, &inputs))?],
@@ -68,10 +72,13 @@ pub fn stimulus(
             let population = inputs[index];
             let dt_ms = network.parts().timestep_ms;
             let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms };
-            let spikes = match &manifest {
+            let mut spikes = match &manifest {
                 Some(part) => part.read(&population.name, &expected)?,
                 None => read_spikes(path, &population.name, &expected, &options)?,
             };
+            if let Some(file) = &labels {
+                labels::apply(file, &labels::read(file)?, &mut spikes)?;
+            }
             if sources[index].replace(spikes).is_some() {
                 return Err(Error::Usage(format!("population '{}' has two inputs", population.name)));
             }
@@ -93,6 +100,17 @@ pub fn stimulus(
         return Err(Diagnostic::new("input.too-long", message).help("run some of them at a time").into());
     }
     Ok(Stimulus { samples, origin: arguments, seed: None })
+}
+
+/// The options of a source without `labels=FILE`, and that file.
+type Pairs = Vec<(String, String)>;
+
+fn without_labels(path: &Path, pairs: &[(String, String)]) -> Result<(Pairs, Option<PathBuf>), Error> {
+    let (labels, others): (Pairs, Pairs) = pairs.iter().cloned().partition(|(key, _)| key == "labels");
+    if labels.len() > 1 {
+        return Err(Error::Usage(format!("--input {}: labels are given twice", path.display())));
+    }
+    Ok((others, labels.into_iter().next().map(|(_, file)| file.into())))
 }
 
 /// A data set, or what a fold of it trains or tests on.

@@ -44,7 +44,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
     Form::require_written("nsim agree", &analytic, 1)?;
-    let stimulus = inputs::stimulus(&analytic, &args.input.input, scene.as_deref(), args.input.seed)?;
+    let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     match models::named(&args.against)?.as_slice() {
         [] => {}

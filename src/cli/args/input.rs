@@ -12,6 +12,9 @@ pub struct InputArgs {
     /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations [default: the model's scene]
     #[arg(long, value_name = "SOURCE")]
     pub input: Vec<String>,
+    /// Classes of the samples of the first --input: a .npy file with a number for each
+    #[arg(long, value_name = "FILE.npy", requires = "input")]
+    pub labels: Option<String>,
     /// Only these samples, such as 0..20
     #[arg(long, value_name = "A..B")]
     pub samples: Option<SampleRange>,
@@ -24,10 +27,28 @@ pub struct InputArgs {
 }
 
 impl InputArgs {
+    /// The sources, the first with the file of its labels.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for labels beside a scene, or whose name cannot stand in a source.
+    pub fn sources(&self) -> Result<Vec<String>, Error> {
+        let mut sources = self.input.clone();
+        if let (Some(labels), Some(first)) = (&self.labels, sources.first_mut()) {
+            if labels.contains(['?', '&']) || first.contains("scene:") {
+                return Err(Error::Usage(format!(
+                    "--labels {labels}: labels are a file beside recordings, without ? and &"
+                )));
+            }
+            let begun = first.rsplit_once('?').is_some_and(|(_, query)| query.contains('='));
+            *first = format!("{first}{}labels={labels}", if begun { '&' } else { '?' });
+        }
+        Ok(sources)
+    }
+
     /// All samples of these sources, once each.
     #[must_use]
     pub fn from_sources(sources: &[String]) -> Self {
-        InputArgs { input: sources.to_vec(), samples: None, repeat: 1, seed: None }
+        InputArgs { input: sources.to_vec(), labels: None, samples: None, repeat: 1, seed: None }
     }
 }
 

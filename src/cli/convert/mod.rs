@@ -79,7 +79,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Diagnostic::new("convert.integers", message).help("it runs as it is").into());
     }
     Form::require_written("nsim convert", &integers, 1)?;
-    let stimulus = inputs::stimulus(&integers, &args.input.input, scene.as_deref(), args.input.seed)?;
+    let stimulus = inputs::stimulus(&integers, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let shown = select(&stimulus.samples, &args.input)?;
     let wanted = args.calibration_samples as usize;
     let run = RunInput { sources: &args.input.input, seed: args.input.seed, scene: scene.as_deref() };

@@ -97,7 +97,7 @@ pub struct EnergyArgs {
     #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
     pub plot: Option<PathBuf>,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part
-    #[arg(long, value_name = "FILE.csv|FILE.npy")]
+    #[arg(long, value_name = "FILE.csv|npy|parquet")]
     pub steps: Option<PathBuf>,
     /// The mapped program, its chip and the first sample as files for SANA-FE
     #[arg(long, value_name = "DIR")]

@@ -24,7 +24,7 @@ pub fn workload<'j>(job: &'j Job, input: &InputArgs) -> Result<Workload<'j>, Err
     let Some((compiled, target)) = job.mapped() else {
         return Err(Error::Fault("energy needs a mapped job".to_string()));
     };
-    let stimulus = inputs::stimulus(&compiled.one, &input.input, job.scene(), input.seed)?;
+    let stimulus = inputs::stimulus(&compiled.one, &input.sources()?, job.scene(), input.seed)?;
     let order = select_numbers(stimulus.samples.len(), input)?;
     let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
     check_pruned(&compiled.one, &samples, input)?;

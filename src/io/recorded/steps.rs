@@ -1,7 +1,7 @@
 //! A table with a row for each timestep of each sample, written as its rows come.
 //!
-//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, or a NumPy array of records whose
-//! fields are the columns. Memory does not grow with the rows. Times and energies are counted in ps and fJ and written in us
+//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, a NumPy array of records whose
+//! fields are the columns, or Parquet. Memory does not grow with the rows. Times and energies are counted in ps and fJ and written in us
 //! and pJ, in CSV with all digits, so that sums over rows are exact.
 //!
 //! Errors: those of the writer; an array whose rows are not as many as its header says.
@@ -10,6 +10,9 @@ use std::fmt::Write as _;
 use std::io::{Error, Result, Write};
 use std::path::Path;
 
+pub use super::column::{Column, Unit};
+#[cfg(feature = "parquet")]
+use super::parquet::ParquetTable;
 use crate::io::text::NPY_MAGIC;
 
 /// The form of a table.
@@ -19,6 +22,8 @@ pub enum StepFormat {
     Csv,
     /// A NumPy array of records.
     Npy,
+    /// Parquet, in builds with the feature `parquet`.
+    Parquet,
 }
 
 impl StepFormat {
@@ -29,46 +34,35 @@ impl StepFormat {
         match extension.as_str() {
             "csv" => Some(StepFormat::Csv),
             "npy" => Some(StepFormat::Npy),
+            "parquet" => Some(StepFormat::Parquet),
             _ => None,
         }
     }
-}
 
-/// What a column counts, and how it is written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unit {
-    /// Things.
-    Count,
-    /// Picoseconds, written as microseconds.
-    Microseconds,
-    /// Femtojoules, written as picojoules.
-    Picojoules,
-}
-
-impl Unit {
-    /// Of what is counted, how many make a unit of what is written.
-    #[must_use]
-    pub fn divisor(self) -> u64 {
+    /// Whether this build writes it; otherwise how to get one that does.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn check(self) -> std::result::Result<(), &'static str> {
         match self {
-            Unit::Count => 1,
-            Unit::Microseconds => 1_000_000,
-            Unit::Picojoules => 1_000,
+            StepFormat::Parquet if cfg!(not(feature = "parquet")) => Err(
+                "this nsim was built without Parquet: name the file .csv or .npy, or build nsim with --features parquet",
+            ),
+            _ => Ok(()),
         }
     }
 }
 
-/// A column behind `sample` and `timestep`.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Column {
-    /// Its name.
-    pub name: String,
-    /// What it counts.
-    pub unit: Unit,
+/// Where rows go.
+enum Out<'w> {
+    Plain(&'w mut (dyn Write + Send)),
+    #[cfg(feature = "parquet")]
+    Parquet(Box<ParquetTable<'w>>),
 }
 
 /// A table that is being written.
 pub struct StepWriter<'w> {
-    out: &'w mut (dyn Write + Send),
+    out: Out<'w>,
     format: StepFormat,
     units: Vec<Unit>,
     /// Rows that the header promises, where it does.
@@ -98,7 +92,24 @@ impl<'w> StepWriter<'w> {
         columns: &[Column],
         rows: Option<u64>,
     ) -> Result<StepWriter<'w>> {
+        let units: Vec<Unit> = columns.iter().map(|column| column.unit).collect();
+        let promised = rows.filter(|_| format == StepFormat::Npy);
+        let table = |out| StepWriter {
+            out,
+            format,
+            units,
+            promised,
+            rows: 0,
+            sample: 0,
+            step: 0,
+            failed: None,
+            line: Vec::new(),
+        };
         match (format, rows) {
+            #[cfg(feature = "parquet")]
+            (StepFormat::Parquet, _) => return Ok(table(Out::Parquet(Box::new(ParquetTable::new(out, columns)?)))),
+            #[cfg(not(feature = "parquet"))]
+            (StepFormat::Parquet, _) => return Err(Error::other(format.check().err().unwrap_or_default())),
             (StepFormat::Csv, _) => {
                 let mut header = csv::Writer::from_writer(&mut *out);
                 let names = columns.iter().map(|column| column.name.as_str());
@@ -108,9 +119,7 @@ impl<'w> StepWriter<'w> {
             (StepFormat::Npy, Some(rows)) => out.write_all(&array_header(columns, rows)?)?,
             (StepFormat::Npy, None) => return Err(Error::other("an array needs its number of rows")),
         }
-        let units = columns.iter().map(|column| column.unit).collect();
-        let promised = rows.filter(|_| format == StepFormat::Npy);
-        Ok(StepWriter { out, format, units, promised, rows: 0, sample: 0, step: 0, failed: None, line: Vec::new() })
+        Ok(table(Out::Plain(out)))
     }
 
     /// Writes the row of the sample's next timestep.
@@ -121,6 +130,7 @@ impl<'w> StepWriter<'w> {
         self.line.clear();
         match self.format {
             StepFormat::Csv => self.csv_line(cells),
+            StepFormat::Parquet => {}
             StepFormat::Npy => {
                 self.line.extend(self.sample.to_le_bytes());
                 self.line.extend(self.step.to_le_bytes());
@@ -132,7 +142,11 @@ impl<'w> StepWriter<'w> {
                 }
             }
         }
-        self.failed = self.out.write_all(&self.line).err();
+        self.failed = match &mut self.out {
+            Out::Plain(out) => out.write_all(&self.line).err(),
+            #[cfg(feature = "parquet")]
+            Out::Parquet(table) => table.row(self.sample, self.step, cells).err(),
+        };
         self.rows += 1;
         self.step += 1;
     }
@@ -169,6 +183,10 @@ impl<'w> StepWriter<'w> {
     /// # Errors
     /// The first of the writer; rows that are not as many as the header says.
     pub fn finish(self) -> Result<()> {
+        #[cfg(feature = "parquet")]
+        if let (Out::Parquet(table), None) = (self.out, &self.failed) {
+            return table.finish();
+        }
         match (self.failed, self.promised) {
             (Some(error), _) => Err(error),
             (None, Some(rows)) if rows != self.rows => {
@@ -249,10 +267,36 @@ mod tests {
         assert!(written(StepFormat::Npy, Some(4)).is_err() && written(StepFormat::Npy, None).is_err());
     }
 
+    #[cfg(feature = "parquet")]
+    #[test]
+    fn parquet_holds_the_rows() {
+        use parquet::file::reader::{FileReader, SerializedFileReader};
+        use parquet::record::RowAccessor;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.parquet");
+        std::fs::write(&path, written(StepFormat::Parquet, None).unwrap()).unwrap();
+        let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let rows: Vec<_> = file.get_row_iter(None).unwrap().map(|row| row.unwrap()).collect();
+        let row = |r: &parquet::record::Row| {
+            (
+                r.get_int(0).unwrap(),
+                r.get_int(1).unwrap(),
+                r.get_long(2).unwrap(),
+                r.get_double(3).unwrap(),
+                r.get_double(4).unwrap(),
+            )
+        };
+        let meant = [(0, 0, 3, 1.000_001, 0.005), (0, 1, 0, 0.0, 12.34), (1, 0, 7, 0.999_999, 1.0)];
+        assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), meant);
+        let names: Vec<String> = rows[0].get_column_iter().map(|(name, _)| name.clone()).collect();
+        assert_eq!(names[2..], ["spikes.a,b", "time_us.barrier", "energy_pj.hop"]);
+    }
+
     #[test]
     fn a_name_says_the_form() {
         let form = |name: &str| StepFormat::from_name(Path::new(name));
         assert_eq!((form("a.csv"), form("b/a.NPY")), (Some(StepFormat::Csv), Some(StepFormat::Npy)));
-        assert_eq!((form("a.txt"), form("csv")), (None, None));
+        assert_eq!((form("a.txt"), form("csv"), form("a.parquet")), (None, None, Some(StepFormat::Parquet)));
+        assert_eq!(StepFormat::Parquet.check().is_ok(), cfg!(feature = "parquet"));
     }
 }

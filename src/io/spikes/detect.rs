@@ -23,17 +23,20 @@ pub enum EventFormat {
     Aedat4,
     /// VT_SNN's `.tact`.
     Tact,
+    /// `.csv` whose header names x and a time.
+    Text,
 }
 
 impl EventFormat {
     /// Every format.
-    pub const ALL: [EventFormat; 6] = [
+    pub const ALL: [EventFormat; 7] = [
         EventFormat::Bs2,
         EventFormat::Bs1,
         EventFormat::Dat,
         EventFormat::Raw,
         EventFormat::Aedat4,
         EventFormat::Tact,
+        EventFormat::Text,
     ];
 }
 
@@ -46,7 +49,9 @@ pub enum SpikeFormat {
     Manifest,
     /// A NumPy array, `.npy`.
     Array,
-    /// A list of spikes, `.csv`.
+    /// An archive of NumPy arrays, `.npz`.
+    Archive,
+    /// A list of spikes or of events, `.csv`.
     Csv,
     /// A recording of events.
     Events(EventFormat),
@@ -71,6 +76,7 @@ impl SpikeFormat {
         }
         Some(match path.extension()?.to_string_lossy().to_ascii_lowercase().as_str() {
             "npy" => SpikeFormat::Array,
+            "npz" => SpikeFormat::Archive,
             "csv" => SpikeFormat::Csv,
             "ron" => SpikeFormat::Manifest,
             "nir" | "h5" | "hdf5" => SpikeFormat::NirData,
@@ -104,7 +110,7 @@ pub(super) fn unknown(path: &Path) -> Diagnostic {
     };
     Diagnostic::new("input.kind", message)
         .help(
-            "read are: .npy ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), recordings (.bin, .bs1, \
+            "read are: .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel or t,x,y,p), recordings (.bin, .bs1, \
              .bs2, .dat, .raw, .aedat4, .tact, NIR data), a .ron data-set manifest, and a folder of \
              sample_<i>_label_<c>.npy or of recordings",
         )

@@ -2,14 +2,16 @@
 //!
 //! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population. [`detect`] alone decides which
 //! format a path has; [`source`] is the way in. Each reader stands below it: [`manifest`] reads data sets with the readers
-//! of [`recordings`], which are [`mod@array`], [`csv`], [`folder`] and [`events`].
+//! of [`recordings`], which are [`mod@array`], [`npz`], [`csv`], [`folder`] and [`events`].
 
 pub mod array;
 pub mod csv;
 pub mod detect;
 pub mod events;
 pub mod folder;
+pub mod labels;
 pub mod manifest;
+pub mod npz;
 pub mod options;
 pub mod population;
 pub mod recordings;

@@ -10,7 +10,7 @@ use super::events::read::{read_file, report};
 use super::folder::list_folder;
 use super::options::{EventOptions, Polarity};
 use super::population::{Expected, PopulationSpikes};
-use super::{array, csv};
+use super::{array, csv, npz};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::MOST_ARRAY;
 use crate::io::foreign::hdf5;
@@ -39,6 +39,12 @@ pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSp
         Some(SpikeFormat::Folder) => return read_folder(path, request),
         Some(SpikeFormat::Events(format)) => return read_recording(path, format, request),
         Some(SpikeFormat::NirData) => return read_nir_data(path, request),
+        Some(SpikeFormat::Archive) => {
+            return npz::read(path, request.population, units, array_polarity(path, options)?);
+        }
+        Some(SpikeFormat::Csv) if csv::holds_events(path)? => {
+            return read_recording(path, EventFormat::Text, request);
+        }
         Some(SpikeFormat::Array) => {
             return array::from_array(&npy::open(path)?, units, array_polarity(path, options)?);
         }
@@ -117,8 +123,8 @@ fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpik
 
 /// Reads a source that holds exactly one sample.
 pub(super) fn read_sample(path: &Path, request: Request<'_>) -> Result<PopulationSpikes> {
-    use SpikeFormat::{Array, Csv, Events, NirData};
-    if !matches!(SpikeFormat::from_name(path), Some(Array | Csv | Events(_) | NirData)) {
+    use SpikeFormat::{Archive, Array, Csv, Events, NirData};
+    if !matches!(SpikeFormat::from_name(path), Some(Array | Archive | Csv | Events(_) | NirData)) {
         return Err(Diagnostic::new(
             "input.kind",
             "a sample of a data set is a .npy or a .csv file, or a recording of events",

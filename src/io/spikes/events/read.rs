@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::bins::{Bins, Window};
 use super::event::{Counts, Sink, unreadable};
-use super::{address, aedat, evt, tact};
+use super::{address, aedat, evt, tact, text as rows};
 use crate::base::diagnostic::Result;
 use crate::io::disk::Input;
 use crate::io::spikes::detect::EventFormat;
@@ -25,6 +25,7 @@ pub fn decode(format: EventFormat, input: &mut dyn BufRead, sink: &mut dyn Sink)
         EventFormat::Raw => evt::raw(input, sink),
         EventFormat::Aedat4 => aedat::aedat4(input, sink),
         EventFormat::Tact => tact::tact(input, sink),
+        EventFormat::Text => rows::events(input, sink),
     }
 }
 
@@ -84,7 +85,7 @@ pub fn read_input(
 fn default_origin(format: EventFormat) -> Origin {
     match format {
         EventFormat::Bs1 | EventFormat::Bs2 | EventFormat::Tact => Origin::At(0),
-        EventFormat::Dat | EventFormat::Raw | EventFormat::Aedat4 => Origin::First,
+        EventFormat::Dat | EventFormat::Raw | EventFormat::Aedat4 | EventFormat::Text => Origin::First,
     }
 }
 
