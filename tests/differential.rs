@@ -6,8 +6,10 @@
 
 mod common;
 
-use common::random;
-use nsim::base::id::{CompartmentId, Id};
+use common::{Net, format, neuron, random};
+use nsim::base::fixed::SignMode;
+use nsim::base::id::{ChannelId, CompartmentId, Id};
+use nsim::base::rng;
 use nsim::bench::networks::{Random, random as random_network};
 use nsim::compile::frontend::prune::{Plan, prune};
 use nsim::compile::{self, Compiled, DEFAULT_RATE, Form, Options, compile, compile_saved, front, with_program};
@@ -19,8 +21,9 @@ use nsim::io::model::load_model;
 use nsim::io::target::load_target;
 use nsim::ir::activity::{Activity, Overflow, Totals};
 use nsim::ir::firing_rates::Rates;
+use nsim::ir::graph::{Shape, Window};
 use nsim::ir::placement::Mesh;
-use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::{Connectivity, Quantised};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use rayon::prelude::*;
@@ -214,4 +217,66 @@ fn events_of_uneven_rows_are_right_after_every_step() {
             assert_eq!(events, golden.totals().synaptic_events, "{shares} shares");
         }
     }
+}
+
+/// One convolution, 3 x 3 over 64 channels to 64, of a square side of inputs, without a border.
+fn wide_convolution(side: u32) -> Quantised {
+    let (from, to) = ((64, side, side), (64, side - 2, side - 2));
+    let mut net = Net::new();
+    let input = net.input(Shape::Volume(from.0, from.1, from.2));
+    let neurons = vec![neuron(1024, 128, 300, 2); (to.0 * to.1 * to.2) as usize];
+    let out = net.loihi(Shape::Volume(to.0, to.1, to.2), &neurons, 0);
+    let once = (1, 1);
+    let window =
+        Window { source: from, target: to, kernel: (3, 3), stride: once, padding: (0, 0), dilation: once, groups: 1 };
+    let kernel = (0..64 * 64 * 9).map(|k| rng::below(101, 7, k, 0) as i16 * 2 - 90).collect();
+    net.project(input, out, format(SignMode::Mixed, 0), 0, Connectivity::Conv2d { window, kernel });
+    net.build()
+}
+
+/// The machine runs a network of more synapses than are written out; golden runs regions of it, alone.
+#[test]
+fn regions_of_a_network_too_large_to_write_out_spike_as_they_do_alone() {
+    const SIDE: u32 = 88;
+    const PART: u32 = 14;
+    let whole = wide_convolution(SIDE);
+    assert_eq!(Form::for_network(&whole, 1), Form::Symbolic);
+    let spikes = |t: u32| (0..whole.channels()).filter(move |&c| rng::below(100, 9, c.into(), t.into()) < 4);
+    let events: Vec<_> = (0..12).flat_map(|t| spikes(t).map(move |channel| (t, ChannelId(channel)))).collect();
+    let sample = Sample::new(12, &events, None).unwrap();
+    let board = load_target("pohoiki-springs").unwrap();
+    let options = Options { place: false, ..Options::default() };
+    let compiled = compile(whole.clone(), &board, &options).unwrap();
+    let image = Image::new(&compiled.program, 2).unwrap();
+    assert!(image.shared_chunks() > 0);
+    let mut machine = Machine::new(&image, Settings::default());
+    let golden = wide_convolution(PART);
+    let mut compared = 0;
+    for (top, left) in [(0, 0), (37, 51), (SIDE - PART, SIDE - PART)] {
+        // Where a unit of the part is in the whole.
+        let place = |unit: u32, part: u32, side: u32| {
+            (unit / (part * part) * side + unit / part % part + top) * side + unit % part + left
+        };
+        let seen: std::collections::HashMap<u32, u32> =
+            (0..golden.channels()).map(|channel| (place(channel, PART, SIDE), channel)).collect();
+        let own = events.iter().filter_map(|&(t, channel)| Some((t, ChannelId(*seen.get(&channel.0)?))));
+        let own = Sample::new(12, &own.collect::<Vec<_>>(), None).unwrap();
+        let inside: std::collections::HashSet<u32> =
+            (0..golden.compartments()).map(|unit| place(unit, PART - 2, SIDE - 2)).collect();
+        let mut alone = Golden::new(&golden);
+        alone.begin(12);
+        machine.begin(12);
+        for t in 0..12 {
+            alone.step(own.at(t));
+            machine.step(sample.at(t));
+            let mut expected: Vec<u32> =
+                alone.spikes().iter().map(|spike| place(spike.0, PART - 2, SIDE - 2)).collect();
+            expected.sort_unstable();
+            let spiked: Vec<u32> =
+                machine.ascending_spikes().iter().map(|spike| spike.0).filter(|spike| inside.contains(spike)).collect();
+            assert_eq!(spiked, expected, "step {t} at {top}, {left}");
+            compared += spiked.len();
+        }
+    }
+    assert!(compared > 5_000, "{compared} spikes");
 }
