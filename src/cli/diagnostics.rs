@@ -28,10 +28,16 @@ pub fn say(text: &str) {
     let _ = std::io::stderr().lock().write_all(text.as_bytes());
 }
 
+/// Whether stderr is a terminal that moves its cursor and shows colours.
+#[must_use]
+pub fn on_terminal() -> bool {
+    std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|kind| kind != "dumb")
+}
+
 /// Whether stderr shows colours, and its user wants them (<https://no-color.org>).
 #[must_use]
 pub fn colour() -> bool {
-    std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+    on_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
 /// The format that a command line asks for, whether or not the rest of it makes sense.

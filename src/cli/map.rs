@@ -56,21 +56,21 @@ pub struct MapArgs {
     #[arg(long, default_value = "cores", value_parser = one_of(&Objective::ALL, Objective::name))]
     pub objective: Objective,
     /// How compartments are assigned to cores: sequential, greedy or multilevel
-    #[arg(long, default_value = "multilevel", value_parser = one_of(&Strategy::ALL, Strategy::name), conflicts_with = "mapping")]
+    #[arg(help_heading = "Mapping", long, default_value = "multilevel", value_parser = one_of(&Strategy::ALL, Strategy::name), conflicts_with = "mapping")]
     pub strategy: Strategy,
     /// Keep cores in the order of the partition instead of placing those that communicate close together
-    #[arg(long, conflicts_with = "mapping")]
+    #[arg(help_heading = "Mapping", long, conflicts_with = "mapping")]
     pub unplaced: bool,
     /// Seconds by the clock that mapping may take, such as 0.5; 0 for the quickest mapping there is [default: a fixed amount of
     /// work, so that the result is the same on any machine]
-    #[arg(long, value_name = "S", value_parser = milliseconds)]
+    #[arg(help_heading = "Mapping", long, value_name = "S", value_parser = milliseconds)]
     pub time_budget: Option<u32>,
     /// Seed of randomised strategies
-    #[arg(long, default_value_t = 0, conflicts_with = "mapping")]
+    #[arg(help_heading = "Mapping", long, default_value_t = 0, conflicts_with = "mapping")]
     pub seed: u64,
     /// Input spikes from which firing rates are measured, as --input of nsim run takes them; `scene` for the model's own
     /// [default: one assumed rate for all]
-    #[arg(long, value_name = "SOURCE")]
+    #[arg(help_heading = "Mapping", long, value_name = "SOURCE")]
     pub profile: Vec<String>,
     /// Compare several mappings and draw cores, energy and step time, with the Pareto front
     #[arg(long, value_name = "FILE.svg|png|pdf", conflicts_with = "mapping")]
@@ -129,6 +129,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         None => {
             let one = front.quantised().clone();
             if args.pareto.is_some() {
+                let _busy = output::busy("mapping in several ways");
                 candidates = explore::candidates(&front, &target, &options, &rates, form).unwrap_or_default();
             }
             let mapped = jobs::mapped(front, &target, &options, &rates, form);

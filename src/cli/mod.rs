@@ -25,7 +25,6 @@ pub mod stress;
 pub mod train;
 
 use std::ffi::OsString;
-use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -44,6 +43,9 @@ EXAMPLES:
 EXIT STATUS:
   0 done   1 the answer is no   2 wrong usage   3 an input cannot be used   4 a fault of nsim";
 
+/// What options that every command has stand under in help, behind its own.
+const EVERYWHERE: &str = "Options of every command";
+
 /// Maps trained spiking networks onto simulated Loihi cores, runs them bit for bit, and reports energy and latency.
 #[derive(Debug, Parser)]
 #[command(name = "nsim", version, about, after_help = AFTER_HELP, disable_help_subcommand = true)]
@@ -51,26 +53,26 @@ struct Cli {
     #[command(subcommand)]
     command: Command,
     /// How to print the result
-    #[arg(long, global = true, value_enum, default_value_t)]
+    #[arg(long, global = true, help_heading = EVERYWHERE, value_enum, default_value_t)]
     format: Format,
     /// Threads to use, which never changes a result [default: all cores]
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, help_heading = EVERYWHERE, value_name = "N")]
     threads: Option<usize>,
     /// Replace existing files
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = EVERYWHERE)]
     force: bool,
     /// Change a field of the model, the target or its constants, such as populations.hidden.vth_mant=60,
     /// target.limits.axons_out=8192 or constants.injection_time=0.4
-    #[arg(long, global = true, value_name = "PATH=VALUE", action = clap::ArgAction::Append)]
+    #[arg(long, global = true, help_heading = EVERYWHERE, value_name = "PATH=VALUE", action = clap::ArgAction::Append)]
     set: Vec<String>,
     /// Neither read nor write the cache of mappings
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = EVERYWHERE)]
     no_cache: bool,
     /// Print more messages on stderr (-v, -vv)
-    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    #[arg(short, long, global = true, help_heading = EVERYWHERE, action = clap::ArgAction::Count)]
     verbose: u8,
     /// Print only errors on stderr
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    #[arg(short, long, global = true, help_heading = EVERYWHERE, conflicts_with = "verbose")]
     quiet: bool,
 }
 
@@ -169,7 +171,8 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
         return diagnostics::report(&Error::Usage(message), cli.format);
     }
     let answer = threads::start(cli.threads).and_then(|threads| {
-        let progress = std::io::stderr().is_terminal() && !cli.quiet;
+        let progress = diagnostics::on_terminal() && !cli.quiet;
+        output::allow_busy(progress);
         dispatch(&cli.command, Context { format: cli.format, force: cli.force, progress, threads })
     });
     match answer {

@@ -1,6 +1,7 @@
 //! What several commands share: printing, progress, replacing a section of a document.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -104,6 +105,52 @@ pub fn warn_all(warnings: &[Warning]) {
     }
 }
 
+/// Whether stages without parts are shown.
+static BUSY_IS_SHOWN: AtomicBool = AtomicBool::new(false);
+/// Bars and stages that are under way: one line shows one of them.
+static UNDER_WAY: AtomicUsize = AtomicUsize::new(0);
+
+/// Lets [`busy`] show what is under way.
+pub fn allow_busy(shown: bool) {
+    BUSY_IS_SHOWN.store(shown, Ordering::Relaxed);
+}
+
+/// A stage without countable parts: from its second second on a line on stderr says what it does, until this is dropped.
+#[derive(Debug)]
+pub struct Busy(ProgressBar);
+
+/// Begins a stage; where a bar or another stage is shown, that stays.
+#[must_use]
+pub fn busy(what: &'static str) -> Busy {
+    let alone = UNDER_WAY.fetch_add(1, Ordering::Relaxed) == 0;
+    if !alone || !BUSY_IS_SHOWN.load(Ordering::Relaxed) {
+        return Busy(ProgressBar::hidden());
+    }
+    let style =
+        ProgressStyle::with_template("{spinner} {msg}, {elapsed}").unwrap_or_else(|_| ProgressStyle::default_spinner());
+    let line = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden()).with_style(style).with_message(what);
+    let shown = line.clone();
+    // Where no thread can be started there is no line.
+    let _ = std::thread::Builder::new().spawn(move || {
+        std::thread::sleep(std::time::Duration::from_secs(1));
+        if !shown.is_finished() {
+            shown.set_draw_target(ProgressDrawTarget::stderr());
+        }
+        while !shown.is_finished() {
+            shown.tick();
+            std::thread::sleep(std::time::Duration::from_millis(200));
+        }
+    });
+    Busy(line)
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        UNDER_WAY.fetch_sub(1, Ordering::Relaxed);
+        self.0.finish_and_clear();
+    }
+}
+
 /// Works under a progress bar; the work calls what it is given after each of `length` parts.
 pub fn with_progress<T>(
     context: Context,
@@ -112,7 +159,9 @@ pub fn with_progress<T>(
     work: impl FnOnce(Progress<'_>) -> T,
 ) -> T {
     let bar = progress(context, length as u64, what);
+    UNDER_WAY.fetch_add(1, Ordering::Relaxed);
     let result = work(&|| bar.inc(1));
+    UNDER_WAY.fetch_sub(1, Ordering::Relaxed);
     bar.finish_and_clear();
     result
 }

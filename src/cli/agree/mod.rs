@@ -81,6 +81,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let attribution = match attributed {
         true => {
             let some = &samples[..samples.len().min(args.attribution_samples as usize)];
+            let _busy = output::busy("attributing the disagreement to causes");
             Some(attribute(&ladder, &output_layer(ladder.deployed()), some))
         }
         false => None,

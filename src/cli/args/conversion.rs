@@ -1,6 +1,7 @@
 //! `--conversion` and `--calibrate`: how a spike response network becomes integers.
 
 use crate::cli::args::input::InputArgs;
+use crate::cli::output;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::convert::calibration::{self, RunInput};
 use crate::convert::copies;
@@ -26,6 +27,7 @@ pub struct CopiesArgs {
     /// many where they are few
     #[arg(
         long,
+        help_heading = "Conversion",
         value_name = "N",
         default_value_t = copies::USUAL as u32,
         value_parser = clap::value_parser!(u32).range(1..=copies::MOST as i64)
@@ -45,10 +47,10 @@ impl CopiesArgs {
 #[derive(Debug, Clone, clap::Args)]
 pub struct ConversionArgs {
     /// How a spike response network becomes integers
-    #[arg(long, value_enum, default_value = "search")]
+    #[arg(help_heading = "Conversion", long, value_enum, default_value = "search")]
     pub conversion: Conversion,
     /// Samples for the search, as --input takes them [default: the scene with another seed, or the first input samples]
-    #[arg(long, value_name = "SOURCE")]
+    #[arg(help_heading = "Conversion", long, value_name = "SOURCE")]
     pub calibrate: Vec<String>,
     #[command(flatten)]
     #[allow(missing_docs)]
@@ -80,6 +82,7 @@ impl ConversionArgs {
                 samples.iter().take(wanted).copied().collect()
             }
         };
+        let _busy = output::busy("searching for integers");
         let found = search::search(graph, &calibration, self.copies.most(), |population| {
             tracing::info!("searching '{population}'");
         })?;

@@ -8,6 +8,7 @@ use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
+use crate::cli::output;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{
     self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, kept, mapping_file,
@@ -35,10 +36,10 @@ pub struct JobArgs {
     #[arg(long, default_value = "nahuku-32")]
     pub target: String,
     /// A mapping saved by `nsim map -o`
-    #[arg(long, value_name = "MAPPING.ron")]
+    #[arg(help_heading = "Mapping", long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
     /// Add relay compartments where spikes reach more cores than a compartment or a core has output axons
-    #[arg(long)]
+    #[arg(help_heading = "Mapping", long)]
     pub relays: bool,
     #[command(flatten)]
     #[allow(missing_docs)]
@@ -300,6 +301,7 @@ pub fn compiled(
     };
     Ok(match mapping {
         Some(file) => {
+            let _busy = output::busy("checking the mapping");
             compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))
         }
         None => {
@@ -330,6 +332,7 @@ pub fn mapped(
             Err(error) => tracing::debug!(%error, "an entry of the cache is not used"),
         }
     }
+    let _busy = output::busy("mapping");
     let mapping = explore::map(front, target, options, rates, form)?;
     if let Some(key) = key {
         io::write::cache::put(&key, &kept::to_bytes(&mapping));

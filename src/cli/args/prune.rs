@@ -11,7 +11,7 @@ use crate::ir::quantised::Quantised;
 pub struct PruneArgs {
     /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in --input, which also
     /// removes channels that never spike in it
-    #[arg(long, value_name = "none|static|INPUT")]
+    #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
     pub prune: Vec<String>,
 }
 

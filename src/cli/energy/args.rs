@@ -46,43 +46,43 @@ pub struct CostArgs {
     pub copies: Option<u32>,
     /// Numbers of cores used and powered: of this mapping, of the scenario that ships for the model, or of the file of a
     /// saved mapping or a scenario
-    #[arg(long, value_name = "packed|paper|FILE", default_value = "packed")]
+    #[arg(help_heading = "Cost model", long, value_name = "packed|paper|FILE", default_value = "packed")]
     pub deployment: DeploymentArg,
     /// What hands spikes over and takes them back: the x86 core of each chip in use, or nothing, for the chips alone
-    #[arg(long, default_value = "board", value_parser = one_of(&HostArg::ALL, HostArg::name))]
+    #[arg(help_heading = "Cost model", long, default_value = "board", value_parser = one_of(&HostArg::ALL, HostArg::name))]
     pub host: HostArg,
     /// As fast as possible, or held to the model's timestep
-    #[arg(long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
+    #[arg(help_heading = "Cost model", long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
     pub mode: Mode,
     /// Energy as power x latency, or as the VT-SNN paper computes it
-    #[arg(long, default_value = "physical", value_parser = one_of(&Convention::ALL, Convention::name))]
+    #[arg(help_heading = "Cost model", long, default_value = "physical", value_parser = one_of(&Convention::ALL, Convention::name))]
     pub convention: Convention,
     /// Other hardware to compare with: cpu (measured here), or a name of mapping/baselines; all when left out, none when
     /// given without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
     /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
-    #[arg(long, value_name = "IDLE,BUSY")]
+    #[arg(help_heading = "Cost model", long, value_name = "IDLE,BUSY")]
     pub cpu_watts: Option<Watts>,
     /// A command that passes the same samples through a GPU, to be timed with the board's power
     #[cfg(feature = "nvml")]
-    #[arg(long, value_name = "COMMAND")]
+    #[arg(help_heading = "Cost model", long, value_name = "COMMAND")]
     pub gpu_command: Option<String>,
     /// Preset of constants: of those that the target names (its first when left out), or a file
-    #[arg(long, value_name = "PRESET|FILE")]
+    #[arg(help_heading = "Cost model", long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
     /// Which measurements the evidence for constants counts, where it has both: what NxSDK's profiler attributes, or what a
     /// board's rails draw above idle
-    #[arg(long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
+    #[arg(help_heading = "Cost model", long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
     pub accounting: Accounting,
     /// How long messages take: every message through finite buffers, or the longest route and the busiest link
-    #[arg(long, default_value = Transport::default().name(), value_parser = one_of(&Transport::ALL, Transport::name))]
+    #[arg(help_heading = "Cost model", long, default_value = Transport::default().name(), value_parser = one_of(&Transport::ALL, Transport::name))]
     pub transport: Transport,
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
-    #[arg(long, default_value = "on")]
+    #[arg(help_heading = "Cost model", long, default_value = "on")]
     pub skip: Switch,
     /// Say what ending a sample would save when an output leads by so many spikes, or when no other can overtake it
-    #[arg(long, value_name = "MARGIN|certain")]
+    #[arg(help_heading = "Cost model", long, value_name = "MARGIN|certain")]
     pub early_exit: Option<Rule>,
 }
 
