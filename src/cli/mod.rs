@@ -32,6 +32,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::process::{log, panics, signals, threads};
 use crate::error::Error;
+use crate::io::shipped;
 
 const AFTER_HELP: &str = "\
 EXAMPLES:
@@ -128,13 +129,38 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Cache(args) => inspect::cache::run(args, context),
         Command::Help(args) => inspect::help::run(args, Cli::command(), context),
         Command::Completions { shell } => {
-            let mut command = Cli::command();
-            let mut script = Vec::new();
-            clap_complete::generate(*shell, &mut command, "nsim", &mut script);
-            crate::io::write::stdout(&String::from_utf8_lossy(&script))?;
+            crate::io::write::stdout(&completions(*shell))?;
             Ok(Answer::Yes)
         }
     }
+}
+
+/// A command whose arguments for models, targets and constants know the shipped names.
+fn with_shipped_names(command: clap::Command) -> clap::Command {
+    let names: Vec<String> = command.get_subcommands().map(|sub| sub.get_name().to_string()).collect();
+    let command = names.into_iter().fold(command, |command, name| command.mut_subcommand(name, with_shipped_names));
+    command.mut_args(|arg| {
+        let shipped = match arg.get_id().as_str() {
+            "model" | "models" => shipped::MODELS,
+            "target" => shipped::TARGETS,
+            "constants" => shipped::CONSTANTS,
+            _ => return arg,
+        };
+        let names: Vec<&'static str> = shipped.iter().map(|file| file.name).collect();
+        arg.value_parser(clap::builder::PossibleValuesParser::new(names))
+    })
+}
+
+/// The script of completions for a shell. Bash completes names of files where no shipped name fits; the other shells would complete
+/// nothing else, so that they are not told shipped names.
+fn completions(shell: clap_complete::Shell) -> String {
+    let mut command = match shell {
+        clap_complete::Shell::Bash => with_shipped_names(Cli::command()),
+        _ => Cli::command(),
+    };
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut command, "nsim", &mut script);
+    String::from_utf8_lossy(&script).into_owned()
 }
 
 /// Runs the command line of this process and returns its exit status.
@@ -185,6 +211,17 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn bash_completes_shipped_names_and_files() {
+        let script = completions(clap_complete::Shell::Bash);
+        for names in [shipped::TARGETS, shipped::CONSTANTS] {
+            let list = names.iter().map(|file| file.name).collect::<Vec<_>>().join(" ");
+            assert!(script.contains(&format!("compgen -W \"{list}\"")), "{list}");
+        }
+        assert!(script.contains("vtsnn-slip-srm") && script.contains("-o default"));
+        assert!(completions(clap_complete::Shell::Zsh).contains("_files"));
+    }
 
     #[test]
     fn the_command_line_is_well_formed_and_every_command_has_examples() {
