@@ -198,6 +198,14 @@ fn record<E: Engine + ?Sized>(engine: &E, probe: &Probe, step: usize, steps: usi
     }
 }
 
+/// The share of samples whose class is their label; `None` unless all have one.
+#[must_use]
+pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
+    let labels = labels.into_iter().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())?;
+    let right = outcomes.iter().zip(&labels).filter(|(outcome, label)| outcome.class() == Some(**label));
+    Some(right.count() as f64 / labels.len() as f64)
+}
+
 /// SHA-256 over little-endian u32 triples (sample in run order, step, output) of all output spikes, ascending.
 #[must_use]
 pub fn digest(outcomes: &[Outcome]) -> String {

@@ -46,6 +46,7 @@ pub mod reference;
 pub mod report;
 pub mod scene;
 pub mod stress;
+pub mod sweep;
 pub mod train;
 
 pub use compile::{CompileError, Compiled, Options, compile, front};

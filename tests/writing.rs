@@ -29,7 +29,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 47] = [
+const WRITING: [Case; 49] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -67,6 +67,8 @@ const WRITING: [Case; 47] = [
     case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --plot e.svg", "a", "b"),
     case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --export-sanafe s", "a", "b"),
     case("energy --calibrate i/GEN-table.ron --input scene:noise?samples=1&steps=9 -o c.ron", "a", "b"),
+    case("sweep i/GEN.ron -o t.csv", "sweep-a", "sweep-b"),
+    case("sweep i/GEN.ron -o t.csv --plot threshold,spikes --svg t.svg --format json", "sweep-a", "sweep-b"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --plot-causes g.svg", "a", "b"),
     case("agree i/GEN.ron --input i/e.npy --against i/b.ron --plot g.svg", "a", "r"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --update page.md --force", "a", "b"),
@@ -220,6 +222,11 @@ fn prepare(i: &Path) {
             (files: {"in": "e.npy"}, label: Some(0)), (files: {"in": "e.npy"}, label: Some(1))])"#,
     );
     for name in ["a", "b"] {
+        let sweep = format!(
+            "Sweep(model: \"i/{name}.ron\", input: [\"i/e.npy\"], grid: [(name: \"threshold\", paths: \
+             [\"populations.o.vth_mant\"], values: [4, 8, 9])])"
+        );
+        put(&format!("sweep-{name}.ron"), sweep.as_bytes());
         let table = format!(
             "Measurements(name: \"t\", source: \"made up\", notes: \"\", model: \"i/{name}.ron\", target: \"nahuku-32\", copies: 1, \
              deployment: \"packed\", mode: realtime, steps_per_sample: 9, start: \"vtsnn-calibrated\", cells: [(unit: \
@@ -366,7 +373,7 @@ impl Expected {
     /// What is there after a fault is old or new, and not both where files belong together.
     fn check(&self, what: &str, there: &Files) {
         let (mut olds, mut news) = (Vec::new(), Vec::new());
-        for (name, bytes) in there.iter().filter(|(name, _)| !name.contains(".nsim-")) {
+        for (name, bytes) in there.iter().filter(|(name, _)| !name.contains(".nsim-") && !name.ends_with(".journal")) {
             let (is_old, is_new) = (self.before.get(name) == Some(bytes), self.is_new(name, bytes));
             assert!(is_old || is_new, "{what}: {name} is neither old nor new");
             if is_old != is_new {
@@ -491,7 +498,7 @@ fn every_command_writes_all_or_nothing_and_says_what_it_could_not_read() {
 /// Every option that takes a file or a folder is one that is read, or stands in a command above.
 #[test]
 fn every_option_that_writes_is_tried() {
-    const READ: [&str; 10] = [
+    const READ: [&str; 11] = [
         "--mapping",
         "--calibrate",
         "--image",
@@ -502,10 +509,11 @@ fn every_option_that_writes_is_tried() {
         "--input",
         "--labels",
         "--training",
+        "--merge",
     ];
     let commands = [
-        "map", "run", "energy", "plot", "report", "help", "agree", "convert", "scene", "train", "import", "export",
-        "inspect", "stress",
+        "map", "run", "energy", "plot", "report", "help", "agree", "convert", "scene", "sweep", "train", "import",
+        "export", "inspect", "stress",
     ];
     let benches = ["step", "map", "early", "pareto", "published"].map(|name| format!("bench {name}"));
     for command in commands.map(str::to_string).iter().chain(&benches) {

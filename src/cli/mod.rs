@@ -22,6 +22,7 @@ pub mod report;
 pub mod run;
 pub mod scene;
 pub mod stress;
+pub mod sweep;
 pub mod train;
 
 use std::ffi::OsString;
@@ -90,6 +91,7 @@ enum Command {
     Convert(convert::Args),
     Bench(bench::Args),
     Scene(scene::Args),
+    Sweep(sweep::Args),
     Train(train::Args),
     /// Convert a model of another tool into nsim's format
     Import(import::Args),
@@ -120,6 +122,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Convert(args) => convert::run(args, context),
         Command::Bench(args) => bench::run(args, context),
         Command::Scene(args) => scene::run(args, context),
+        Command::Sweep(args) => sweep::run(args, context),
         Command::Train(args) => train::run(args, context),
         Command::Export(args) => export::run(args, context),
         Command::Import(args) => import::run(args, context),

@@ -19,6 +19,7 @@ pub mod partition;
 pub mod place;
 pub mod reason;
 pub mod resources;
+pub mod reuse;
 pub mod shapes;
 pub mod stages;
 #[cfg(test)]

@@ -19,6 +19,7 @@ pub use super::tensor::ArrayRef;
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::base::fixed::SignMode;
+use crate::base::shared::Shared;
 
 /// Where an array of weights or parameters comes from.
 #[derive(Debug, Clone)]
@@ -567,7 +568,7 @@ impl NetworkFile {
 pub struct Network {
     file: NetworkFile,
     source: SourceText,
-    arrays: BTreeMap<ArrayRef, Tensor>,
+    arrays: Shared<BTreeMap<ArrayRef, Tensor>>,
 }
 
 impl Network {
@@ -583,7 +584,14 @@ impl Network {
                 );
             }
         }
-        Ok(Network { file, source, arrays })
+        Ok(Network { file, source, arrays: arrays.into() })
+    }
+
+    /// Another file with the same arrays; `None` when it refers to others.
+    #[must_use]
+    pub fn with_file(&self, file: NetworkFile, source: SourceText) -> Option<Self> {
+        let known = array_refs(&file).iter().all(|(reference, _)| self.arrays.contains_key(reference));
+        known.then(|| Network { file, source, arrays: self.arrays.clone() })
     }
 
     /// What the RON says.

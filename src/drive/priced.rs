@@ -95,7 +95,8 @@ impl<'c> Metered<'c> {
     }
 
     /// Copies that are run, which do what all do.
-    pub(super) fn copies_run(&self) -> u32 {
+    #[must_use]
+    pub fn copies_run(&self) -> u32 {
         self.groups.as_ref().map_or(self.compiled.options.copies, CoreGroups::copies)
     }
 

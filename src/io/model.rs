@@ -32,10 +32,55 @@ pub fn load_model(argument: &str) -> Result<Network> {
 /// # Errors
 /// As [`load_model`].
 pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
-    let source = changes::model(source)?;
+    network_of(changes::model(source)?, origin)
+}
+
+/// A model from its final text.
+fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
     let file = NetworkFile::parse(&source)?;
     let arrays = read_arrays(&source, origin, array_refs(&file))?;
     Network::new(file, source, arrays)
+}
+
+/// A model that is read once, for many changes of it.
+#[derive(Debug)]
+pub struct Unchanged {
+    network: Network,
+    origin: Origin,
+}
+
+impl Unchanged {
+    /// Reads a model; `None` when it is another tool's, or cannot be used as it is.
+    #[must_use]
+    pub fn load(argument: &str) -> Option<Self> {
+        let path = Path::new(argument);
+        if shipped::is_path(argument) && foreign::is_foreign(path) {
+            return None;
+        }
+        let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown").ok()?;
+        let file = NetworkFile::parse(&source).ok()?;
+        let arrays = read_arrays(&source, origin, array_refs(&file)).ok()?;
+        Some(Unchanged { network: Network::new(file, source, arrays).ok()?, origin })
+    }
+
+    /// Numbers in its arrays.
+    #[must_use]
+    pub fn numbers(&self) -> u64 {
+        array_refs(self.network.file()).iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
+    }
+
+    /// The model as [`load_model`] would read it now, under the changes of the process and of the thread.
+    ///
+    /// # Errors
+    /// As [`load_model`].
+    pub fn changed(&self) -> Result<Network> {
+        let source = changes::model(self.network.source().clone())?;
+        let file = NetworkFile::parse(&source)?;
+        match self.network.with_file(file, source.clone()) {
+            Some(network) => Ok(network),
+            None => network_of(source, self.origin),
+        }
+    }
 }
 
 fn read_arrays(

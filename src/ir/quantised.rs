@@ -135,7 +135,7 @@ impl SynapseFormat {
 }
 
 /// How the sources of a projection reach its targets, with integer weights.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Connectivity {
     /// All to all; row-major `[source][target]`, so that a spike walks one row.
     Dense {
@@ -188,7 +188,7 @@ pub enum Connectivity {
 }
 
 /// A projection in integers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Projection {
     /// `source -> target`.
     pub name: String,

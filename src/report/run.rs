@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::text::count;
 use crate::drive::decision::Rule;
-use crate::drive::{Outcome, digest};
+use crate::drive::{Outcome, accuracy, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
 use crate::ir::quantised::Quantised;
 use crate::report::detail::Detail;
@@ -58,9 +58,7 @@ impl RunReport<'_> {
     }
 
     fn accuracy(&self) -> Option<f64> {
-        let labels = self.labels()?;
-        let right = self.outcomes.iter().zip(&labels).filter(|(outcome, label)| outcome.class() == Some(**label));
-        Some(right.count() as f64 / labels.len() as f64)
+        accuracy(self.outcomes, self.labels.iter().copied())
     }
 
     fn timesteps(&self) -> u64 {

@@ -381,7 +381,28 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
                 draw.one(&["steps", "grip_n", "pixel_noise_hz", "seed", "rate_hz", "touch_noise_hz"]),
                 draw.number()
             );
-            [words("scene"), vec![scene], words(draw.one(&["-o s", "--plot p.svg", "-q"]))].concat()
+            if draw.chance(50) {
+                let paths =
+                    ["populations.p0.vth_mant", "target.limits.axons_in", "options.seed", "model", "input", "x"];
+                let text = format!(
+                    "Sweep(model: {model:?}, input: [{source:?}], samples: \"0..1\", list: [{{{:?}: {}}}], grid: [(paths: [{:?}], \
+                     values: [{}, \"certain\"])])",
+                    draw.one(&paths),
+                    draw.number(),
+                    draw.one(&paths),
+                    draw.number()
+                );
+                let mut bytes = text.into_bytes();
+                if draw.chance(40) {
+                    mutate(draw, &mut bytes);
+                }
+                std::fs::write(folder.join("sweep.ron"), bytes).unwrap();
+                let ends =
+                    ["-o t.csv", "-o t.csv --shard 1/2", "-o t.csv --plot x,spikes --svg p.svg", "--merge d.csv"];
+                words(&format!("sweep sweep.ron {}", draw.one(&ends)))
+            } else {
+                [words("scene"), vec![scene], words(draw.one(&["-o s", "--plot p.svg", "-q"]))].concat()
+            }
         }
         14 => {
             [words("convert"), vec![model], words("-o out.ron --calibration-samples 1 --input"), vec![source]].concat()

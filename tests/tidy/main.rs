@@ -17,7 +17,7 @@ use petgraph::graph::DiGraph;
 use source::Sources;
 
 /// Rooms of `src` from the lowest layer up. A room names itself and rooms of lower lines, not its neighbours on a line.
-const LAYERS: [&[&str]; 15] = [
+const LAYERS: [&[&str]; 16] = [
     &["base"],
     &["error"],
     &["desc"],
@@ -28,9 +28,10 @@ const LAYERS: [&[&str]; 15] = [
     &["drive"],
     &["agree", "stress", "train", "baseline"],
     &["convert"],
-    &["bench", "sweep"],
+    &["bench"],
     &["report"],
     &["energy"],
+    &["sweep"],
     &["cli", "python"],
     &["main"],
 ];

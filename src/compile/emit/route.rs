@@ -178,7 +178,7 @@ impl<'a> Tables<'a> {
 }
 
 /// Parameters of compartments in slot order.
-pub(super) fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
+pub fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
     let mut known = None;
     held.iter()
         .filter_map(|&id| {

@@ -1,6 +1,6 @@
 //! Fields of model, target and constants that the command line changes.
 //!
-//! Input: `PATH=VALUE`, once for the whole process. Output: the text of a model with these values, a target file that changes another, a
+//! Input: `PATH=VALUE`, once for the whole process, and more for a while for one thread, whose sweep tries them. Output: the text of a model with these values, a target file that changes another, a
 //! preset of constants with other numbers. Paths that begin with `target.` are of the target, those with `constants.` of its constants,
 //! all others of the model.
 //!
@@ -8,48 +8,105 @@
 
 pub mod ron_path;
 
+use std::cell::RefCell;
 use std::sync::OnceLock;
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::target::{Constants, Status};
 
 /// One change.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Change {
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Change {
     path: String,
     value: String,
 }
 
 static CHANGES: OnceLock<Vec<Change>> = OnceLock::new();
 
+thread_local! {
+    /// What this thread changes besides.
+    static OF_THREAD: RefCell<Vec<Change>> = const { RefCell::new(Vec::new()) };
+}
+
+impl Change {
+    /// A value for a path.
+    #[must_use]
+    pub fn new(path: &str, value: &str) -> Self {
+        Change { path: path.trim().to_string(), value: value.trim().to_string() }
+    }
+
+    /// From `PATH=VALUE`.
+    ///
+    /// # Errors
+    /// A sentence for anything else.
+    pub fn parse(typed: &str) -> Result<Self, String> {
+        match typed.split_once('=') {
+            Some((path, value)) if !path.is_empty() && !value.trim().is_empty() => Ok(Change::new(path, value)),
+            _ => Err(format!("--set {typed}: write PATH=VALUE, such as populations.hidden.vth_mant=60")),
+        }
+    }
+
+    /// Whether it changes the target or its constants, and no model.
+    #[must_use]
+    pub fn is_of_target(&self) -> bool {
+        let first = self.path.split('.').next();
+        first.is_some_and(|first| ["target", "constants"].contains(&first))
+    }
+}
+
+impl Change {
+    /// Whether it changes a population of the model.
+    #[must_use]
+    pub fn is_of_population(&self) -> bool {
+        self.path.starts_with("populations.")
+    }
+}
+
+/// Ends the changes of a thread, however its work ends.
+struct Ending;
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        OF_THREAD.with_borrow_mut(Vec::clear);
+    }
+}
+
+/// Reads files under these changes besides those of the process. Only what this thread reads itself is changed.
+pub fn within<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
+    OF_THREAD.with_borrow_mut(|of_thread| of_thread.extend_from_slice(changes));
+    let _ending = Ending;
+    read()
+}
+
 /// Sets what this process changes, at most once.
 ///
 /// # Errors
 /// A sentence for what is not `PATH=VALUE`.
 pub fn set(typed: &[String]) -> Result<(), String> {
-    let change = |typed: &String| match typed.split_once('=') {
-        Some((path, value)) if !path.is_empty() && !value.trim().is_empty() => {
-            Ok(Change { path: path.trim().to_string(), value: value.trim().to_string() })
-        }
-        _ => Err(format!("--set {typed}: write PATH=VALUE, such as populations.hidden.vth_mant=60")),
-    };
-    let changes = typed.iter().map(change).collect::<Result<_, _>>()?;
+    let changes = typed.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>()?;
     // Whoever set them first has read files with them.
     let _ = CHANGES.set(changes);
     Ok(())
 }
 
+/// What this process changes.
+#[must_use]
+pub fn of_process() -> &'static [Change] {
+    CHANGES.get().map_or(&[], Vec::as_slice)
+}
+
 /// The changes whose paths begin so, or of the model, and the rest of their paths.
-fn changes(of: Option<&str>) -> impl Iterator<Item = (&'static str, &'static str)> {
-    let of = of.map(str::to_string);
-    CHANGES.get().into_iter().flatten().filter_map(move |change| {
+fn changes(of: Option<&str>) -> Vec<(String, String)> {
+    let one = |change: &Change| {
         let (first, rest) = change.path.split_once('.').unwrap_or((&change.path, ""));
-        let is_model = !["target", "constants"].contains(&first);
-        match &of {
-            Some(of) => (first == of && !rest.is_empty()).then_some((rest, change.value.as_str())),
-            None => is_model.then_some((change.path.as_str(), change.value.as_str())),
-        }
-    })
+        let path = match of {
+            Some(of) => (first == of && !rest.is_empty()).then_some(rest),
+            None => (!change.is_of_target()).then_some(change.path.as_str()),
+        };
+        Some((path?.to_string(), change.value.clone()))
+    };
+    let of_process = CHANGES.get().into_iter().flatten().filter_map(one);
+    of_process.chain(OF_THREAD.with_borrow(|of_thread| of_thread.iter().filter_map(one).collect::<Vec<_>>())).collect()
 }
 
 fn nowhere(path: &str, message: &str) -> Diagnostic {
@@ -65,7 +122,7 @@ pub fn model(source: SourceText) -> Result<SourceText> {
     let mut text: Option<String> = None;
     for (path, value) in changes(None) {
         let before = text.as_deref().unwrap_or(source.text());
-        text = Some(ron_path::replaced(before, path, value).map_err(|message| nowhere(path, &message))?);
+        text = Some(ron_path::replaced(before, &path, &value).map_err(|message| nowhere(&path, &message))?);
     }
     Ok(match text {
         Some(text) => SourceText::new(source.path(), text),
@@ -80,7 +137,7 @@ pub fn target_fields() -> Option<String> {
     let mut any = false;
     for (path, value) in changes(Some("target")) {
         any = true;
-        text = with_parents(text, path, value);
+        text = with_parents(text, &path, &value);
     }
     let fields = text.strip_prefix("Target(")?.strip_suffix(')')?.to_string();
     any.then_some(fields)
@@ -103,7 +160,7 @@ fn with_parents(mut text: String, path: &str, value: &str) -> String {
 /// `set.path`, `set.value`.
 pub fn constants(constants: &mut Constants) -> Result<()> {
     for (path, value) in changes(Some("constants")) {
-        let name = path.strip_suffix(".value").unwrap_or(path);
+        let name = path.strip_suffix(".value").unwrap_or(&path);
         let number: f64 = value.parse().map_err(|_| {
             Diagnostic::new("set.value", format!("--set constants.{path}={value}: {value} is no number"))
         })?;
@@ -126,6 +183,15 @@ mod tests {
         let two = with_parents(one, "limits.axons_in", "7");
         assert_eq!(two, "Target( limits: ( axons_out: 8192, axons_in: 7))");
         assert_eq!(with_parents(two, "chips_x", "2"), "Target( limits: ( axons_out: 8192, axons_in: 7), chips_x: 2)");
+    }
+
+    #[test]
+    fn a_thread_s_changes_end_with_its_work() {
+        let read = || model(SourceText::new("m", "Network(a: 1, b: 2)")).unwrap().text().to_string();
+        let changed = within(&[Change::new("a", "5"), Change::new("target.x", "7")], read);
+        assert_eq!((changed.as_str(), read().as_str()), ("Network(a: 5, b: 2)", "Network(a: 1, b: 2)"));
+        let of_target = within(&[Change::new("target.x", "7")], target_fields);
+        assert_eq!((of_target.as_deref(), target_fields()), (Some(" x: 7"), None));
     }
 
     #[test]

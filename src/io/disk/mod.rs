@@ -9,7 +9,7 @@ mod faults;
 mod operation;
 
 use std::fs::{File, Metadata};
-use std::io::{Error, ErrorKind, Read, Result, Write};
+use std::io::{Error, ErrorKind, Read, Result, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::TempPath;
@@ -110,6 +110,13 @@ pub(super) fn create(builder: &tempfile::Builder<'_, '_>, folder: &Path) -> Resu
 pub(super) fn open_or_make(path: &Path) -> Result<File> {
     make()?;
     File::options().create(true).truncate(false).write(true).open(path)
+}
+
+/// Cuts a file to so many bytes and goes to its end.
+pub(super) fn cut(file: &mut File, bytes: u64) -> Result<()> {
+    change()?;
+    file.set_len(bytes)?;
+    file.seek(SeekFrom::Start(bytes)).map(drop)
 }
 
 /// Gives a temporary file its name; one that exists is replaced or kept.

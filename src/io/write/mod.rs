@@ -9,6 +9,7 @@
 mod batch;
 pub mod cache;
 mod folder;
+pub mod journal;
 mod temporary;
 
 use std::io::{BufWriter, ErrorKind, Write};

@@ -1,0 +1,253 @@
+//! `nsim sweep`: many variants of a run in one table.
+//!
+//! A table that is written to a file has a journal beside it until it is finished: a sweep that was ended goes on where it was.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Instant, UNIX_EPOCH};
+
+use serde_json::json;
+use sha2::{Digest, Sha256};
+
+use crate::cli::context::{Answer, Context, Format};
+use crate::cli::output;
+use crate::cli::process::signals;
+use crate::error::Error;
+use crate::io;
+use crate::io::write::journal::Journal;
+use crate::sweep::picture;
+use crate::sweep::row::FIGURES;
+use crate::sweep::table::{Table, from_line, line};
+use crate::sweep::variants::Sweep;
+use crate::sweep::work;
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim sweep sweep.ron -o table.csv                                     a row for each variant
+  nsim sweep sweep.ron -o table.csv --plot energy_uj,accuracy --svg front.svg
+  nsim sweep sweep.ron -o 3.csv --shard 3/8                             the third of eight parts, on any machine
+  nsim sweep sweep.ron -o table.csv --merge 1.csv 2.csv 3.csv           the parts together";
+
+/// `--shard`
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Shard {
+    number: u64,
+    of: u64,
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
+        match parts {
+            Some((number, of)) if (1..=of).contains(&number) => Ok(Shard { number, of }),
+            _ => Err(format!("'{text}' is not a part such as 3/8, counted from 1")),
+        }
+    }
+}
+
+/// `--plot`
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Columns {
+    x: String,
+    y: String,
+}
+
+impl FromStr for Columns {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(',') {
+            Some((x, y)) if !x.is_empty() && !y.is_empty() => Ok(Columns { x: x.to_string(), y: y.to_string() }),
+            _ => Err(format!("'{text}' is not two columns such as energy_uj,accuracy")),
+        }
+    }
+}
+
+/// Run many variants of a network and write a table with a row for each
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// What varies, and over which values
+    #[arg(value_name = "SWEEP.ron")]
+    sweep: PathBuf,
+    /// Where to write the table, as CSV; without it the table goes to stdout
+    #[arg(short, long, value_name = "FILE.csv")]
+    output: Option<PathBuf>,
+    /// Run only part I of N, whose table --merge takes
+    #[arg(long, value_name = "I/N", conflicts_with = "merge")]
+    shard: Option<Shard>,
+    /// Put tables of parts together instead of running
+    #[arg(long, value_name = "FILE.csv", num_args = 1..)]
+    merge: Vec<PathBuf>,
+    /// Draw a column over another
+    #[arg(long, value_name = "X,Y", requires = "svg")]
+    plot: Option<Columns>,
+    /// Where to write the picture
+    #[arg(long, value_name = "FILE.svg", requires = "plot")]
+    svg: Option<PathBuf>,
+}
+
+/// What a summary says.
+struct Done {
+    run: u64,
+    before: u64,
+    wall_s: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Error`] when an input cannot be used or a file cannot be written.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;
+    let mut table = Table::new(&sweep);
+    if let Some(Columns { x, y }) = &args.plot {
+        let columns = table.columns();
+        picture::check(&columns, x).and_then(|_| picture::check(&columns, y)).map_err(Error::from)?;
+    }
+    let file = args.output.as_deref().filter(|path| !io::text::is_standard_stream(path));
+    let journal_path = file.map(journal_beside);
+    // A table beside its journal is one whose sweep was ended while it cleaned up.
+    let goes_on = journal_path.as_deref().is_some_and(|path| io::disk::exists(path).unwrap_or(false));
+    let all = Context { force: context.force || goes_on, ..context };
+    output::check_files(args.output.as_ref().filter(|_| file.is_some()), &args.svg, all)?;
+    let begin = Instant::now();
+    let done = if args.merge.is_empty() {
+        run_variants(args, &sweep, &mut table, journal_path.as_deref(), context)?
+    } else {
+        for path in &args.merge {
+            let text = io::text::read_text(path)?;
+            table.add_csv(text.text()).map_err(|problem| problem.or_in_file(path))?;
+        }
+        table.check_whole()?;
+        (Done { run: 0, before: table.rows.len() as u64, wall_s: 0.0 }, None)
+    };
+    let (done, journal) = done;
+    let mut batch = io::write::Batch::new(all.force);
+    if let (Some(Columns { x, y }), Some(path)) = (&args.plot, &args.svg) {
+        let svg = picture::svg(&table, [x, y])?;
+        batch.add(path, |out| out.write_all(svg.as_bytes()))?;
+    }
+    if let Some(path) = file {
+        table.write(path, &mut batch)?;
+    }
+    batch.commit()?;
+    if let Some(journal) = journal {
+        journal.remove()?;
+    }
+    let done = Done { wall_s: begin.elapsed().as_secs_f64(), ..done };
+    say(&sweep, &table, &done, file, context)
+}
+
+/// Runs what the journal does not hold yet.
+fn run_variants(
+    args: &Args,
+    sweep: &Sweep,
+    table: &mut Table<'_>,
+    journal: Option<&Path>,
+    context: Context,
+) -> Result<(Done, Option<Journal>), Error> {
+    let Shard { number, of } = args.shard.unwrap_or(Shard { number: 1, of: 1 });
+    let wanted = |variant: &u64| variant % of == number - 1;
+    let mut kept = None;
+    if let Some(path) = journal {
+        let (journal, lines) = Journal::open(path, &head(args, sweep))?;
+        table.rows.extend(lines.iter().filter_map(|line| from_line(line)).filter(|(variant, _)| wanted(variant)));
+        kept = Some(journal);
+    }
+    let before = table.rows.len() as u64;
+    let left: Vec<u64> = (0..sweep.len()).filter(wanted).filter(|variant| !table.rows.contains_key(variant)).collect();
+    let (run, finished) = (left.len() as u64, Arc::new(AtomicU64::new(before)));
+    let (seen, name) = (finished.clone(), journal.map(|path| path.display().to_string()));
+    let _ending = signals::at_end(move || {
+        let name = name?;
+        Some(format!("{} variants are in {name}, and the same command goes on", seen.load(Ordering::SeqCst)))
+    });
+    output::with_progress(context, left.len(), "variants", |progress| {
+        work::run(sweep, left, context.threads, |variant, cells| {
+            if let Some(journal) = &mut kept {
+                journal.add(&line(variant, &cells))?;
+            }
+            table.rows.insert(variant, cells);
+            finished.fetch_add(1, Ordering::SeqCst);
+            progress();
+            Ok(())
+        })
+    })?;
+    Ok((Done { run, before, wall_s: 0.0 }, kept))
+}
+
+/// The journal of a table.
+fn journal_beside(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".journal");
+    name.into()
+}
+
+/// What tells a sweep from others: its text, the files that it names, what is changed besides, and the program's version.
+fn head(args: &Args, sweep: &Sweep) -> String {
+    let mut hash = Sha256::new();
+    let mut add = |text: &str| {
+        hash.update((text.len() as u64).to_le_bytes());
+        hash.update(text);
+    };
+    add(sweep.text());
+    add(&format!("{:?} {:?}", args.shard, io::changes::of_process()));
+    for name in sweep.names() {
+        // A file is told by its size and time; what is shipped by the version.
+        let found = std::fs::metadata(&name).ok().filter(std::fs::Metadata::is_file);
+        let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
+        add(&format!("{name} {:?} {time:?}", found.as_ref().map(std::fs::Metadata::len)));
+    }
+    let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
+}
+
+fn say(sweep: &Sweep, table: &Table<'_>, done: &Done, file: Option<&Path>, context: Context) -> Result<Answer, Error> {
+    let place = |name: &str| FIGURES.iter().position(|figure| *figure == name).unwrap_or_default();
+    let count = |name: &str, value: &dyn Fn(&str) -> bool| {
+        table.rows.values().filter(|cells| value(&cells[place(name)])).count()
+    };
+    let (errors, refused) = (count("error", &|cell| !cell.is_empty()), count("fits", &|cell| cell == "false"));
+    let csv = || table.csv();
+    let Some(file) = file else {
+        let text = || csv().unwrap_or_default();
+        output::print(context.format, text, || json(sweep, table, done, [errors, refused]), csv)?;
+        return Ok(Answer::Yes);
+    };
+    let text = || {
+        let Done { run, before, wall_s } = done;
+        let mut text = format!("{}: {} variants", file.display(), table.rows.len());
+        if *before > 0 {
+            text += &format!(", {before} of them from before");
+        }
+        if errors > 0 {
+            text += &format!("; {errors} could not be run, {refused} of them as they do not fit");
+        }
+        text += &format!("\n{run} run in {wall_s:.2} s, {} at a time\n", context.threads);
+        text
+    };
+    match context.format {
+        Format::Csv | Format::Markdown | Format::Latex => output::print(context.format, text, || json!(null), csv)?,
+        format => output::print(format, text, || json(sweep, table, done, [errors, refused]), csv)?,
+    }
+    Ok(Answer::Yes)
+}
+
+fn json(sweep: &Sweep, table: &Table<'_>, done: &Done, [errors, refused]: [usize; 2]) -> serde_json::Value {
+    json!({
+        "schema": "nsim.sweep/1",
+        "variants": sweep.len(),
+        "rows": table.rows.len(),
+        "run": done.run,
+        "from_before": done.before,
+        "errors": errors,
+        "do_not_fit": refused,
+        "columns": table.columns(),
+        "wall_s": done.wall_s,
+    })
+}

@@ -1,0 +1,67 @@
+//! What variants share, made by the first that needs it.
+//!
+//! Input: a key, and how to make its value. Output: the value, made once however many threads ask for it. What could not be made is made
+//! again for the next that asks. At most [`MOST`] values are kept.
+
+use std::collections::HashMap;
+use std::hash::Hash;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Values that are kept.
+const MOST: usize = 64;
+
+/// A value that one thread makes and others wait for.
+type Place<V> = Arc<Mutex<Option<Arc<V>>>>;
+
+/// Values by what they are made from.
+#[derive(Debug)]
+pub struct MadeOnce<K, V>(Mutex<HashMap<K, Place<V>>>);
+
+impl<K, V> Default for MadeOnce<K, V> {
+    fn default() -> Self {
+        MadeOnce(Mutex::new(HashMap::new()))
+    }
+}
+
+/// What a mutex holds. A thread that panicked has changed nothing half.
+pub fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl<K: Hash + Eq, V> MadeOnce<K, V> {
+    /// The value of a key.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<V, E>) -> Result<Arc<V>, E> {
+        let place = {
+            let mut places = held(&self.0);
+            if places.len() >= MOST && !places.contains_key(&key) {
+                places.clear();
+            }
+            places.entry(key).or_default().clone()
+        };
+        let mut made = held(&place);
+        if let Some(value) = &*made {
+            return Ok(value.clone());
+        }
+        let value = Arc::new(make()?);
+        *made = Some(value.clone());
+        Ok(value)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_is_made_once_and_an_error_is_not_kept() {
+        let made = MadeOnce::default();
+        assert_eq!(made.get(1, || Err::<u8, _>("no")), Err("no"));
+        assert_eq!(made.get(1, || Ok::<_, ()>(5)).as_deref(), Ok(&5));
+        assert_eq!(made.get(1, || Ok::<_, ()>(6)).as_deref(), Ok(&5));
+        (2..200).for_each(|key| drop(made.get(key, || Ok::<_, ()>(7))));
+        assert!(held(&made.0).len() <= MOST);
+    }
+}

@@ -1,0 +1,255 @@
+//! Runs one variant: what `nsim run` and `nsim energy --baseline` print of it, in a row.
+//!
+//! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty. Energies, power and latency are the
+//! total of one copy. What variants have in common is made once: models and their arrays, targets and their constants, samples, and
+//! mappings, which networks share that differ in the parameters of neurons alone.
+//!
+//! Errors: whatever no variant could be run with, such as a path that leads nowhere. What is wrong with one variant stands in its
+//! row under `error`.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
+
+use crate::base::diagnostic::Diagnostic;
+use crate::base::units::Picoseconds;
+use crate::compile::reuse::{is_mapped_alike, with_neurons_of};
+use crate::compile::{Compiled, DEFAULT_RATE, Form, Front, explore, shapes};
+use crate::convert::copies::USUAL;
+use crate::convert::prepare::integers;
+use crate::cost::estimate::{Case, estimate};
+use crate::cost::{CostTable, Deployment, MeterSettings, Transport};
+use crate::desc::network::Network;
+use crate::desc::published::workload::Accounting;
+use crate::desc::target::Target;
+use crate::drive::inputs::stimulus;
+use crate::drive::priced::{Metered, SampleRun, steps_per_sample};
+use crate::drive::{accuracy, digest};
+use crate::energy::options::{tables, with_preset};
+use crate::error::Error;
+use crate::io::changes::{Change, within};
+use crate::io::model::{Unchanged, load_model};
+use crate::io::target::load_target;
+use crate::ir::activity::Totals;
+use crate::ir::firing_rates::Rates;
+use crate::ir::quantised::{Quantised, Units};
+use crate::ir::spikes::{Sample, Stimulus};
+use crate::sweep::made::{MadeOnce, held};
+use crate::sweep::variants::Job;
+
+/// The columns behind those of what varies.
+pub const FIGURES: [&str; 16] = [
+    "error",
+    "fits",
+    "cores",
+    "chips",
+    "samples",
+    "timesteps",
+    "accuracy",
+    "digest",
+    "spikes",
+    "synaptic_events",
+    "static_mw",
+    "dynamic_mw",
+    "total_mw",
+    "latency_us",
+    "energy_uj",
+    "edp_pjs",
+];
+
+/// The cells of a variant.
+pub type Cells = [String; FIGURES.len()];
+
+/// Mappings of networks that may be mapped alike which are kept.
+const MOST_ALIKE: usize = 16;
+
+/// A target and the constants that it is priced by.
+#[derive(Debug)]
+struct Priced {
+    target: Target,
+    table: CostTable,
+}
+
+/// Mappings that have been made for one key.
+type Mappings = Mutex<Vec<Arc<Compiled>>>;
+
+/// Runs variants.
+#[derive(Debug, Default)]
+pub struct Runner {
+    models: MadeOnce<String, Option<Unchanged>>,
+    targets: MadeOnce<(String, Vec<Change>, Option<String>), Priced>,
+    mappings: MadeOnce<String, Mappings>,
+    stimuli: MadeOnce<String, Stimulus>,
+}
+
+/// Whether an error is of the whole sweep and not of a variant.
+fn ends_all(error: &Error) -> bool {
+    match error {
+        Error::Usage(_) | Error::Fault(_) => true,
+        Error::Input(diagnostic) => {
+            let code = diagnostic.code;
+            code.starts_with("set.")
+                || code.starts_with("io.")
+                || code.ends_with(".unknown")
+                || code.ends_with(".syntax")
+        }
+    }
+}
+
+fn cell<T: ToString>(value: Option<T>) -> String {
+    value.map_or_else(String::new, |value| value.to_string())
+}
+
+impl Runner {
+    /// The cells of a variant.
+    ///
+    /// # Errors
+    /// [`Error`] that is not of this variant alone.
+    pub fn row(&self, job: &Job) -> Result<Cells, Error> {
+        match self.figures(job) {
+            Err(error) if ends_all(&error) => Err(error),
+            Err(error) => {
+                let code = match &error {
+                    Error::Input(diagnostic) => diagnostic.code,
+                    Error::Usage(_) => "usage",
+                    Error::Fault(_) => "fault",
+                };
+                let mut cells = Cells::default();
+                cells[0] = code.to_string();
+                if code == "map.does-not-fit" {
+                    cells[1] = "false".to_string();
+                }
+                Ok(cells)
+            }
+            done => done,
+        }
+    }
+
+    /// How long a variant runs, compared with others: its model's numbers times its copies.
+    #[must_use]
+    pub fn size(&self, job: &Job) -> u64 {
+        let Ok(model) = self.model(&job.model) else { return 0 };
+        model.as_ref().as_ref().map_or(0, Unchanged::numbers) * u64::from(job.options.copies)
+    }
+
+    fn model(&self, name: &str) -> Result<Arc<Option<Unchanged>>, Error> {
+        self.models.get(name.to_string(), || Ok(Unchanged::load(name)))
+    }
+
+    fn network(&self, job: &Job) -> Result<Network, Error> {
+        let model = self.model(&job.model)?;
+        Ok(within(&job.of_model, || match &*model {
+            Some(model) => model.changed(),
+            None => load_model(&job.model),
+        })?)
+    }
+
+    fn target(&self, job: &Job) -> Result<Arc<Priced>, Error> {
+        let key = (job.target.clone(), job.of_target.clone(), job.constants.clone());
+        self.targets.get(key, || {
+            within(&job.of_target, || {
+                let target = load_target(&job.target)?;
+                let (target, preset) = with_preset(target, job.constants.as_deref(), None, Accounting::Profiler)?;
+                let (target, mut tables) = tables(target, preset.as_deref())?;
+                Ok(Priced { target, table: tables.swap_remove(0) })
+            })
+        })
+    }
+
+    fn compiled(&self, job: &Job, network: &Network, target: &Target) -> Result<Compiled, Error> {
+        let options = &job.options;
+        shapes::check(network, target, options.copies)?;
+        let front = integers(network, USUAL)?;
+        let of_neurons = |change: &&Change| !change.is_of_population();
+        let others: Vec<&Change> = job.of_model.iter().filter(of_neurons).collect();
+        let key = format!("{:?}", (&job.model, others, &job.target, &job.of_target, options));
+        let known = self.mappings.get(key, || Ok::<_, Error>(Mappings::default()))?;
+        let alike = |known: &[Arc<Compiled>], front: &Front| {
+            known.iter().rev().find(|known| is_mapped_alike(&known.one, front.quantised())).cloned()
+        };
+        // Who finds none makes one, while others wait for it.
+        let mut known = held(&known);
+        if let Some(found) = alike(&known, &front) {
+            drop(known);
+            return Ok(with_neurons_of(&found, front.into_quantised(), target)?);
+        }
+        Form::require_written("running it on cores", front.quantised(), options.copies)?;
+        let mapping = explore::map(front, target, options, &Rates::assumed(DEFAULT_RATE), Form::Written)?;
+        let compiled = mapping.into_compiled()?;
+        if known.len() == MOST_ALIKE {
+            known.remove(0);
+        }
+        known.push(Arc::new(compiled.clone()));
+        Ok(compiled)
+    }
+
+    fn stimulus(&self, job: &Job, network: &Quantised, scene: Option<&str>) -> Result<Arc<Stimulus>, Error> {
+        let parts = network.parts();
+        let inputs: Vec<_> = parts
+            .populations
+            .iter()
+            .filter(|one| matches!(one.units, Units::Input(_)))
+            .map(|one| (&one.name, one.shape))
+            .collect();
+        let seen = (&job.input, job.seed, scene, inputs, parts.timestep_ms, &parts.classes);
+        self.stimuli.get(format!("{seen:?}"), || stimulus(network, &job.input, scene, job.seed))
+    }
+
+    fn figures(&self, job: &Job) -> Result<Cells, Error> {
+        let network = self.network(job)?;
+        let priced = self.target(job)?;
+        let target = &priced.target;
+        let compiled = self.compiled(job, &network, target)?;
+        let shown = self.stimulus(job, &compiled.one, network.file().scene.as_deref())?;
+        let range = job.samples.clone().unwrap_or(0..usize::MAX);
+        let all = shown.samples.len();
+        if range.start >= all || (range.end != usize::MAX && range.end > all) {
+            return Err(Diagnostic::new("sweep.value", format!("input.samples: there are {all} samples")).into());
+        }
+        let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
+        let copies = compiled.options.copies;
+        let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
+        let timestep_ms = compiled.one.parts().timestep_ms;
+        let metered = Metered::new(&compiled);
+        let settings = MeterSettings {
+            tables: vec![priced.table.clone()],
+            timing: deployment.timing(Transport::default()),
+            routes: metered.routes.clone(),
+            timestep: Picoseconds::from_milliseconds(timestep_ms),
+            distribution: None,
+            by_step: None,
+        };
+        let run =
+            metered.run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| () })?;
+        let case = Case {
+            mode: job.mode,
+            convention: job.convention,
+            steps_per_sample: steps_per_sample(&samples),
+            ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
+        };
+        let estimate = estimate(&case);
+        let total = estimate.rows.iter().find(|row| row.unit == "total");
+        let figure = |name| cell(total.and_then(|row| row.figure(name)));
+        let mut totals = Totals::default();
+        run.outcomes.iter().for_each(|outcome| totals += outcome.totals);
+        let of_copy = |count: u64| (count / u64::from(metered.copies_run())).to_string();
+        let chips: BTreeSet<u32> = compiled.placement.sites().iter().map(|site| site.chip).collect();
+        Ok([
+            String::new(),
+            true.to_string(),
+            compiled.partition.cores().to_string(),
+            chips.len().to_string(),
+            samples.len().to_string(),
+            run.outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum::<u64>().to_string(),
+            cell(accuracy(&run.outcomes, samples.iter().map(|sample| sample.label()))),
+            digest(&run.outcomes),
+            of_copy(totals.spikes),
+            of_copy(totals.synaptic_events),
+            figure("static_mw"),
+            figure("dynamic_mw"),
+            figure("total_mw"),
+            figure("latency_us"),
+            figure("energy_uj"),
+            figure("edp_pjs"),
+        ])
+    }
+}

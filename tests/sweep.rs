@@ -1,0 +1,198 @@
+//! `nsim sweep`: its rows are those of the single commands, and ending it at any moment changes nothing.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use serde_json::Value;
+
+fn nsim(folder: &Path, line: &str) -> Command {
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
+    command.args(line.split(' ')).current_dir(folder).env("XDG_CACHE_HOME", folder.join("cache"));
+    command
+}
+
+/// What a command prints.
+fn ran(folder: &Path, line: &str) -> String {
+    let output = nsim(folder, line).output().unwrap();
+    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(folder: &Path, line: &str) -> Value {
+    serde_json::from_str(&ran(folder, &format!("{line} --format json"))).unwrap()
+}
+
+/// The rows of a table, by column.
+fn rows(text: &str) -> Vec<Vec<(String, String)>> {
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let heads: Vec<String> = reader.headers().unwrap().iter().map(str::to_string).collect();
+    let row = |record: csv::StringRecord| heads.iter().cloned().zip(record.iter().map(str::to_string)).collect();
+    reader.records().map(|record| row(record.unwrap())).collect()
+}
+
+fn cell<'a>(row: &'a [(String, String)], column: &str) -> &'a str {
+    &row.iter().find(|(name, _)| name == column).unwrap().1
+}
+
+const SMALL: &str = r#"Sweep(samples: "0..2", grid: [
+    (name: "threshold", paths: ["populations.touch.vth_mant", "populations.sight.vth_mant"], values: [1000, 1300]),
+    (name: "decay", paths: ["populations.out.dv"], from: 300, to: 390, step: 90),
+    (name: "bits", paths: ["projections.0.weight_bits", "projections.1.weight_bits"], values: [8, 4]),
+])"#;
+
+#[test]
+fn rows_are_those_of_the_single_commands() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("s.ron"), SMALL).unwrap();
+    std::fs::write(
+        folder.join("l.ron"),
+        r#"Sweep(samples: "0..2", list: [
+            {"model": "slip-tactile", "target": "loihi1-chip"}, {"constants.injection_time": 0.4},
+            {"options.copies": 3, "options.mode": "realtime"}, {"options.constants": "davies2018", "input.seed": 9},
+            {"model": "container-tactile-srm"}, {"target.limits.axons_in": 100}, {"populations.out.vth_mant": -7},
+        ])"#,
+    )
+    .unwrap();
+    for (file, settings) in [
+        ("s.ron", None),
+        (
+            "l.ron",
+            Some([
+                "slip-tactile --target loihi1-chip",
+                "vtsnn-slip --set constants.injection_time=0.4",
+                "vtsnn-slip --copies 3 --mode realtime",
+                "vtsnn-slip --constants davies2018 --seed 9",
+                "container-tactile-srm",
+                "",
+                "",
+            ]),
+        ),
+    ] {
+        let found = rows(&ran(folder, &format!("sweep {file}")));
+        assert_eq!(found.len(), if settings.is_some() { 7 } else { 8 });
+        for (number, row) in found.iter().enumerate() {
+            assert_eq!(cell(row, "variant"), number.to_string());
+            let line = match settings {
+                Some(settings) => settings[number].to_string(),
+                None => {
+                    let [threshold, decay, bits] = ["threshold", "decay", "bits"].map(|name| cell(row, name));
+                    let set = |path: &str, value: &str| format!(" --set {path}={value}");
+                    "vtsnn-slip".to_string()
+                        + &set("populations.touch.vth_mant", threshold)
+                        + &set("populations.sight.vth_mant", threshold)
+                        + &set("populations.out.dv", decay)
+                        + &set("projections.0.weight_bits", bits)
+                        + &set("projections.1.weight_bits", bits)
+                }
+            };
+            if line.is_empty() {
+                let code = ["map.does-not-fit", "model.range"][number - 5];
+                assert_eq!(cell(row, "fits"), ["false", ""][number - 5]);
+                assert_eq!(cell(row, "error").split('.').next(), code.split('.').next(), "{row:?}");
+                continue;
+            }
+            let copies = if line.contains("--copies") { "" } else { " --copies 1" };
+            let energy = json(folder, &format!("energy {line}{copies} --baseline rtx-2080-ti --samples 0..2"));
+            let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
+            for figure in ["static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"] {
+                let number = cell(row, figure).parse::<f64>().ok();
+                assert_eq!(number, total[figure].as_f64(), "{line}: {figure}");
+            }
+            let line: Vec<&str> = line.split(" --copies 3 --mode realtime").collect();
+            let line = line.concat().replace(" --constants davies2018", "");
+            // The reference engine is what runs spike response neurons otherwise.
+            let run = json(folder, &format!("run {line} --engine fast --samples 0..2"));
+            for (column, value) in [
+                ("digest", &run["digest"]),
+                ("accuracy", &run["accuracy"]),
+                ("timesteps", &run["timesteps"]),
+                ("samples", &run["samples"]),
+                ("spikes", &run["activity"]["spikes"]),
+                ("synaptic_events", &run["activity"]["synaptic_events"]),
+            ] {
+                let value = value
+                    .as_str()
+                    .map_or_else(|| value.as_f64().map_or(String::new(), |number| number.to_string()), str::to_string);
+                assert_eq!(cell(row, column), value, "{line}: {column}");
+            }
+            assert_eq!((cell(row, "fits"), cell(row, "error")), ("true", ""));
+        }
+    }
+}
+
+#[test]
+fn threads_shards_and_kills_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let text = r#"Sweep(samples: "0..4", grid: [
+        (paths: ["populations.out.vth_mant"], from: 900, to: 1500, step: 10),
+        (paths: ["populations.touch.dv", "populations.sight.dv"], name: "decay", values: [300, 390, 500]),
+    ])"#;
+    std::fs::write(folder.join("s.ron"), text).unwrap();
+    ran(folder, "sweep s.ron -o whole.csv --threads 2");
+    let whole = std::fs::read(folder.join("whole.csv")).unwrap();
+    assert_eq!(rows(std::str::from_utf8(&whole).unwrap()).len(), 183);
+    assert!(!folder.join("whole.csv.journal").exists());
+    assert_eq!(ran(folder, "sweep s.ron --threads 1").as_bytes(), whole);
+    // Killed at moments that are spread over the run; what was finished is not run again.
+    let (mut kept, mut kills) = (0, 0);
+    for after in 0..400 {
+        let mut child = nsim(folder, "sweep s.ron -o k.csv --threads 2")
+            .stderr(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(20 + 37 * (after % 10)));
+        let ended = child.try_wait().unwrap().is_some();
+        let _ = child.kill();
+        child.wait().unwrap();
+        let journal = std::fs::read_to_string(folder.join("k.csv.journal")).unwrap_or_default();
+        assert!(ended || journal.lines().count() >= kept, "rows are lost");
+        kept = journal.lines().count();
+        kills += u32::from(!ended);
+        if ended {
+            break;
+        }
+    }
+    assert!(kills > 0);
+    if !folder.join("k.csv").exists() || folder.join("k.csv.journal").exists() {
+        ran(folder, "sweep s.ron -o k.csv");
+    }
+    assert!(std::fs::read(folder.join("k.csv")).unwrap() == whole, "after {kills} kills");
+    assert!(!folder.join("k.csv.journal").exists());
+    // A journal whose last line is cut goes on behind the one before.
+    for shard in 1..=3 {
+        ran(folder, &format!("sweep s.ron -o {shard}.csv --shard {shard}/3"));
+    }
+    ran(folder, "sweep s.ron -o merged.csv --merge 3.csv 1.csv 2.csv");
+    assert!(std::fs::read(folder.join("merged.csv")).unwrap() == whole);
+    let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv").output().unwrap();
+    assert_eq!(refused.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("variant 2 has no row"));
+    ran(folder, "sweep s.ron -o p.csv --plot populations.out.vth_mant,energy_uj --svg p.svg");
+    assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
+}
+
+#[test]
+fn what_no_variant_can_be_run_with_ends_the_sweep() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for (text, code) in [
+        (r#"Sweep(grid: [(paths: ["populations.nothing.vth_mant"], values: [1])])"#, "set.path"),
+        (r#"Sweep(grid: [(paths: ["constants.nothing"], values: [1])])"#, "set.path"),
+        (r#"Sweep(model: "nothing", grid: [(paths: ["options.seed"], values: [1, 2])])"#, "model.unknown"),
+        (r#"Sweep(grid: [(paths: ["options.nothing"], values: [1])])"#, "sweep.path"),
+        (r#"Sweep(input: ["absent.npy"])"#, "usage"),
+    ] {
+        std::fs::write(folder.join("s.ron"), text).unwrap();
+        let output = nsim(folder, "sweep s.ron --format json").output().unwrap();
+        assert!(!output.status.success(), "{text}");
+        let error: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(error["code"], code, "{text}: {error}");
+    }
+}
