@@ -286,7 +286,7 @@ impl<S: Sum> DelayRing<S> {
 /// Spikes whose rows are queued at a time.
 const QUEUED_SPIKES: usize = 512;
 
-/// Spikes between the prefetch of a source's rows and their use.
+/// Spikes between the prefetch of a source's origin and its use.
 const PREFETCH_SPIKES: usize = 16;
 
 /// Queues the rows of these spikes; returns their number and that of the synapses in them.
@@ -294,23 +294,21 @@ const PREFETCH_SPIKES: usize = 16;
 fn enqueue_rows(table: &RowTable, spikes: &[impl Spike], queue: &mut Vec<RowPlace>) -> (usize, u64) {
     let (mut end, mut events) = (0, 0);
     for (index, spike) in spikes.iter().enumerate() {
-        if let Some(far) = spikes.get(index + 2 * PREFETCH_SPIKES) {
-            prefetch(&table.sources, far.source());
+        if let Some(far) = spikes.get(index + PREFETCH_SPIKES) {
+            prefetch(&table.origins, far.source());
         }
-        if let Some(near) = spikes.get(index + PREFETCH_SPIKES) {
-            prefetch(&table.places, table.sources[near.source()].first as usize);
-        }
-        let [source, next] = [0, 1].map(|after| table.sources[spike.source() + after]);
-        let (first, rows) = (source.first as usize, (next.first - source.first) as usize);
-        events += u64::from(source.synapses);
-        let room = end + rows.max(UNCHECKED);
+        let origin = table.origins[spike.source()];
+        let (stencil, places, rows) = table.stencil(origin);
+        events += u64::from(stencil.synapses);
+        let room = end + places.len();
         if queue.len() < room {
-            queue.resize(2 * room, table.places[0]);
+            queue.resize(2 * room, RowPlace { lane: 0, ..places[0] });
         }
-        queue[end..end + UNCHECKED].copy_from_slice(&table.places[first..first + UNCHECKED]);
-        if rows > UNCHECKED {
-            queue[end + UNCHECKED..end + rows].copy_from_slice(&table.places[first + UNCHECKED..first + rows]);
-        }
+        let at = |place: RowPlace| RowPlace { lane: origin.lane.wrapping_add(place.lane), ..place };
+        let (unchecked, others) = places.split_at(UNCHECKED);
+        let (queued, queued_others) = queue[end..room].split_at_mut(UNCHECKED);
+        queued.iter_mut().zip(unchecked).for_each(|(queued, place)| *queued = at(*place));
+        queued_others.iter_mut().zip(others).for_each(|(queued, place)| *queued = at(*place));
         end += rows;
     }
     (end, events)

@@ -1,7 +1,7 @@
 //! Rows of weights: consecutive lanes that many sources reach with the same weights, each source from another lane on.
 //!
 //! Input: the input axons of a program's cores. Output: the distinct rows ([`WeightRows`]), which rows the axons consist of
-//! ([`ProgramRows`]), and for each source the lanes at which its rows begin ([`RowTable`]). Axons that share no rows, or whose
+//! ([`ProgramRows`]), and for each source its rows and the lane at which they begin ([`RowTable`]). Axons that share no rows, or whose
 //! rows would cost more than their synapses, are left to dense blocks and lists. Nothing is taken from kernels but what the
 //! tables of the cores say.
 //!
@@ -34,7 +34,7 @@ const USES: usize = 3;
 const MANY: u64 = 1 << 26;
 
 /// A row: its first chunk in the high bits, its number of chunks in the others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct WeightRow(u32);
 
 /// Bits of the number of chunks.
@@ -268,77 +268,131 @@ fn rows_of(
     scratch.chunk_by(together).map(content).collect()
 }
 
-/// A row that a source adds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A row, and the lane at which it begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct RowPlace {
-    /// The lane at which it begins.
+    /// The lane; in a stencil, how many lanes after that of the source.
     pub lane: u32,
     /// The row.
     pub row: WeightRow,
 }
 
-/// Places that are copied without looking at how many a source has.
+/// Rows of a stencil that are queued without looking at how many it has.
 pub(crate) const UNCHECKED: usize = 8;
 
-/// Where a source's places begin.
+/// The rows that a source adds, which others add from another lane on.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct SourceRows {
-    /// The first place.
-    pub first: u32,
+pub(crate) struct Stencil {
+    /// Its first row.
+    first: u32,
+    /// Rows.
+    rows: u32,
     /// Synapses in all of them.
     pub synapses: u32,
 }
 
-/// The rows of each source, of one delay, into one shard.
+/// A source: its stencil, and the lane at which that begins.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Origin {
+    /// The lane.
+    pub lane: u32,
+    /// The stencil.
+    pub stencil: u32,
+}
+
+/// The rows of each source, of one delay, into one shard. Sources of a convolution have few stencils, which the cache holds.
 #[derive(Debug)]
 pub(crate) struct RowTable {
-    /// Of each source, and one more.
-    pub sources: Vec<SourceRows>,
-    /// The places of all sources, and [`UNCHECKED`] more.
-    pub places: Vec<RowPlace>,
+    /// By source.
+    pub origins: Vec<Origin>,
+    stencils: Vec<Stencil>,
+    /// The rows of all stencils, and [`UNCHECKED`] more.
+    places: Vec<RowPlace>,
     /// The rows.
     pub rows: Arc<WeightRows>,
 }
 
 impl RowTable {
+    /// A source's stencil, and its rows with as many more as may be read unchecked.
+    #[inline(always)]
+    pub fn stencil(&self, origin: Origin) -> (Stencil, &[RowPlace], usize) {
+        let stencil = self.stencils[origin.stencil as usize];
+        let (first, rows) = (stencil.first as usize, stencil.rows as usize);
+        (stencil, &self.places[first..first + rows.max(UNCHECKED)], rows)
+    }
+
     /// Bytes of memory that it holds, the rows themselves not included.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.sources.as_slice()) + size_of_val(self.places.as_slice())
+        let stencils = size_of_val(self.stencils.as_slice()) + size_of_val(self.places.as_slice());
+        size_of_val(self.origins.as_slice()) + stencils
     }
 }
 
 /// Collects the rows of sources, in their order.
 #[derive(Debug)]
 pub(crate) struct RowBuilder {
-    sources: Vec<SourceRows>,
+    origins: Vec<Origin>,
+    /// The stencil without rows comes first.
+    stencils: Vec<Stencil>,
     places: Vec<RowPlace>,
+    known: HashMap<Vec<RowPlace>, u32>,
 }
 
 impl RowBuilder {
     /// Without a source.
     pub fn new() -> Self {
-        RowBuilder { sources: Vec::new(), places: Vec::new() }
+        let none = Stencil { first: 0, rows: 0, synapses: 0 };
+        RowBuilder { origins: Vec::new(), stencils: vec![none], places: Vec::new(), known: HashMap::new() }
     }
 
     /// Appends the next sources, of so many rows and synapses in rows each.
-    pub fn append(&mut self, counts: &[(u32, u32)], places: &[RowPlace]) {
-        let mut first = self.places.len() as u32;
-        for &(count, synapses) in counts {
-            self.sources.push(SourceRows { first, synapses });
-            first = first.wrapping_add(count);
+    pub fn append(&mut self, counts: &[(u32, u32)], mut places: &[RowPlace]) {
+        let mut own = Vec::new();
+        for &(rows, synapses) in counts {
+            let of_source;
+            (of_source, places) = places.split_at(rows as usize);
+            let Some(lane) = of_source.first().map(|place| place.lane) else {
+                self.origins.push(Origin { lane: 0, stencil: 0 });
+                continue;
+            };
+            own.clear();
+            // Rows of another core may begin at an earlier lane.
+            own.extend(of_source.iter().map(|place| RowPlace { lane: place.lane.wrapping_sub(lane), ..*place }));
+            let stencil = self.stencil(&own, synapses);
+            self.origins.push(Origin { lane, stencil });
         }
-        self.places.extend_from_slice(places);
+    }
+
+    /// The stencil of these rows.
+    fn stencil(&mut self, rows: &[RowPlace], synapses: u32) -> u32 {
+        // Neighbours mostly have the same one.
+        if let Some(&Origin { stencil, .. }) = self.origins.last() {
+            let Stencil { first, rows: count, .. } = self.stencils[stencil as usize];
+            if &self.places[first as usize..(first + count) as usize] == rows {
+                return stencil;
+            }
+        }
+        if let Some(&known) = self.known.get(rows) {
+            return known;
+        }
+        let number = self.stencils.len() as u32;
+        let first = self.places.len() as u32;
+        self.places.extend_from_slice(rows);
+        self.stencils.push(Stencil { first, rows: rows.len() as u32, synapses });
+        self.known.insert(rows.to_vec(), number);
+        number
     }
 
     /// Source, lane and weight of what is in rows, without zeros.
     #[cfg(test)]
     pub fn synapses(&self, rows: &WeightRows) -> Vec<(usize, u32, i16)> {
         let mut synapses = Vec::new();
-        let ends = self.sources.iter().skip(1).map(|next| next.first as usize).chain([self.places.len()]);
-        for ((source, begin), end) in self.sources.iter().enumerate().zip(ends) {
-            for place in &self.places[begin.first as usize..end] {
+        for (source, origin) in self.origins.iter().enumerate() {
+            let Stencil { first, rows: count, .. } = self.stencils[origin.stencil as usize];
+            for place in &self.places[first as usize..(first + count) as usize] {
                 let weights = rows.weights(place.row).iter().flatten();
-                let of_row = (place.lane..).zip(weights).filter(|(_, weight)| **weight != 0);
+                let begin = origin.lane.wrapping_add(place.lane);
+                let of_row = (begin..).zip(weights).filter(|(_, weight)| **weight != 0);
                 synapses.extend(of_row.map(|(lane, &weight)| (source, lane, weight)));
             }
         }
@@ -350,13 +404,14 @@ impl RowBuilder {
     /// # Errors
     /// The number of rows, when positions do not fit.
     pub fn finish(mut self, rows: &Arc<WeightRows>) -> Result<Option<RowTable>, usize> {
-        let first = u32::try_from(self.places.len()).map_err(|_| self.places.len())?;
+        u32::try_from(self.places.len()).map_err(|_| self.places.len())?;
         let Some(&last) = self.places.last() else { return Ok(None) };
-        self.sources.push(SourceRows { first, synapses: 0 });
         self.places.extend([last; UNCHECKED]);
         self.places.shrink_to_fit();
-        self.sources.shrink_to_fit();
-        Ok(Some(RowTable { sources: self.sources, places: self.places, rows: Arc::clone(rows) }))
+        self.stencils.shrink_to_fit();
+        self.origins.shrink_to_fit();
+        let RowBuilder { origins, stencils, places, .. } = self;
+        Ok(Some(RowTable { origins, stencils, places, rows: Arc::clone(rows) }))
     }
 }
 
