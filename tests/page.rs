@@ -178,11 +178,12 @@ fn a_model_comes_through_a_pipe() {
     assert_eq!((&data["network"]["name"], data["origins"].as_array().unwrap().len()), (&"slip-tactile".into(), 0));
 }
 
-/// What a page's own script cannot say of itself: put behind it, it moves the pointer over every chart, sets its zoom, reads what is drawn, and
+/// What a page's own script cannot say of itself: put behind it, it moves the pointer over every chart, turns the wheel, sets its zoom, takes
+/// the focus to every control as the tabulator key does, reads what is drawn, and
 /// leaves the findings in the document.
 const OBSERVER: &str = r#"<script>
 (() => {
-  const found = { sections: [], blank: [], silent: [], zoomed: 0, buttons: 0 };
+  const found = { sections: [], blank: [], silent: [], zoomed: 0, wheeled: 0, buttons: 0, unreachable: [] };
   const wait = () => {
     if (document.documentElement.dataset.drawn !== "all") return setTimeout(wait, 20);
     found.ready_ms = performance.now();
@@ -205,12 +206,24 @@ const OBSERVER: &str = r#"<script>
       for (let y = 0.1; y < 0.95 && !hit; y += 0.04) for (let x = 0.02; x < 0.98 && !hit; x += 0.02) { move("mousemove", at.left + x * place.width, at.top + y * place.height); hit = seen(); }
       if (!hit) found.silent.push(box.getAttribute("aria-label"));
       const zooms = () => JSON.stringify((chart.getOption().dataZoom || []).map((zoom) => [zoom.start, zoom.end]));
+      const unwheeled = zooms();
+      for (let x = 0.2; x < 0.9 && unwheeled !== "[]" && unwheeled === zooms(); x += 0.2) for (let y = 0.1; y < 0.95 && unwheeled === zooms(); y += 0.08) {
+        // Of an event that a script makes, Chromium takes a positive delta for a turn away from the user.
+        const wheel = { bubbles: true, cancelable: true, ctrlKey: true, deltaY: 240, clientX: at.left + x * place.width, clientY: at.top + y * place.height };
+        chart.getZr().dom.firstChild.dispatchEvent(new WheelEvent("wheel", wheel));
+      }
+      found.wheeled += unwheeled !== "[]" && unwheeled !== zooms();
       const before = zooms();
       chart.dispatchAction({ type: "dataZoom", dataZoomIndex: 0, start: 20, end: 60 });
       found.zoomed += before !== "[]" && before !== zooms();
     }
     found.charts = charts.length;
     found.buttons = document.querySelectorAll("button, select, summary, nav a").length;
+    for (const control of document.querySelectorAll("a[href], button, select, summary, input")) {
+      if (control.offsetParent === null) continue;
+      control.focus();
+      if (document.activeElement !== control || control.tabIndex !== 0) found.unreachable.push(control.outerHTML.slice(0, 80));
+    }
     for (const button of document.querySelectorAll(".choices button")) button.click();
     found.loads = performance.getEntriesByType("resource").map((entry) => entry.name).filter((name) => !name.startsWith("data:"));
     const result = document.createElement("pre");
@@ -287,5 +300,7 @@ fn a_browser_draws_every_section_without_an_error_or_a_network() {
         assert_eq!((&found["blank"], &found["loads"], &found["silent"]), (&empty, &empty, &empty), "{name}");
         assert!(number("charts") >= 3 && number("buttons") > 5, "{name}: {found}");
         assert!(name == "two" || number("zoomed") >= 4, "{name}: {found}");
+        assert!(name == "two" || number("wheeled") >= 4, "{name}: {found}");
+        assert_eq!(found["unreachable"], empty, "{name}");
     }
 }
