@@ -250,7 +250,7 @@ impl<S: Sum> DelayRing<S> {
     ) where
         S: Accumulate<P::Payload>,
     {
-        let (lane, weights) = (place.lane as usize, table.rows.weights(place.row));
+        let (lane, weights) = (place.lane(), table.rows.weights(place.row()));
         let end = lane + weights.len() * LANES;
         let (sums, _) = self.sums[slot][lane..end].as_chunks_mut::<LANES>();
         for (sums, weights) in sums.iter_mut().zip(weights) {
@@ -300,15 +300,18 @@ fn enqueue_rows(table: &RowTable, spikes: &[impl Spike], queue: &mut Vec<RowPlac
         let origin = table.origins[spike.source()];
         let (stencil, places, rows) = table.stencil(origin);
         events += u64::from(stencil.synapses);
-        let room = end + places.len();
-        if queue.len() < room {
-            queue.resize(2 * room, RowPlace { lane: 0, ..places[0] });
+        if queue.len() < end + places.len() {
+            queue.resize(2 * (end + places.len()), places[0]);
         }
-        let at = |place: RowPlace| RowPlace { lane: origin.lane.wrapping_add(place.lane), ..place };
-        let (unchecked, others) = places.split_at(UNCHECKED);
-        let (queued, queued_others) = queue[end..room].split_at_mut(UNCHECKED);
-        queued.iter_mut().zip(unchecked).for_each(|(queued, place)| *queued = at(*place));
-        queued_others.iter_mut().zip(others).for_each(|(queued, place)| *queued = at(*place));
+        if let (Some(queued), Some(unchecked)) =
+            (queue[end..].first_chunk_mut::<UNCHECKED>(), places.first_chunk::<UNCHECKED>())
+        {
+            *queued = unchecked.map(|place| place.after(origin.lane));
+        }
+        if rows > UNCHECKED {
+            let others = queue[end + UNCHECKED..end + rows].iter_mut().zip(&places[UNCHECKED..]);
+            others.for_each(|(queued, place)| *queued = place.after(origin.lane));
+        }
         end += rows;
     }
     (end, events)

@@ -137,7 +137,7 @@ impl<'a> Flattener<'a> {
                     let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(row.delay)]];
                     let (rows, synapses) = &mut piece.row_counts[source];
                     (*rows, *synapses) = (*rows + 1, *synapses + row.synapses);
-                    piece.rows.push(RowPlace { lane: lane - self.bases[shard], row: row.row });
+                    piece.rows.push(RowPlace::new(lane - self.bases[shard], row.row));
                 }
                 return;
             }

@@ -268,13 +268,40 @@ fn rows_of(
     scratch.chunk_by(together).map(content).collect()
 }
 
-/// A row, and the lane at which it begins.
+/// A row, in the high bits, and the lane at which it begins, in the low ones; in a stencil, how many lanes after the first. One
+/// number, so that the rows of a stencil are moved to their lanes by one addition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) struct RowPlace {
-    /// The lane; in a stencil, how many lanes after that of the source.
-    pub lane: u32,
+pub(crate) struct RowPlace(u64);
+
+impl RowPlace {
+    /// A row at a lane.
+    #[inline(always)]
+    pub fn new(lane: u32, row: WeightRow) -> Self {
+        RowPlace(u64::from(row.0) << u32::BITS | u64::from(lane))
+    }
+
+    /// The lane.
+    #[inline(always)]
+    pub fn lane(self) -> usize {
+        self.0 as u32 as usize
+    }
+
     /// The row.
-    pub row: WeightRow,
+    #[inline(always)]
+    pub fn row(self) -> WeightRow {
+        WeightRow((self.0 >> u32::BITS) as u32)
+    }
+
+    /// The same row so many lanes later, which the shard has.
+    #[inline(always)]
+    pub fn after(self, lanes: u32) -> Self {
+        RowPlace(self.0.wrapping_add(lanes.into()))
+    }
+
+    /// The same row so many lanes earlier; its lane is not before them.
+    fn before(self, lanes: u32) -> Self {
+        RowPlace(self.0 - u64::from(lanes))
+    }
 }
 
 /// Rows of a stencil that are queued without looking at how many it has.
@@ -294,7 +321,7 @@ pub(crate) struct Stencil {
 /// A source: its stencil, and the lane at which that begins.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Origin {
-    /// The lane.
+    /// The first lane of its rows.
     pub lane: u32,
     /// The stencil.
     pub stencil: u32,
@@ -351,13 +378,12 @@ impl RowBuilder {
         for &(rows, synapses) in counts {
             let of_source;
             (of_source, places) = places.split_at(rows as usize);
-            let Some(lane) = of_source.first().map(|place| place.lane) else {
+            let Some(lane) = of_source.iter().map(|place| place.lane() as u32).min() else {
                 self.origins.push(Origin { lane: 0, stencil: 0 });
                 continue;
             };
             own.clear();
-            // Rows of another core may begin at an earlier lane.
-            own.extend(of_source.iter().map(|place| RowPlace { lane: place.lane.wrapping_sub(lane), ..*place }));
+            own.extend(of_source.iter().map(|place| place.before(lane)));
             let stencil = self.stencil(&own, synapses);
             self.origins.push(Origin { lane, stencil });
         }
@@ -390,9 +416,9 @@ impl RowBuilder {
         for (source, origin) in self.origins.iter().enumerate() {
             let Stencil { first, rows: count, .. } = self.stencils[origin.stencil as usize];
             for place in &self.places[first as usize..(first + count) as usize] {
-                let weights = rows.weights(place.row).iter().flatten();
-                let begin = origin.lane.wrapping_add(place.lane);
-                let of_row = (begin..).zip(weights).filter(|(_, weight)| **weight != 0);
+                let place = place.after(origin.lane);
+                let weights = rows.weights(place.row()).iter().flatten();
+                let of_row = (place.lane() as u32..).zip(weights).filter(|(_, weight)| **weight != 0);
                 synapses.extend(of_row.map(|(lane, &weight)| (source, lane, weight)));
             }
         }
