@@ -58,7 +58,7 @@ impl Form {
     pub fn require_written(what: &str, one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
         match Form::for_network(one, copies) {
             Form::Written => Ok(()),
-            Form::Symbolic => Err(too_many(format!("{what} needs every synapse"), one, copies, MOST_WRITTEN)),
+            Form::Symbolic => Err(too_many(&format!("{what} needs every synapse"), one, copies, MOST_WRITTEN)),
         }
     }
 
@@ -69,14 +69,14 @@ impl Form {
     pub fn require_program(self, one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
         match self {
             Form::Symbolic if one.synapses().saturating_mul(u64::from(copies)) > MOST_RUN => {
-                Err(too_many("running it on cores needs the program".to_string(), one, copies, MOST_RUN))
+                Err(too_many("running it on cores needs the program", one, copies, MOST_RUN))
             }
             _ => Ok(()),
         }
     }
 }
 
-fn too_many(what: String, one: &Quantised, copies: u32, most: u64) -> Diagnostic {
+fn too_many(what: &str, one: &Quantised, copies: u32, most: u64) -> Diagnostic {
     let synapses = one.synapses().saturating_mul(u64::from(copies));
     let message = format!("{what} of {} written out: {synapses} synapses, more than {most}", one.parts().name);
     let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy run it up \
