@@ -174,7 +174,7 @@ fn threads_shards_and_kills_change_nothing() {
     let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv").output().unwrap();
     assert_eq!(refused.status.code(), Some(3));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("variant 2 has no row"));
-    ran(folder, "sweep s.ron -o p.csv --plot populations.out.vth_mant,energy_uj --svg p.svg");
+    ran(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
     assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
 }
 

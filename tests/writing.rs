@@ -68,7 +68,7 @@ const WRITING: [Case; 49] = [
     case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --export-sanafe s", "a", "b"),
     case("energy --calibrate i/GEN-table.ron --input scene:noise?samples=1&steps=9 -o c.ron", "a", "b"),
     case("sweep i/GEN.ron -o t.csv", "sweep-a", "sweep-b"),
-    case("sweep i/GEN.ron -o t.csv --plot threshold,spikes --svg t.svg --format json", "sweep-a", "sweep-b"),
+    case("sweep i/GEN.ron -o t.csv --plot t.svg --axes threshold,spikes --format json", "sweep-a", "sweep-b"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --plot-causes g.svg", "a", "b"),
     case("agree i/GEN.ron --input i/e.npy --against i/b.ron --plot g.svg", "a", "r"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --update page.md --force", "a", "b"),

@@ -26,7 +26,7 @@ use crate::sweep::work;
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim sweep sweep.ron -o table.csv                                     a row for each variant
-  nsim sweep sweep.ron -o table.csv --plot energy_uj,accuracy --svg front.svg
+  nsim sweep sweep.ron -o table.csv --plot front.svg --axes energy_uj,accuracy
   nsim sweep sweep.ron -o 3.csv --shard 3/8                             the third of eight parts, on any machine
   nsim sweep sweep.ron -o table.csv --merge 1.csv 2.csv 3.csv           the parts together";
 
@@ -49,7 +49,7 @@ impl FromStr for Shard {
     }
 }
 
-/// `--plot`
+/// `--axes`
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Columns {
     x: String,
@@ -83,12 +83,12 @@ pub struct Args {
     /// Put tables of parts together instead of running
     #[arg(long, value_name = "FILE.csv", num_args = 1..)]
     merge: Vec<PathBuf>,
-    /// Draw a column over another
-    #[arg(long, value_name = "X,Y", requires = "svg")]
-    plot: Option<Columns>,
-    /// Where to write the picture
-    #[arg(long, value_name = "FILE.svg", requires = "plot")]
-    svg: Option<PathBuf>,
+    /// Draw the column that --axes names second over the first
+    #[arg(long, value_name = "FILE.svg|png|pdf", requires = "axes")]
+    plot: Option<PathBuf>,
+    /// The columns to draw
+    #[arg(long, value_name = "X,Y", requires = "plot")]
+    axes: Option<Columns>,
 }
 
 /// What a summary says.
@@ -105,7 +105,7 @@ struct Done {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;
     let mut table = Table::new(&sweep);
-    if let Some(Columns { x, y }) = &args.plot {
+    if let Some(Columns { x, y }) = &args.axes {
         let columns = table.columns();
         picture::check(&columns, x).and_then(|_| picture::check(&columns, y)).map_err(Error::from)?;
     }
@@ -114,7 +114,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     // A table beside its journal is one whose sweep was ended while it cleaned up.
     let goes_on = journal_path.as_deref().is_some_and(|path| io::disk::exists(path).unwrap_or(false));
     let all = Context { force: context.force || goes_on, ..context };
-    output::check_files(args.output.as_ref().filter(|_| file.is_some()), &args.svg, all)?;
+    output::check_files(args.output.as_ref().filter(|_| file.is_some()), &args.plot, all)?;
     let begin = Instant::now();
     let done = if args.merge.is_empty() {
         run_variants(args, &sweep, &mut table, journal_path.as_deref(), context)?
@@ -128,9 +128,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     };
     let (done, journal) = done;
     let mut batch = io::write::Batch::new(all.force);
-    if let (Some(Columns { x, y }), Some(path)) = (&args.plot, &args.svg) {
-        let svg = picture::svg(&table, [x, y])?;
-        batch.add(path, |out| out.write_all(svg.as_bytes()))?;
+    if let (Some(Columns { x, y }), Some(path)) = (&args.axes, &args.plot) {
+        let picture = output::picture_bytes(path, &picture::svg(&table, [x, y])?)?;
+        batch.add(path, |out| out.write_all(&picture))?;
     }
     if let Some(path) = file {
         table.write(path, &mut batch)?;

@@ -1,8 +1,7 @@
 //! The table of a sweep: a row for each variant, and how it lies on the disk.
 //!
-//! Input: rows by number of variant, as they were run, read from a journal or from the tables of shards. Output: CSV or, with the
-//! feature `parquet`, Parquet, sorted by variant, the same bytes whatever the order in which rows came. Columns: `variant`, what
-//! varies, [`FIGURES`].
+//! Input: rows by number of variant, as they were run, read from a journal or from the tables of shards. Output: CSV,
+//! sorted by variant, the same bytes whatever the order in which rows came. Columns: `variant`, what varies, [`FIGURES`].
 //!
 //! Errors: `sweep.shard` for a table of other work, a variant that is missing or there twice.
 

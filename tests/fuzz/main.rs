@@ -398,7 +398,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
                 }
                 std::fs::write(folder.join("sweep.ron"), bytes).unwrap();
                 let ends =
-                    ["-o t.csv", "-o t.csv --shard 1/2", "-o t.csv --plot x,spikes --svg p.svg", "--merge d.csv"];
+                    ["-o t.csv", "-o t.csv --shard 1/2", "-o t.csv --plot p.svg --axes x,spikes", "--merge d.csv"];
                 words(&format!("sweep sweep.ron {}", draw.one(&ends)))
             } else {
                 [words("scene"), vec![scene], words(draw.one(&["-o s", "--plot p.svg", "-q"]))].concat()
