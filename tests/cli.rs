@@ -944,7 +944,8 @@ fn a_network_too_large_to_write_out_is_mapped_kept_and_run_and_refused_elsewhere
     assert_eq!((&ran["digest"], &ran["activity"]["messages"]), (&one["digest"], &one["activity"]["messages"]));
     assert!(ran["activity"]["spikes"].as_u64().unwrap() > 1_000, "{ran}");
     let energy = object(&[&["energy", &model][..], &board, &scene].concat(), 0);
-    assert!(energy["total_uj_per_timestep"].as_f64().unwrap_or_default() > 0.0, "{energy}");
+    let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
+    assert!(total["energy_uj"].as_f64().unwrap() > 0.0, "{total}");
     refused(&["run", &model, "--engine", "golden"]);
     refused(&["run", &model, "--engine", "golden", "--prune", "static"]);
     refused(&[&["map", &model, "--prune", "static"][..], &board].concat());

@@ -218,8 +218,8 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
             );
         }
         let middle = from + group * 0.4;
-        // A label that its group has room for stands straight below it.
-        if 6.2 * category.chars().count() as f64 <= group {
+        // Labels stand straight below their groups if all have room.
+        if categories.iter().all(|category| 6.2 * category.chars().count() as f64 <= group) {
             text_at(&mut out, middle, HEIGHT - BOTTOM + 18.0, "middle", category);
             continue;
         }
@@ -288,6 +288,8 @@ fn extent(series: &Series) -> Vec<(f64, f64)> {
 /// Numbers to places on the paper.
 pub(super) struct Scale {
     log: bool,
+    /// From tick to tick, of a linear one.
+    step: f64,
     low: f64,
     high: f64,
     from: f64,
@@ -301,6 +303,7 @@ impl Scale {
         if low > high {
             (low, high) = if axis.log { (1.0, 10.0) } else { (0.0, 1.0) };
         }
+        let mut between = 0.0;
         if axis.log {
             (low, high) = (round_below(low), round_above(high));
             if high < 9.0 * low {
@@ -313,10 +316,10 @@ impl Scale {
             if low == high {
                 (low, high) = (low - 0.5 * low.abs().max(1.0), high + 0.5 * high.abs().max(1.0));
             }
-            let step = step(high - low);
-            (low, high) = ((low / step).floor() * step, (high / step).ceil() * step);
+            between = step(high - low);
+            (low, high) = ((low / between).floor() * between, (high / between).ceil() * between);
         }
-        Scale { log: axis.log, low, high, from, to }
+        Scale { log: axis.log, step: between, low, high, from, to }
     }
 
     pub(super) fn place(&self, number: f64) -> Option<f64> {
@@ -335,8 +338,9 @@ impl Scale {
             let all = (from..=to).flat_map(|decade| digits.iter().map(move |digit| digit * 10f64.powi(decade)));
             all.filter(|n| (self.low * 0.999..=self.high * 1.001).contains(n)).collect()
         } else {
-            let step = step(self.high - self.low);
-            (0..=((self.high - self.low) / step).round() as i32).map(|k| self.low + step * f64::from(k)).collect()
+            // Multiples of the step, so that one of them is exactly 0 where the axis passes it.
+            let [first, last] = [self.low, self.high].map(|end| (end / self.step).round() as i64);
+            (first..=last).map(|k| self.step * k as f64).collect()
         };
         numbers.into_iter().filter_map(|n| Some((self.place(n)?, number(n)))).collect()
     }
@@ -459,6 +463,9 @@ mod tests {
         assert!((log.place(0.1).unwrap() - 50.0).abs() < 1e-9);
         let ticks: Vec<String> = log.ticks().into_iter().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]);
+        let both = Scale::new(&Axis::linear(""), [-0.58, 0.59].into_iter(), 0.0, 120.0);
+        let ticks: Vec<String> = both.ticks().into_iter().map(|(_, label)| label).collect();
+        assert_eq!(ticks, ["-0.6", "-0.4", "-0.2", "0", "0.2", "0.4", "0.6"]);
         let tight = Scale::new(&Axis::log(""), [0.06, 75.0].into_iter(), 0.0, 100.0);
         assert!((tight.low, tight.high) == (0.05, 100.0), "{} to {}", tight.low, tight.high);
     }
