@@ -270,7 +270,7 @@ pub fn cases() -> Vec<Case> {
         ("step outside", "s.csv", b"# steps: 3\n0,1\n3,1\n".to_vec(), "input.step", 3, "timestep 3"),
         ("step beyond all measure", "s.csv", b"4294967295,1\n".to_vec(), "input.step", 1, "4294967295"),
         ("word in a row", "s.csv", b"0,1\n1,one\n".to_vec(), "input.csv", 2, "one"),
-        ("unknown header", "s.csv", b"x,y,t\n0,1,2\n".to_vec(), "input.csv", 1, "timestep,channel"),
+        ("unknown header", "s.csv", b"a,b,c\n0,1,2\n".to_vec(), "input.csv", 1, "timestep,channel"),
         ("no event", "s.csv", b"\n".to_vec(), "input.empty", 0, "# steps"),
         ("unknown kind", "s.xyz", b"0,1\n".to_vec(), "input.kind", 0, ".csv"),
         (
