@@ -38,7 +38,7 @@ pub(super) fn read(path: &Path, population: &str, units: u64, polarity: Polarity
 /// Reads the bytes of a file.
 ///
 /// # Errors
-/// As [`read`].
+/// As those of a file that is read from its path.
 pub fn from_bytes(
     path: &Path,
     bytes: Vec<u8>,
