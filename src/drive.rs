@@ -9,6 +9,7 @@ pub mod decision;
 pub mod inputs;
 pub mod populations;
 pub mod priced;
+pub mod ranks;
 pub mod samples;
 pub mod steps;
 pub mod timeline;
@@ -173,6 +174,7 @@ pub fn run_copies<E: Engine + ?Sized>(
     // What is decided by the last step is not early.
     outcome.decided_at = outcome.decided_at.filter(|decided| decided + 1 < sample.steps());
     outcome.steps_saved = outcome.decided_at.map_or(0, |decided| sample.steps() - decided - 1);
+    engine.settle();
     outcome.totals = engine.totals();
     outcome.overflow = engine.overflow();
     outcome

@@ -164,7 +164,8 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
                 by_step: Some(0),
             };
             let run = |metered: &Metered<'_>| {
-                let run = SampleRun { samples: &[&sample], early_exit: None, skip: true, progress: &|| () };
+                let run =
+                    SampleRun { samples: &[&sample], early_exit: None, skip: true, progress: &|| (), ranks: None };
                 metered.run(settings(&metered.routes), run).unwrap()
             };
             let (fast, obvious) = (run(&fast), run(&obvious));
@@ -177,7 +178,8 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
             let settings = Arc::new(settings(&routes));
             let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
             let shown = Copies { copies, channels };
-            let running = Running { keep: &keep, copies: shown, skip: true, per_step: true, progress: &|| () };
+            let running =
+                Running { keep: &keep, copies: shown, skip: true, per_step: true, progress: &|| (), ranks: None };
             let whole =
                 samples::fast(&compiled.program, &[&sample], running, || StepMeter::new(settings.clone())).unwrap();
             assert_eq!(fast.activity, whole.activity, "seed {seed}");

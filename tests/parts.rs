@@ -102,7 +102,7 @@ fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: 
         distribution: None,
         by_step: None,
     };
-    let sweep = SampleRun { samples, early_exit: None, skip: true, progress: &|| () };
+    let sweep = SampleRun { samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
     let run = metered.run(settings, sweep).unwrap();
     let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);
     assert_eq!(&rows, expected, "{what}: as the golden interpreter counts");
@@ -138,7 +138,8 @@ fn copies_count_together() {
         let compiled = compile(network.clone(), &target, &options).unwrap();
         let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
         let shown = Copies { copies, channels: network.channels() };
-        let running = Running { keep: &keep, copies: shown, skip: true, per_step: false, progress: &|| () };
+        let running =
+            Running { keep: &keep, copies: shown, skip: true, per_step: false, progress: &|| (), ranks: None };
         let run = nsim::drive::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
         let rows = ByPopulation::new(&compiled.one, &run.counts);
         compare(&compiled, &target, &samples, &rows, &format!("{copies} copies"));
@@ -166,7 +167,8 @@ fn recorded(
     let (settings, deployment) = metered.offline(target).unwrap();
     let layout = StepLayout::new(&compiled.one, deployment.cores_powered);
     let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-    let running = Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| () };
+    let running =
+        Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let mut file = Vec::new();
     let table = StepWriter::new(&mut file, format, layout.columns(), Some(rows)).unwrap();

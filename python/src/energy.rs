@@ -79,7 +79,7 @@ impl Energy {
             };
             let alone: &Program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
             let evaluated = evaluate(plan, &workload, &options, Some(alone), |(metered, _), watched| {
-                workload.simulate(metered, watched, true, progress)
+                workload.simulate(metered, watched, true, (progress, None))
             })?;
             Ok(evaluated.energy)
         })?;

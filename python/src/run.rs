@@ -61,7 +61,7 @@ impl Run {
             let keep = Keep { output: program.output(), probes: Vec::new(), early_exit };
             // Copies share no input channels: each sees the whole sample.
             let copies = Copies { copies: compiled.options.copies, channels: network.channels() };
-            let running = Running { keep: &keep, copies, skip: true, per_step: false, progress };
+            let running = Running { keep: &keep, copies, skip: true, per_step: false, progress, ranks: None };
             let division = Division::new(program, samples.len());
             Ok(match mapping.image(division) {
                 Some(image) => fast_on(image, division, &samples, running, || ()),
@@ -78,7 +78,7 @@ impl Run {
         let samples = self.shown.samples();
         let ran = Ran::Program(program);
         let found = warnings(Finished { network, ran, sums: &sums, samples: &samples, outcomes: &self.run.outcomes });
-        Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found }
+        Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found, ranks: Vec::new() }
     }
 
     fn labels(&self) -> Vec<Option<u32>> {

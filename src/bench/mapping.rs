@@ -20,6 +20,7 @@ use crate::cost::deployment::Deployment;
 use crate::cost::meter::{MeterSettings, StepMeter};
 use crate::cost::transport::Transport;
 use crate::desc::target::Target;
+use crate::drive::ranks::peak_mib;
 use crate::golden::Golden;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
@@ -269,11 +270,4 @@ fn simulated(
 fn reset_peak() {
     // Where it is not allowed the peak of everything before counts too, and is at worst too large.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
-}
-
-fn peak_mib() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
-    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(kib / 1024.0)
 }

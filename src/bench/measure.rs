@@ -73,6 +73,17 @@ pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) 
 
 /// Measures steps of an engine; it begins anew.
 pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> StepTiming {
+    measure_agreed(engine, period, budget, |number| number)
+}
+
+/// The same for an engine of which several processes each run a part: they agree on the number of steps before they run them. `agreed`
+/// makes one number of those that they propose.
+pub fn measure_agreed<E: Engine>(
+    engine: &mut E,
+    period: &Sample,
+    budget: Budget,
+    mut agreed: impl FnMut(u64) -> u64,
+) -> StepTiming {
     // So many steps never come: nothing is near the end, where deliveries would no longer be counted.
     engine.begin(u32::MAX);
     let (mut at, size, repeats) = match budget {
@@ -85,12 +96,13 @@ pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> St
                 size *= if took.is_zero() { 1 } else { 2 };
                 let begin = Instant::now();
                 at = steps(engine, period, at, size);
-                took = begin.elapsed().max(Duration::from_nanos(1));
+                took = Duration::from_nanos(agreed(begin.elapsed().as_nanos() as u64).max(1));
             }
             let fitting = (budget.as_secs_f64() / took.as_secs_f64()) as usize;
             (at, size, fitting.clamp(LEAST_REPEATS, MOST_REPEATS))
         }
     };
+    engine.settle();
     let before = engine.totals();
     let mut each: Vec<f64> = (0..repeats)
         .map(|_| {
@@ -99,6 +111,7 @@ pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> St
             begin.elapsed().as_secs_f64() * 1e6 / size as f64
         })
         .collect();
+    engine.settle();
     each.sort_unstable_by(f64::total_cmp);
     StepTiming {
         us_per_timestep: quantile(&each, 0.5),

@@ -17,8 +17,9 @@ pub mod networks;
 pub mod pareto;
 pub mod power;
 pub mod published;
+pub mod scale;
 pub mod suite;
 
 pub use environment::Environment;
-pub use measure::{Budget, StepTiming, measure, steps};
+pub use measure::{Budget, StepTiming, measure, measure_agreed, steps};
 pub use networks::StandardNetwork;

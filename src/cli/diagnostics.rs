@@ -7,12 +7,14 @@ use serde_json::json;
 
 use crate::base::diagnostic::{Diagnostic, Place, SourceText, Span};
 use crate::cli::context::Format;
+use crate::cli::process::ranks;
 use crate::error::Error;
 use crate::io::write;
 
 /// Prints an error and returns its exit status.
 #[must_use]
 pub fn report(error: &Error, format: Format) -> ExitCode {
+    ranks::before_failing();
     match format {
         Format::Json => {
             // stdout is the result's place; with JSON the error object is the result.
@@ -25,7 +27,9 @@ pub fn report(error: &Error, format: Format) -> ExitCode {
 
 /// Writes to stderr, whether or not anybody still reads it.
 pub fn say(text: &str) {
-    let _ = std::io::stderr().lock().write_all(text.as_bytes());
+    if !write::is_silent() {
+        let _ = std::io::stderr().lock().write_all(text.as_bytes());
+    }
 }
 
 /// Whether stderr is a terminal that moves its cursor and shows colours.
@@ -58,6 +62,7 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
             Err(problem) => report(&problem.into(), Format::Text),
         };
     }
+    ranks::before_failing();
     let said = error.render().to_string();
     match asked {
         Format::Json => {

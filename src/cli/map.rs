@@ -15,6 +15,7 @@ use crate::drive::samples::firing_rates;
 use crate::error::Result;
 use crate::io;
 use crate::io::shipped;
+use crate::ir::dealt::Share;
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 use crate::report::charts::board;
@@ -231,6 +232,7 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
             Some(budget_ms) => Effort::within_ms(budget_ms),
             None => Options::default().effort,
         },
+        share: Share::ALL,
     }
 }
 

@@ -31,7 +31,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::cli::context::{Answer, Context, Format};
-use crate::cli::process::{log, panics, signals, threads};
+use crate::cli::process::{log, panics, ranks, signals, threads};
 use crate::error::Error;
 use crate::io::shipped;
 
@@ -111,7 +111,21 @@ enum Command {
     Help(inspect::help::Args),
 }
 
+impl Command {
+    /// Whether several processes can share the work.
+    fn has_ranks(&self) -> bool {
+        match self {
+            Command::Run(_) | Command::Energy(_) => true,
+            Command::Bench(args) => args.has_ranks(),
+            _ => false,
+        }
+    }
+}
+
 fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
+    if !command.has_ranks() {
+        ranks::alone("this command")?;
+    }
     match command {
         Command::Map(args) => map::run(args, context),
         Command::Run(args) => run::run(args, context),
@@ -185,9 +199,16 @@ pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
 
 fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     signals::listen(asked);
+    ranks::start();
     let cli = match Cli::try_parse_from(line) {
         Ok(cli) => cli,
-        Err(error) => return diagnostics::usage(&error, asked),
+        Err(error) => {
+            let status = diagnostics::usage(&error, asked);
+            if status == ExitCode::SUCCESS {
+                ranks::finish();
+            }
+            return status;
+        }
     };
     log::start(cli.verbose, cli.quiet);
     if cli.no_cache {
@@ -205,8 +226,10 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
         dispatch(&cli.command, Context { format: cli.format, force: cli.force, progress, threads })
     });
     match answer {
-        Ok(Answer::Yes) => ExitCode::SUCCESS,
-        Ok(Answer::No) => ExitCode::from(1),
+        Ok(answer) => {
+            ranks::finish();
+            if answer == Answer::Yes { ExitCode::SUCCESS } else { ExitCode::from(1) }
+        }
         Err(error) => diagnostics::report(&error, cli.format),
     }
 }

@@ -10,10 +10,12 @@ use crate::cli::args::values::{Switch, one_of_named};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::probes::{NamedProbe, ProbeArgs, Recorded};
+use crate::cli::process::ranks;
 use crate::drive::cores::core_rows;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::populations::ByPopulation;
 use crate::drive::priced::Metered;
+use crate::drive::ranks::RankRow;
 use crate::drive::samples::{self, Interpreted, Progress, Run, Running, Traces, fast, golden};
 use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::drive::{Keep, Outcome, Quantity, inputs};
@@ -118,10 +120,11 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
     };
     let mut batch = io::write::Batch::new(context.force);
-    let Done { engine, outcomes, traces, activity, counts, skipped_updates, wall_s } =
+    let Done { engine, outcomes, traces, activity, counts, skipped_updates, wall_s, ranks: rows } =
         output::with_progress(context, samples.len(), "samples", |done| {
             ran(args, &job, &samples, &keep, &mut batch, done)
         })?;
+    ranks::leave_to_first();
     let recorded = traces.as_deref().map_or(Recorded::Integers(&outcomes), Recorded::Reals);
     let mut files = args.probes.write(&probes, (recorded, &samples), network.parts().timestep_ms, &mut batch)?;
     batch.commit()?;
@@ -129,6 +132,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let sums = ByPopulation::new(network, &counts);
     let engine_ran = match &job {
+        // The interpreter has all compartments, and finds the same potentials.
+        Job::Mapped(..) if ranks::several().is_some() => Ran::Integers,
         Job::Mapped(compiled, ..) => Ran::Program(&compiled.program),
         Job::Quantised(..) => Ran::Integers,
         Job::Real(..) => Ran::Reals,
@@ -137,7 +142,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let warnings = warnings(finished);
     let cores = job.program().zip(activity.as_ref());
     let cores = cores.map_or_else(Vec::new, |(program, activity)| core_rows(program, activity, None));
-    let detail = Detail { sums, cores, warnings };
+    let detail = Detail { sums, cores, warnings, ranks: ranks::rows(&rows, job.program()) };
     output::warn_all(&detail.warnings);
     let report = RunReport {
         network,
@@ -185,6 +190,7 @@ struct Done {
     counts: SourceCounts,
     skipped_updates: u64,
     wall_s: f64,
+    ranks: Vec<RankRow>,
 }
 
 impl<M> From<Run<M>> for Done {
@@ -197,6 +203,7 @@ impl<M> From<Run<M>> for Done {
             counts: run.counts,
             skipped_updates: run.skipped_updates,
             wall_s: run.wall_s,
+            ranks: run.ranks,
         }
     }
 }
@@ -214,10 +221,17 @@ fn ran(
         let message = "--steps says what cores do: it needs --engine fast";
         return Err(Error::Usage(message.to_string()));
     }
+    if job.mapped().is_none() {
+        ranks::alone("--engine golden or reference")?;
+    }
+    if args.steps.is_some() {
+        ranks::alone("--steps")?;
+    }
     Ok(match job {
         Job::Mapped(compiled, target, _) => {
             let skip = args.skip == Switch::On;
-            let running = Running { keep, copies: Copies::ONE, skip, per_step: false, progress };
+            let running =
+                Running { keep, copies: Copies::ONE, skip, per_step: false, progress, ranks: ranks::several() };
             match &args.steps {
                 Some(path) => {
                     let metered = Metered::new(compiled);
@@ -230,7 +244,16 @@ fn ran(
         }
         Job::Quantised(quantised, _) => {
             let Interpreted { outcomes, counts, wall_s } = golden(quantised, samples, keep, progress);
-            Done { engine: "golden", outcomes, traces: None, activity: None, counts, skipped_updates: 0, wall_s }
+            Done {
+                engine: "golden",
+                outcomes,
+                traces: None,
+                activity: None,
+                counts,
+                skipped_updates: 0,
+                wall_s,
+                ranks: Vec::new(),
+            }
         }
         Job::Real(graph, quantised, _) => {
             if keep.probes.iter().any(|probe| probe.quantity == Quantity::VRegister) {
@@ -242,7 +265,8 @@ fn ran(
             let (Interpreted { outcomes, counts, wall_s }, traces) =
                 samples::reference(&model, units, samples, keep, progress);
             let traces = Some(traces);
-            Done { engine: "reference", outcomes, traces, activity: None, counts, skipped_updates: 0, wall_s }
+            let ranks = Vec::new();
+            Done { engine: "reference", outcomes, traces, activity: None, counts, skipped_updates: 0, wall_s, ranks }
         }
     })
 }

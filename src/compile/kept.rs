@@ -19,6 +19,7 @@ use crate::compile::partition::members::Members;
 use crate::compile::place;
 use crate::compile::stages::Front;
 use crate::desc::target::Target;
+use crate::ir::dealt::Share;
 use crate::ir::firing_rates::Rates;
 use crate::ir::placement::Site;
 use crate::ir::quantised::{Connectivity, Parts, Population, Projection, Quantised, Units};
@@ -74,7 +75,8 @@ pub fn key(
     let mut key = Key(Sha256::new());
     key.write(MAGIC);
     key.text(build);
-    key.text(&format!("{target:?} {options:?}"));
+    // Every rank makes the same mapping.
+    key.text(&format!("{target:?} {:?}", Options { share: Share::ALL, ..*options }));
     match rates {
         Rates::Assumed(rate) => rate.hash(&mut key),
         Rates::Profile { of, channels } => (of, channels).hash(&mut key),

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::base::names::named_variants;
+use crate::ir::dealt::Share;
 
 /// Spikes of a source in a step, when nothing is known: one in 100 steps.
 pub const DEFAULT_RATE: f64 = 0.01;
@@ -113,6 +114,8 @@ pub struct Options {
     pub place: bool,
     /// What may be spent on looking for a better partition and placement.
     pub effort: Effort,
+    /// For which of the processes that run it together the program is written.
+    pub share: Share,
 }
 
 impl Default for Options {
@@ -124,6 +127,7 @@ impl Default for Options {
             seed: 0,
             place: true,
             effort: Effort::Work(DEFAULT_EFFORT_S),
+            share: Share::ALL,
         }
     }
 }

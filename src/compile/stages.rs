@@ -25,6 +25,7 @@ use crate::compile::options::{DEFAULT_RATE, Effort, Options};
 use crate::compile::partition::boxes::{self, Boxes};
 use crate::compile::partition::members::Members;
 use crate::compile::partition::{self, partition, within_bounds};
+use crate::compile::place::deal::deal;
 use crate::compile::place::{self, anneal};
 use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::even_draws;
@@ -33,6 +34,7 @@ use crate::desc::network::Network;
 use crate::desc::neurons::NeuronKind;
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
+use crate::ir::dealt::{Dealt, Share};
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Placement, Site};
@@ -349,6 +351,15 @@ impl Partitioned {
     }
 }
 
+/// The cores dealt out to the processes that run the program together, if there are several.
+fn dealt(network: &Quantised, partition: &Partition, placement: &Placement, share: Share) -> Option<Dealt> {
+    let Share { rank, ranks, whole } = share;
+    (ranks > 1).then(|| {
+        let owners = deal(network, partition, placement, ranks).into();
+        Dealt { ranks, owners, held: (!whole).then_some(rank) }
+    })
+}
+
 /// The mapping with its program, which is written here if it was mapped by its kernels, and then verified and checked: every
 /// synapse of one core of each pattern.
 ///
@@ -360,8 +371,9 @@ pub fn with_program(mapping: Mapping, target: &Target) -> Result<Compiled> {
     }
     let target = &*Form::Symbolic.counted_on(target);
     let mut clock = Clock(mapping.seconds.clone());
-    let Mapping { quantised: network, partition, placement, .. } = &mapping;
-    let route = || route_boxes(network, partition, placement, target.limits());
+    let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
+    let dealt = dealt(network, partition, placement, options.share);
+    let route = || route_boxes(network, partition, (placement, dealt), target.limits());
     let (program, sample) = clock.stage("write", route).map_err(CompileError::Fault)?;
     clock.stage("verify", || verify::verify(&program, target)).map_err(CompileError::fault)?;
     let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
@@ -393,7 +405,8 @@ impl Placed {
         let (program, sample) = clock
             .stage("route", || match boxes {
                 None => {
-                    let program = route(&quantised, &partition, &placement, options.copies, limits)?;
+                    let dealt = dealt(&quantised, &partition, &placement, options.share);
+                    let program = route(&quantised, &partition, &placement, (options.copies, dealt), limits)?;
                     Ok((Synapses::Written(Box::new(program)), Vec::new()))
                 }
                 Some(boxes) => {

@@ -630,7 +630,8 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         let seats = seats(network.compartments(), &members).unwrap();
         let used = usage(&network, &members, &seats, &vec![0].into(), board.limits());
         let partition = Partition::new(network.compartments(), members, used, board.limits()).unwrap();
-        let program = route(&network, &partition, &place::sequential(1, &board).unwrap(), 1, board.limits()).unwrap();
+        let program =
+            route(&network, &partition, &place::sequential(1, &board).unwrap(), (1, None), board.limits()).unwrap();
         check(&network, &program).unwrap();
         verify(&program, &board).unwrap();
         let [image] = program.cores().as_slice() else { unreachable!() };

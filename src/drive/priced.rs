@@ -19,6 +19,7 @@ use crate::ir::activity::{Activity, CoreCounts, StepActivity};
 use crate::ir::groups::CoreGroups;
 use crate::ir::program::Program;
 use crate::ir::spikes::{Copies, Sample};
+use crate::machine::ranks::transport::Ranks;
 
 impl Meter for StepMeter {
     fn see(&mut self, step: &StepActivity, passed: Passed) {
@@ -41,6 +42,8 @@ pub struct SampleRun<'a> {
     pub skip: bool,
     /// Called after each sample.
     pub progress: Progress<'a>,
+    /// The processes that run the program together, if there are several.
+    pub ranks: Option<&'a Ranks>,
 }
 
 /// A mapping as it is metered: the program that is run, and where its messages and those of cores that do the same go.
@@ -128,9 +131,9 @@ impl<'c> Metered<'c> {
     /// # Errors
     /// As [`fast`].
     pub fn run(&self, settings: MeterSettings, sweep: SampleRun<'_>) -> Result<Run<StepMeter>> {
-        let SampleRun { samples, early_exit, skip, progress } = sweep;
+        let SampleRun { samples, early_exit, skip, progress, ranks } = sweep;
         let keep = Keep { output: self.program().output(), probes: Vec::new(), early_exit };
-        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress };
+        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks };
         let settings = Arc::new(settings);
         let run = self.run_with(samples, running, || StepMeter::new(settings.clone()))?;
         Ok(self.of_all_copies(run))
@@ -194,7 +197,8 @@ pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> R
     let price = step_price(&settings.tables[0], &deployment, copies, Mode::Offline);
     let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let run = metered.run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| () })?;
+    let run = metered
+        .run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None })?;
     let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
     let estimate = estimate(&Case { steps_per_sample: steps_per_sample(&samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })

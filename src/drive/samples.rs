@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use super::ranks::{Found, RankRow, merge_words, part_of, peak_mib, to_words};
 use super::{Keep, Outcome, Passed, Probe, Quantity, run_copies, run_sample};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, Id};
@@ -17,6 +18,7 @@ use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::source_counts::{LeftField, SourceCounts};
 use crate::ir::spikes::{Copies, Engine, Sample};
+use crate::machine::ranks::transport::Ranks;
 use crate::machine::{Image, Machine, Settings};
 use crate::reference::{Model, Real, Reference};
 
@@ -41,6 +43,8 @@ pub struct Running<'a> {
     pub per_step: bool,
     /// Called after each sample.
     pub progress: Progress<'a>,
+    /// The processes that run the program together, each a part of it; `None` where this one runs it alone.
+    pub ranks: Option<&'a Ranks>,
 }
 
 /// What watches the steps of a run, a part of it in each thread.
@@ -73,6 +77,8 @@ pub struct Run<M> {
     pub skipped_updates: u64,
     /// Seconds spent.
     pub wall_s: f64,
+    /// The processes that ran it, where it was not one alone.
+    pub ranks: Vec<RankRow>,
 }
 
 /// How a run is divided among threads.
@@ -113,8 +119,66 @@ pub fn fast<M: Meter>(
     running: Running<'_>,
     new_meter: impl Fn() -> M + Sync,
 ) -> Result<Run<M>, Diagnostic> {
+    if let Some(ranks) = running.ranks {
+        return on_ranks(program, samples, running, ranks, new_meter);
+    }
     let division = Division::new(program, samples.len());
     Ok(fast_on(&laid_out(program, division)?, division, samples, running, new_meter))
+}
+
+/// Runs samples together with other processes; every rank makes this call with the same ones. They run one after the other; the threads of a
+/// rank share its cores. On rank 0 the result is that of one process alone.
+///
+/// # Errors
+/// As [`laid_out`], and `run.part`.
+fn on_ranks<M: Meter>(
+    program: &Program,
+    samples: &[&Sample],
+    running: Running<'_>,
+    ranks: &Ranks,
+    new_meter: impl Fn() -> M + Sync,
+) -> Result<Run<M>, Diagnostic> {
+    let Running { keep, copies, skip, per_step, progress, .. } = running;
+    let begin = Instant::now();
+    let part = part_of(program, ranks)?;
+    let here = RankRow::here(&part, ranks.rank());
+    let shards = if here.synapses > SHARED { rayon::current_num_threads() } else { 1 };
+    let image = laid_out(&part, Division { shards, in_turn: true })?;
+    // Whoever decides has to see all outputs.
+    let shown = keep.early_exit.as_ref().map(|_| keep.output);
+    let is_first = ranks.rank() == 0;
+    let run_all = || {
+        let mut machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);
+        let (mut outcomes, mut meter, mut skipped_updates) = (Vec::new(), new_meter(), 0);
+        for sample in samples {
+            let mut of_sample = new_meter();
+            let outcome = run_copies(&mut machine, sample, copies, keep, |machine: &Machine<'_>, passed| {
+                if is_first {
+                    of_sample.see(machine.last_step(), passed);
+                }
+            });
+            meter.merge(&of_sample);
+            skipped_updates += machine.skipped_updates();
+            progress();
+            outcomes.push(outcome);
+        }
+        let (activity, counts) = machine.take_counts();
+        Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new() }
+    };
+    // A step that is shared from outside the pool would wake a thread each time.
+    let mut run = if shards > 1 { rayon::scope(|_| run_all()) } else { run_all() };
+    let here = RankRow { peak_mib: peak_mib(), ..here };
+    let Run { outcomes, activity, counts, skipped_updates, .. } = &run;
+    let found = Found { outcomes: outcomes.as_slice(), activity, counts, skipped_updates: *skipped_updates };
+    let words = to_words(&found, here, shown.is_none());
+    let Run { outcomes, activity, counts, skipped_updates, .. } = &mut run;
+    let mut found = Found { outcomes: outcomes.as_mut_slice(), activity, counts, skipped_updates: *skipped_updates };
+    let gathered = ranks.transport().gather(words);
+    let others: Vec<RankRow> = gathered.iter().skip(1).map(|words| merge_words(&mut found, words)).collect();
+    *skipped_updates = found.skipped_updates;
+    run.ranks = [here].into_iter().chain(others).collect();
+    run.wall_s = begin.elapsed().as_secs_f64();
+    Ok(run)
 }
 
 /// The same on a program that is laid out already, for runs of the same division.
@@ -126,7 +190,7 @@ pub fn fast_on<M: Meter>(
     running: Running<'_>,
     new_meter: impl Fn() -> M + Sync,
 ) -> Run<M> {
-    let Running { keep, copies, skip, per_step, progress } = running;
+    let Running { keep, copies, skip, per_step, progress, .. } = running;
     let begin = Instant::now();
     let run = |part: &[&Sample]| {
         let mut machine = Machine::new(image, Settings { skip, per_step });
@@ -158,6 +222,7 @@ pub fn fast_on<M: Meter>(
         meter: new_meter(),
         skipped_updates: 0,
         wall_s: 0.0,
+        ranks: Vec::new(),
     };
     for (results, meter, (activity, counts)) in parts {
         result.activity.merge(&activity);

@@ -174,7 +174,7 @@ pub fn run_recorded(
         let direct = (steps * layout.columns.len() > CELLS).then_some(&out);
         let meter = || Recorder { meter: StepMeter::new(settings.clone()), layout, copies, cells: Vec::new(), direct };
         let run = metered.run_with(group, running, meter)?;
-        let Run { outcomes, activity, counts, meter: mut rows, skipped_updates, wall_s } = run;
+        let Run { outcomes, activity, counts, meter: mut rows, skipped_updates, wall_s, ranks } = run;
         rows.flush();
         let mut writer = out.lock().unwrap_or_else(PoisonError::into_inner);
         let mut cells = rows.cells.chunks(layout.columns.len());
@@ -182,7 +182,7 @@ pub fn run_recorded(
             cells.by_ref().take(outcome.steps as usize).for_each(|row| writer.row(row));
             writer.end_sample();
         }
-        let run = Run { outcomes, activity, counts, meter: rows.meter, skipped_updates, wall_s };
+        let run = Run { outcomes, activity, counts, meter: rows.meter, skipped_updates, wall_s, ranks };
         match &mut whole {
             None => whole = Some(run),
             Some(whole) => whole.append(run),

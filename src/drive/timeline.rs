@@ -147,7 +147,8 @@ impl Timeline {
             probes: potentials.iter().map(probe).collect(),
             early_exit: None,
         };
-        let running = Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| () };
+        let running =
+            Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
         let meter = || Watch {
             recorder: Recorder::kept(metered, settings.clone(), &layout),
             ranges: &ranges,

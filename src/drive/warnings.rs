@@ -123,7 +123,8 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
 /// As [`fast`].
 pub fn warnings_of(network: &Quantised, program: &Program, samples: &[&Sample]) -> Result<Vec<Warning>> {
     let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
-    let running = Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| () };
+    let running =
+        Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None };
     let run = fast(program, samples, running, || ())?;
     let sums = ByPopulation::new(network, &run.counts);
     Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))

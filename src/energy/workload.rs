@@ -16,6 +16,7 @@ use crate::drive::warnings::{Finished, Ran, warnings};
 use crate::error::Error;
 use crate::ir::firing_rates::Rates;
 use crate::ir::spikes::{Copies, Sample, Stimulus};
+use crate::machine::ranks::transport::Ranks;
 use crate::report::detail::Detail;
 
 /// A mapped network of one or several copies, and what it is shown.
@@ -107,7 +108,8 @@ impl<'j> Workload<'j> {
         let finished =
             Finished { network, ran: Ran::Program(program), sums: &sums, samples: &samples, outcomes: &run.outcomes };
         let warnings = warnings(finished);
-        Detail { cores: core_rows(program, &run.activity, Some(&run.meter)), sums, warnings }
+        let cores = core_rows(program, &run.activity, Some(&run.meter));
+        Detail { cores, sums, warnings, ranks: run.ranks.clone() }
     }
 
     /// What a mean step is expected to cost, by the target's own constants, at the rates of the run.
@@ -141,10 +143,10 @@ impl<'j> Workload<'j> {
         settings: MeterSettings,
         early_exit: Option<EarlyExit>,
         skip: bool,
-        progress: Progress<'_>,
+        (progress, ranks): (Progress<'_>, Option<&Ranks>),
     ) -> Result<Run<StepMeter>, Error> {
         let samples = self.samples();
-        Ok(self.metered.run(settings, SampleRun { samples: &samples, early_exit, skip, progress })?)
+        Ok(self.metered.run(settings, SampleRun { samples: &samples, early_exit, skip, progress, ranks })?)
     }
 
     /// What the program is metered with.

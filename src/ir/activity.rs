@@ -103,6 +103,33 @@ pub struct CoreCounts {
 }
 
 impl CoreCounts {
+    /// How many counts there are.
+    pub const WORDS: usize = 7;
+
+    /// The counts in the order of their declaration.
+    #[must_use]
+    pub fn to_words(self) -> [u64; CoreCounts::WORDS] {
+        let CoreCounts { messages_in, events_dense, events_sparse, visited, active, spikes, messages_out } = self;
+        [messages_in, events_dense, events_sparse, visited, active, spikes, messages_out]
+    }
+
+    /// Counts from so many words.
+    ///
+    /// # Panics
+    /// When there are fewer: a mistake of the caller.
+    #[must_use]
+    pub fn from_words(words: &[u64]) -> Self {
+        CoreCounts {
+            messages_in: words[0],
+            events_dense: words[1],
+            events_sparse: words[2],
+            visited: words[3],
+            active: words[4],
+            spikes: words[5],
+            messages_out: words[6],
+        }
+    }
+
     /// Synaptic events of all lists.
     #[must_use]
     pub fn synaptic_events(&self) -> u64 {
@@ -270,6 +297,30 @@ impl Activity {
         let sum = all.sum();
         all.messages_from_inputs = sum.messages_in - sum.messages_out;
         all
+    }
+
+    /// What it holds as words, for another process.
+    #[must_use]
+    pub fn to_words(&self) -> Vec<u64> {
+        let HopCounts { local, east_west, north_south, chip } = self.hops;
+        let mut words = vec![local, east_west, north_south, chip];
+        words.extend([self.spikes_in, self.messages_from_inputs, self.steps]);
+        words.extend(self.cores.iter().flat_map(|core| core.to_words()));
+        words
+    }
+
+    /// Adds what another process counted in the same steps, on as many cores.
+    ///
+    /// # Panics
+    /// When there are too few words: a mistake of the caller.
+    pub fn merge_words(&mut self, words: &[u64]) {
+        self.hops += HopCounts { local: words[0], east_west: words[1], north_south: words[2], chip: words[3] };
+        self.spikes_in += words[4];
+        self.messages_from_inputs += words[5];
+        assert_eq!(self.steps, words[6], "processes that run together run as many steps");
+        for (sum, core) in self.cores.iter_mut().zip(words[7..].chunks_exact(CoreCounts::WORDS)) {
+            *sum += CoreCounts::from_words(core);
+        }
     }
 
     /// By core.

@@ -9,7 +9,8 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::base::csr::Csr;
-use crate::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::ir::dealt::Dealt;
 use crate::ir::partition::Seat;
 use crate::ir::placement::Site;
 use crate::ir::program::{AxonTarget, Compartments, CoreImage, Graded, NotClosed, Parts, Program};
@@ -117,7 +118,7 @@ impl CoreGroups {
             Ok::<_, NotClosed>(CompartmentId(copy * one.compartments + id.0 % one.compartments))
         };
         let mut cores = Vec::new();
-        for &number in kept_cores {
+        for &number in kept_cores.clone() {
             let mut image = whole.cores[number].clone();
             image.ids = image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?;
             let mut axons_out = Csr::default();
@@ -156,6 +157,10 @@ impl CoreGroups {
             semantics: whole.semantics,
             threshold: whole.threshold,
             reset: whole.reset,
+            dealt: whole.dealt.as_ref().map(|dealt| {
+                let owners: Vec<u32> = kept_cores.clone().map(|&core| dealt.owners[core]).collect();
+                Dealt { owners: IdVec::from(owners).into(), ..dealt.clone() }
+            }),
         };
         let mut kinds: Vec<Kind> = Vec::new();
         for &first in &firsts {

@@ -4,6 +4,7 @@
 //! succeeded: [`graph::Graph`], [`quantised::Quantised`], [`partition::Partition`], [`placement::Placement`],
 //! [`program::Program`], then [`activity::Activity`]. [`spikes`] holds what goes into a run and what comes out.
 pub mod activity;
+pub mod dealt;
 pub mod firing_rates;
 pub mod graph;
 pub mod groups;

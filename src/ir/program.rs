@@ -18,6 +18,7 @@ use crate::base::fixed::{Delay, Payload, WEIGHT_SHIFT};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::shared::Shared;
 use crate::desc::network::{Semantics, ThresholdTest};
+use crate::ir::dealt::Dealt;
 use crate::ir::partition::Seat;
 use crate::ir::placement::{Mesh, Site};
 use crate::ir::quantised::{Neuron, Population, Reset, SynapseFormat};
@@ -332,6 +333,8 @@ pub struct Parts {
     pub threshold: ThresholdTest,
     /// Periodic reset.
     pub reset: Option<Reset>,
+    /// Which process runs which cores, where there are several.
+    pub dealt: Option<Dealt>,
 }
 
 /// Which input axons a message has been seen to reach.
@@ -442,6 +445,9 @@ impl Program {
         if std::iter::once(0).chain(ends).zip(begins.chain([sources])).any(|(end, begin)| begin < end) {
             return Err(NotClosed("a payload has no source, or a source has two".to_string()));
         }
+        if parts.dealt.as_ref().is_some_and(|dealt| !dealt.is_of(parts.cores.len())) {
+            return Err(NotClosed("a core is not dealt to a rank".to_string()));
+        }
         if parts.populations.get(parts.output).copied().flatten().is_none() {
             return Err(NotClosed("the output is not a population of compartments".to_string()));
         }
@@ -458,6 +464,67 @@ impl Program {
     #[must_use]
     pub fn into_parts(self) -> Parts {
         self.parts
+    }
+
+    /// Whether the tables of a core are held here, rather than by another process.
+    #[must_use]
+    pub fn holds(&self, core: CoreId) -> bool {
+        self.parts.dealt.as_ref().is_none_or(|dealt| dealt.holds(core))
+    }
+
+    /// The rank whose part of a program this is; `None` of a whole one.
+    #[must_use]
+    pub fn held_rank(&self) -> Option<u32> {
+        self.parts.dealt.as_ref().and_then(|dealt| dealt.held)
+    }
+
+    /// What a rank holds of a program that is dealt out: the tables of its cores and the messages that go to them. All else, such
+    /// as the seats of compartments, every rank has.
+    ///
+    /// # Errors
+    /// [`NotClosed`] when the program is not dealt out, or is a part already.
+    pub fn part(&self, rank: u32) -> Result<Program, NotClosed> {
+        let whole = &self.parts;
+        let dealt = whole.dealt.as_ref().filter(|dealt| dealt.held.is_none());
+        let dealt = Dealt {
+            held: Some(rank),
+            ..dealt.cloned().ok_or_else(|| NotClosed("the program is not dealt out, or is a part".to_string()))?
+        };
+        let to_own = |list: &[AxonTarget]| {
+            list.iter().copied().filter(|target| dealt.holds(target.core)).collect::<Vec<AxonTarget>>()
+        };
+        let kept = |messages: &Csr<AxonTarget>| {
+            let mut own = Csr::default();
+            messages.iter().for_each(|list| own.push(to_own(list)));
+            own.shrink_to_fit();
+            own
+        };
+        let nothing = Shared::from(Stored::default());
+        let image = |(core, image): (CoreId, &CoreImage)| {
+            let held = dealt.holds(core);
+            CoreImage {
+                site: image.site,
+                compartments: image.compartments.clone(),
+                ids: image.ids.clone(),
+                formats: if held { image.formats.clone() } else { Vec::new() },
+                inputs: if held { image.inputs.clone() } else { nothing.clone() },
+                axons_out: kept(&image.axons_out),
+            }
+        };
+        let cores: Vec<CoreImage> = whole.cores.enumerate().map(image).collect();
+        Program::new(Parts {
+            mesh: whole.mesh,
+            cores: cores.into(),
+            channels: kept(&whole.channels),
+            seats: whole.seats.clone(),
+            populations: whole.populations.clone(),
+            graded: whole.graded.clone(),
+            output: whole.output,
+            semantics: whole.semantics,
+            threshold: whole.threshold,
+            reset: whole.reset,
+            dealt: Some(dealt),
+        })
     }
 
     /// Core images.

@@ -266,6 +266,8 @@ pub trait Engine {
     /// What a probe of the chip's voltage register reads: the refractory counter while it is running
     /// (`docs/semantics.md`, probes), the membrane otherwise.
     fn v_register(&self, compartment: CompartmentId) -> i32;
+    /// Waits for what other processes have to say of the last step, before it is counted.
+    fn settle(&mut self) {}
     /// What was counted since `begin`.
     fn totals(&self) -> Totals;
     /// What left its field since `begin`.

@@ -7,16 +7,18 @@
 //! - `deliver/`: spikes into the delay ring.
 //! - `update/`: compartments, sixteen at a time.
 //! - `count/`: what spikes cause on the chip.
+//! - `ranks/`: one program run by several processes, each of which holds a part and has a machine for it.
 
 mod bits;
 pub mod count;
 pub(crate) mod deliver;
 pub mod layout;
+pub mod ranks;
 pub mod update;
 
 use rayon::prelude::*;
 
-use crate::base::id::{ChannelId, CompartmentId};
+use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::ir::activity::{Activity, Overflow, StepActivity, Totals};
 use crate::ir::source_counts::SourceCounts;
 use crate::ir::spikes::Engine;
@@ -24,7 +26,9 @@ use crate::machine::count::spike_counts::SpikeCounts;
 use crate::machine::count::tally;
 use crate::machine::deliver::exchange;
 pub use crate::machine::layout::image::{Image, ImageError};
-use crate::machine::update::state::{ShardState, Step, StepInput};
+use crate::machine::ranks::exchange::Exchange;
+use crate::machine::ranks::transport::Ranks;
+use crate::machine::update::state::{Phase, ShardState, Step, StepInput};
 use crate::neuron;
 
 /// How to run. No setting changes a result.
@@ -59,6 +63,12 @@ pub struct Machine<'i> {
     /// Spikes of the last step, and what they carry; empty if all spikes are binary.
     spikes: Vec<CompartmentId>,
     payloads: Vec<i32>,
+    /// The other processes that run the program, and their spikes of the last step.
+    others: Option<Exchange>,
+    remote: Vec<CompartmentId>,
+    remote_payloads: Vec<i32>,
+    /// The spikes and those of others that are shown to every process.
+    shown: Vec<CompartmentId>,
     /// Those of the step before, while they are delivered.
     carried: Vec<CompartmentId>,
     carried_payloads: Vec<i32>,
@@ -86,14 +96,35 @@ impl<'i> Machine<'i> {
             steps: 0,
             spikes: Vec::new(),
             payloads: Vec::new(),
+            others: None,
+            remote: Vec::new(),
+            remote_payloads: Vec::new(),
+            shown: Vec::new(),
             carried: Vec::new(),
             carried_payloads: Vec::new(),
             marks: Vec::new(),
             last_events: 0,
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
-            counts: SpikeCounts::new(image.channels),
+            counts: SpikeCounts::new(image),
         }
+    }
+
+    /// A machine at rest, of the part of a program that this process holds; all ranks make theirs at the same time. The spikes of
+    /// these compartments, if any, are shown to every rank.
+    ///
+    /// # Panics
+    /// When the image is of no part, or the ranks hold parts of different mappings.
+    #[must_use]
+    pub fn of_part(
+        image: &'i Image<'i>,
+        settings: Settings,
+        ranks: &Ranks,
+        shown: Option<(CompartmentId, u32)>,
+    ) -> Self {
+        let at_once = settings.per_step || shown.is_some();
+        let others = Some(Exchange::new(image.program(), ranks, shown, at_once));
+        Machine { others, ..Machine::new(image, settings) }
     }
 
     /// What the last step did; empty unless `Settings::per_step` is on.
@@ -122,7 +153,9 @@ impl<'i> Machine<'i> {
     /// Whether nothing will happen until the next input spike.
     #[must_use]
     pub fn at_rest(&self) -> bool {
-        self.spikes.is_empty() && self.shards.iter().zip(&self.image.shards).all(|(state, shard)| state.at_rest(shard))
+        self.spikes.is_empty()
+            && self.remote.is_empty()
+            && self.shards.iter().zip(&self.image.shards).all(|(state, shard)| state.at_rest(shard))
     }
 
     /// Bytes of memory that the state holds; the image's are its own.
@@ -138,10 +171,48 @@ impl<'i> Machine<'i> {
 
     /// Deliver and Update of every shard.
     fn deliver_and_update(&mut self, channels: &[ChannelId], left: u32) {
-        let image = self.image;
         std::mem::swap(&mut self.spikes, &mut self.carried);
         std::mem::swap(&mut self.payloads, &mut self.carried_payloads);
+        if self.others.is_none() {
+            return self.each_shard(Phase::Whole, channels, left);
+        }
+        // What is known is delivered while the rest is under way.
+        self.each_shard(Phase::Deliver, channels, left);
+        self.take_remote();
+        std::mem::swap(&mut self.remote, &mut self.carried);
+        std::mem::swap(&mut self.remote_payloads, &mut self.carried_payloads);
+        self.each_shard(Phase::Update, &[], left);
+        self.remote.clear();
+    }
+
+    /// Waits for the other ranks' spikes of the last step.
+    fn take_remote(&mut self) {
+        let image = self.image;
+        let Some(others) = &mut self.others else { return };
+        if !others.take(&mut self.remote) {
+            return;
+        }
+        if image.has_blocks {
+            self.remote.sort_unstable();
+        }
+        self.remote_payloads.clear();
+        if !image.payloads.is_empty() {
+            let carried = |spike: &CompartmentId| image.payloads[image.channels as usize + spike.index()];
+            self.remote_payloads.extend(self.remote.iter().map(carried));
+        }
+        self.remote.iter().for_each(|spike| self.counts.remote[spike.index()] += 1);
+        // They reach as many steps as are left, this one, which follows their own, included.
+        let left = self.steps.saturating_sub(self.step);
+        if left <= image.longest_delay {
+            self.counts.note_late(self.remote.iter().map(|spike| image.channels + spike.0), left);
+        }
+    }
+
+    /// A phase of every shard's step.
+    fn each_shard(&mut self, phase: Phase, channels: &[ChannelId], left: u32) {
+        let image = self.image;
         let input = &StepInput {
+            phase,
             step: self.step,
             left,
             channels,
@@ -175,9 +246,12 @@ impl<'i> Machine<'i> {
             self.payloads.extend_from_slice(&state.payloads);
         }
         match (image.sorts_spikes, image.payloads.is_empty()) {
-            (true, true) => exchange::sort(&mut self.spikes, &mut self.marks, image.compartments()),
+            (true, true) => exchange::sort(&mut self.spikes, &mut self.marks, image.lanes.len()),
             (true, false) => exchange::sort_graded(&mut self.spikes, &mut self.payloads),
             (false, _) => {}
+        }
+        if let Some(others) = &mut self.others {
+            others.post(&self.spikes);
         }
     }
 
@@ -202,9 +276,9 @@ impl<'i> Machine<'i> {
             self.totals.active_updates += state.active_now;
             self.last_events += state.events_now;
         }
-        self.totals.spikes_in += channels.len() as u64;
+        self.totals.spikes_in += if image.counts_inputs { channels.len() as u64 } else { 0 };
         self.totals.spikes += self.spikes.len() as u64;
-        self.totals.compartment_updates += image.compartments() as u64;
+        self.totals.compartment_updates += image.held as u64;
         self.totals.synaptic_events += self.last_events;
         if self.settings.per_step {
             self.last.clear();
@@ -212,9 +286,28 @@ impl<'i> Machine<'i> {
             for state in &self.shards {
                 tally::add_active(&state.active, &mut self.last);
             }
-            image.tally.add_step(channels, &self.spikes, left, &mut self.last);
+            image.tally.add_step((channels, &self.spikes), left, &mut self.last);
         }
         self.counts.steps += 1;
+    }
+
+    /// What is left of a step once the other ranks' spikes are asked for.
+    fn finish_step(&mut self, left: u32) {
+        let ends = left <= 1;
+        if !self.others.as_ref().is_some_and(|others| others.at_once || ends) {
+            return;
+        }
+        self.take_remote();
+        let Some(others) = &self.others else { return };
+        self.shown.clear();
+        if let Some((first, size)) = others.shown {
+            self.shown.extend_from_slice(&self.spikes);
+            self.shown.extend(self.remote.iter().filter(|spike| spike.0.wrapping_sub(first.0) < size));
+        }
+        if self.settings.per_step {
+            self.image.tally.add_remote(&self.remote, left, &mut self.last);
+            others.merge(&mut self.last);
+        }
     }
 }
 
@@ -224,6 +317,8 @@ impl Engine for Machine<'_> {
         (self.step, self.steps) = (0, steps);
         self.spikes.clear();
         self.payloads.clear();
+        self.take_remote();
+        self.remote.clear();
         self.last_events = 0;
         self.counts.begin(self.image, &self.shards, self.arch);
         self.totals = Totals::default();
@@ -246,24 +341,41 @@ impl Engine for Machine<'_> {
         self.exchange();
         self.count(channels, left);
         self.step += 1;
+        self.finish_step(left);
+    }
+
+    fn settle(&mut self) {
+        self.take_remote();
     }
 
     fn rest(&mut self, steps: u32) -> bool {
-        if !self.settings.skip || !self.at_rest() {
+        if !self.settings.skip {
             return false;
         }
+        self.take_remote();
+        let here = self.at_rest();
+        if !self.others.as_ref().map_or(here, |others| others.all(here)) {
+            return false;
+        }
+        self.shown.clear();
         self.step += steps;
         self.counts.steps += u64::from(steps);
-        self.totals.compartment_updates += u64::from(steps) * self.image.compartments() as u64;
+        self.totals.compartment_updates += u64::from(steps) * self.image.held as u64;
         if self.settings.per_step {
             self.last.clear();
             self.image.tally.add_visits(1, &mut self.last);
+            if let Some(others) = &self.others {
+                others.merge(&mut self.last);
+            }
         }
         true
     }
 
     fn spikes(&self) -> &[CompartmentId] {
-        &self.spikes
+        match &self.others {
+            Some(others) if others.shown.is_some() => &self.shown,
+            _ => &self.spikes,
+        }
     }
 
     fn payloads(&self) -> &[i32] {
@@ -271,16 +383,25 @@ impl Engine for Machine<'_> {
     }
 
     fn u(&self, compartment: CompartmentId) -> i32 {
+        if !self.image.holds(compartment) {
+            return 0;
+        }
         let (state, lane) = self.lane(compartment);
         state.registers(lane).u
     }
 
     fn v(&self, compartment: CompartmentId) -> i32 {
+        if !self.image.holds(compartment) {
+            return 0;
+        }
         let (state, lane) = self.lane(compartment);
         state.registers(lane).v
     }
 
     fn v_register(&self, compartment: CompartmentId) -> i32 {
+        if !self.image.holds(compartment) {
+            return 0;
+        }
         let (state, lane) = self.lane(compartment);
         let registers = state.registers(lane);
         let neuron = self.image.neuron(compartment);
@@ -290,7 +411,8 @@ impl Engine for Machine<'_> {
     fn totals(&self) -> Totals {
         // Events belong to the step of their spike, and are counted when they are delivered, a step later.
         let left = self.steps.saturating_sub(self.step);
-        let sources = self.spikes.iter().map(|spike| self.image.channels + spike.0);
+        let spikes = self.spikes.iter().chain(&self.remote);
+        let sources = spikes.map(|spike| self.image.channels + spike.0);
         let pending = self.image.tally.events_within(sources.clone(), left);
         let undelivered: i64 = sources.map(|source| self.image.residual.get(source)).sum();
         let residual = self.counts.sample_residual(self.image, &self.shards, self.arch) - undelivered;

@@ -258,6 +258,7 @@ impl RunReport<'_> {
             out += &format!("{:<24} {}\n", "hops", per_step(activity.hops().links()));
         }
         out += &format!("\n{}", self.detail.populations_text(steps));
+        out += &self.detail.ranks_text();
         out += &format!("output spikes {}\n", digest(self.outcomes));
         out += &format!("{:.3} s, {:.3} us a timestep\n", self.wall_s, self.us_per_timestep());
         for file in self.files {

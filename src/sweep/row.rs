@@ -218,8 +218,10 @@ impl Runner {
             distribution: None,
             by_step: None,
         };
-        let run =
-            metered.run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| () })?;
+        let run = metered.run(
+            settings,
+            SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None },
+        )?;
         let case = Case {
             mode: job.mode,
             convention: job.convention,

@@ -9,6 +9,7 @@ use crate::cli::args::prune::PruneArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
 use crate::cli::output;
+use crate::cli::process::ranks;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{
     self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, kept, mapping_file,
@@ -229,7 +230,7 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
     let target = io::target::load_target(&args.target)?;
     let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let copies = copies.or(mapping.as_ref().map(|file| file.copies)).unwrap_or(1);
-    let options = Options { copies, ..Options::default() };
+    let options = Options { copies, share: ranks::share(), ..Options::default() };
     if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
         // Copies share nothing, so one of them is the whole of what a run shows.
         tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);

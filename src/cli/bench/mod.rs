@@ -3,7 +3,9 @@
 pub mod early;
 pub mod pareto;
 pub mod published;
+pub mod scale;
 
+use std::borrow::Cow;
 use std::cell::OnceCell;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -11,19 +13,24 @@ use std::time::{Duration, Instant};
 use self::early::EarlyArgs;
 use self::pareto::ParetoArgs;
 use self::published::PublishedArgs;
+use self::scale::ScaleArgs;
 use crate::bench::networks::{BenchNetwork, StandardNetwork};
 use crate::bench::suite::{self, SuiteCase, Ways};
-use crate::bench::{Budget, Environment, mapping, measure};
+use crate::bench::{Budget, Environment, StepTiming, mapping, measure_agreed};
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::process::ranks;
 use crate::compile::{CompileError, Options, compile};
 use crate::desc::resource::Resource;
+use crate::drive::ranks::part_of;
 use crate::error::Error;
 use crate::io;
+use crate::ir::activity::Totals;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
+use crate::machine::ranks::transport::Ranks;
 use crate::machine::{Image, Machine, Settings};
 use crate::report::bench::mapping::MapReport;
 use crate::report::bench::step::{StepReport, StepRow};
@@ -37,6 +44,7 @@ EXAMPLES:
   nsim bench map --network lenet pilotnet           of these networks
   nsim bench map --full                             with networks of a million compartments
   nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network
+  nsim bench scale                                  what a step would take on many machines
   nsim bench published                              what others measured on the chip, beside what nsim predicts";
 
 /// Measure speed and mappings on standard networks, and run time against error
@@ -47,6 +55,14 @@ pub struct Args {
     bench: Which,
 }
 
+impl Args {
+    /// Whether several processes can share the work.
+    #[must_use]
+    pub fn has_ranks(&self) -> bool {
+        matches!(self.bench, Which::Step(_) | Which::Scale(_))
+    }
+}
+
 #[derive(Debug, clap::Subcommand)]
 enum Which {
     Step(StepArgs),
@@ -54,6 +70,7 @@ enum Which {
     Early(EarlyArgs),
     Pareto(Box<ParetoArgs>),
     Published(PublishedArgs),
+    Scale(ScaleArgs),
 }
 
 /// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each mapping is run and its
@@ -113,6 +130,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Early(args) => early::run(args, context),
         Which::Pareto(args) => pareto::run(args, context),
         Which::Published(args) => published::run(args, context),
+        Which::Scale(args) => scale::run(args, context),
     }
 }
 
@@ -169,7 +187,11 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         let build = |standard: StandardNetwork| standard.build().map_err(|e| fault(standard, &e));
         let BenchNetwork { network, target, .. } = build(same[0])?;
         let program = map(same[0], network, target)?;
-        let images = Images::new(&program);
+        let part = match ranks::several() {
+            Some(ranks) => part_of(&program, ranks)?,
+            None => Cow::Borrowed(&program),
+        };
+        let images = Images::new(&part);
         for standard in same {
             let BenchNetwork { period, .. } = build(*standard)?;
             rows.extend(step_rows(*standard, &images, &period, budget, context)?);
@@ -177,6 +199,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         }
     }
     bar.finish_and_clear();
+    ranks::leave_to_first();
     let report = StepReport { environment: &environment, rows: &rows };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
@@ -221,16 +244,21 @@ fn step_rows(
     if standard.wants_threads() && context.threads > 1 {
         wanted.push((context.threads, true));
     }
-    let synapses: u64 = images.program.cores().iter().map(|core| core.inputs.count()).sum();
+    let own: u64 = images.program.cores().iter().map(|core| core.inputs.count()).sum();
     let measured = wanted.into_iter().map(|(threads, skip)| {
         let image = images.get(standard, threads)?;
-        let mut machine = Machine::new(image, Settings { skip, per_step: false });
+        let settings = Settings { skip, per_step: false };
+        let ranks = ranks::several();
+        let mut machine =
+            ranks.map_or_else(|| Machine::new(image, settings), |ranks| Machine::of_part(image, settings, ranks, None));
+        let agreed = |number| ranks.map_or(number, |ranks| ranks.agreed(number));
         // Threads that share a step are called from one of them, as a run does.
         let measured = match threads {
-            1 => measure(&mut machine, period, budget),
-            _ => rayon::scope(|_| measure(&mut machine, period, budget)),
+            1 => measure_agreed(&mut machine, period, budget, agreed),
+            _ => rayon::scope(|_| measure_agreed(&mut machine, period, budget, agreed)),
         };
-        let bytes = image.bytes() + machine.bytes();
+        let bytes = (image.bytes() + machine.bytes()) as u64;
+        let (measured, bytes, synapses) = of_all_ranks(measured, bytes, own);
         let begin = Instant::now();
         black_box(machine.take_activity());
         Ok(StepRow {
@@ -240,17 +268,36 @@ fn step_rows(
             measured,
             bytes_per_synapse: bytes as f64 / synapses.max(1) as f64,
             sums_ms: begin.elapsed().as_secs_f64() * 1e3,
+            ranks: ranks.map_or(1, Ranks::ranks),
         })
     });
     measured.collect()
 }
 
+/// What was measured on this rank, with the counts, bytes and synapses of all; on all but the first its own.
+fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
+    let Some(ranks) = ranks::several() else { return (measured, bytes, synapses) };
+    let Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates } = measured.totals;
+    let counts = vec![spikes_in, spikes, synaptic_events, compartment_updates, active_updates, bytes, synapses];
+    let (mut totals, mut sums) = (measured.totals, (bytes, synapses));
+    for of_rank in ranks.transport().gather(counts).iter().skip(1) {
+        if let [spikes_in, spikes, synaptic_events, compartment_updates, active_updates, bytes, synapses] = of_rank[..]
+        {
+            totals += Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates };
+            sums = (sums.0 + bytes, sums.1 + synapses);
+        }
+    }
+    (StepTiming { totals, ..measured }, sums.0, sums.1)
+}
+
 fn map(standard: StandardNetwork, network: Quantised, target: &str) -> Result<Program, Error> {
     let target = io::target::load_target(target)?;
-    let compiled = compile(network, &target, &Options::default()).map_err(|error| match error {
-        CompileError::Input(diagnostic) => diagnostic.into(),
-        other => fault(standard, &other),
-    })?;
+    let compiled = compile(network, &target, &Options { share: ranks::share(), ..Options::default() }).map_err(
+        |error| match error {
+            CompileError::Input(diagnostic) => diagnostic.into(),
+            other => fault(standard, &other),
+        },
+    )?;
     for (stage, seconds) in &compiled.seconds {
         tracing::info!("{}: {stage} {seconds:.3} s", standard.name());
     }

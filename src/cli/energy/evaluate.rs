@@ -8,6 +8,7 @@ use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::process::ranks;
 use crate::energy::evaluate::{self, CostOptions, Evaluated, Plan};
 use crate::energy::options::baselines;
 use crate::energy::workload::Workload;
@@ -25,6 +26,10 @@ pub fn evaluate(
     context: Context,
     report: impl FnOnce(&Workload<'_>, Evaluated) -> Result<Answer, Error>,
 ) -> Result<Answer, Error> {
+    if steps.is_some() {
+        ranks::alone("--steps")?;
+    }
+    ranks::price();
     let options = options(args)?;
     let plan = Plan::new(&args.job.model, &args.deployment)?;
     let copies = args.copies.or(plan.copies().filter(|_| args.job.mapping.is_none()));
@@ -46,10 +51,16 @@ pub fn evaluate(
         Some(Prepared::DoesNotFit(_)) => None,
     };
     let skip = args.skip == Switch::On;
-    let evaluated = evaluate::evaluate(&plan, &workload, &options, alone, |metered, watched| match steps {
+    let mut evaluated = evaluate::evaluate(&plan, &workload, &options, alone, |metered, watched| match steps {
         Some(steps) => simulate_recorded(&workload, metered, watched, skip, steps, context),
-        None => simulate(&workload, metered.0, watched, skip, context),
+        None => {
+            let run = simulate(&workload, metered.0, watched, skip, context)?;
+            ranks::leave_to_first();
+            Ok(run)
+        }
     })?;
+    let detail = &mut evaluated.energy.detail;
+    detail.ranks = ranks::rows(&detail.ranks, Some(&workload.compiled.program));
     output::warn_all(&evaluated.energy.detail.warnings);
     report(&workload, evaluated)
 }

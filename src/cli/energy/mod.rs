@@ -14,6 +14,7 @@ use self::evaluate::evaluate;
 use crate::cli::args::steps;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
+use crate::cli::process::ranks;
 use crate::energy::evaluate::Evaluated;
 use crate::energy::workload::Workload;
 use crate::error::Error;
@@ -27,6 +28,7 @@ use crate::report::sanafe::Export;
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     if !args.calibrate.is_empty() {
+        ranks::alone("--calibrate")?;
         return calibrate::run(args, context);
     }
     let taken = output::check_files(None, &args.plot, context)?;

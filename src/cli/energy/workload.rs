@@ -7,6 +7,7 @@ use crate::cli::args::jobs::Job;
 use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
+use crate::cli::process::ranks;
 use crate::cost::{MeterSettings, StepMeter};
 use crate::drive::decision::EarlyExit;
 use crate::drive::samples::{Run, Running};
@@ -43,7 +44,7 @@ pub fn simulate(
     context: Context,
 ) -> Result<Run<StepMeter>, Error> {
     output::with_progress(context, workload.samples().len(), "samples", |progress| {
-        workload.simulate(settings, early_exit, skip, progress)
+        workload.simulate(settings, early_exit, skip, (progress, ranks::several()))
     })
 }
 
@@ -63,7 +64,7 @@ pub fn simulate_recorded(
     let keep = Keep { output: workload.compiled.program.output(), probes: Vec::new(), early_exit };
     let mut batch = io::write::Batch::new(context.force);
     let run = output::with_progress(context, samples.len(), "samples", |progress| {
-        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress };
+        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks: None };
         let (network, priced) = (&workload.compiled.one, (settings, cores_powered));
         recorded((steps, &mut batch), network, workload.meter(), priced, &samples, running)
     })?;

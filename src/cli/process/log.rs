@@ -9,7 +9,9 @@ struct Unheard;
 
 impl Write for Unheard {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        let _ = std::io::stderr().lock().write_all(bytes);
+        if !crate::io::write::is_silent() {
+            let _ = std::io::stderr().lock().write_all(bytes);
+        }
         Ok(bytes.len())
     }
 

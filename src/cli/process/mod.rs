@@ -5,5 +5,6 @@
 
 pub mod log;
 pub mod panics;
+pub mod ranks;
 pub mod signals;
 pub mod threads;

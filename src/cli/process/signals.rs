@@ -13,6 +13,7 @@ use signal_hook::iterator::Signals;
 
 use crate::cli::context::Format;
 use crate::cli::diagnostics;
+use crate::cli::process::ranks;
 use crate::io::write;
 
 /// What is left to do for a command that a signal ends: it keeps what is finished and says what.
@@ -78,6 +79,9 @@ fn end(signal: i32, format: Format) {
     let last = LAST.lock().ok().and_then(|mut last| last.take());
     let kept = last.and_then(|last| last());
     let unfinished: Vec<String> = write::abandon().iter().map(|folder| folder.display().to_string()).collect();
+    if ranks::is_said_elsewhere() {
+        std::process::exit(128 + signal);
+    }
     let mut message = format!("ended by {name}; every file is as it was, complete, or absent");
     if !unfinished.is_empty() {
         message += &format!("; {} is unfinished and the same command completes it", unfinished.join(", "));

@@ -13,6 +13,9 @@
 //! 4. *Payloads.* A spike of a source carries in P what it carries in N.
 //! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
 //!
+//! *Parts.* P may be held in part, by one of several processes that run it together. Then N stands for its synapses to compartments
+//! whose cores are held, and the parts of all processes together are proven by each proving its own.
+//!
 //! *Copies.* N may be so many equal copies that share nothing, copy after copy. Copy k is proven from copy j < k, which 1 and 2
 //! have been checked for, when
 //!
@@ -109,7 +112,11 @@ pub fn check_neurons(network: &Quantised, program: &Program) -> Result<(), Diffe
 pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Result<u32, Difference> {
     check_frame(network, program)?;
     check_parameters(network, program)?;
-    let proven = repeats::proven(network, program, copies);
+    // A part has the messages of no copy whole.
+    let proven = match program.held_rank() {
+        None => repeats::proven(network, program, copies),
+        Some(_) => vec![false; copies.max(1) as usize],
+    };
     let of_copy = (network.populations().len() as u32 / copies.max(1)).max(1);
     let left = |id: PopulationId| !proven.get((id.0 / of_copy) as usize).copied().unwrap_or(false);
     for (id, population) in network.populations().enumerate().filter(|&(id, _)| left(id)) {
@@ -124,7 +131,7 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
                 decoder.decode(program, &population.units, sources.clone());
                 for index in sources.clone() {
                     let decoded = decoder.of_source(index - sources.start);
-                    mean(network, &outgoing, index, &mut decoder.meant);
+                    mean(network, &outgoing, (index, program), &mut decoder.meant);
                     if decoder.meant != decoder.decoded[decoded.clone()] {
                         let source_name = name_of(&population.units, index);
                         let (decoded, meant) = (decoded.len(), decoder.meant.len());
@@ -257,13 +264,22 @@ impl Decoder {
     }
 }
 
-/// R(s): the network's synapses.
-fn mean(network: &Quantised, outgoing: &[&Projection], index: u32, meant: &mut Vec<SynapseCode>) {
+/// R(s): the network's synapses, of a part those to what it holds.
+fn mean(
+    network: &Quantised,
+    outgoing: &[&Projection],
+    (index, program): (u32, &Program),
+    meant: &mut Vec<SynapseCode>,
+) {
+    let part = program.held_rank().is_some();
     meant.clear();
     for projection in outgoing {
         let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
         projection.connectivity.for_each_from(index, |target, weight| {
-            meant.push(SynapseCode::new(CompartmentId(first.0 + target), projection.format, weight, projection.delay));
+            let target = CompartmentId(first.0 + target);
+            if !part || program.holds(program.seats()[target].core) {
+                meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
+            }
         });
     }
     meant.sort_unstable();

@@ -194,7 +194,7 @@ mod tests {
             let options = Options { copies, ..Options::default() };
             let Ok(mapped) = compile(random_network(seed), &board, &options) else { continue };
             let (network, limits) = (&mapped.quantised, board.limits());
-            let alone = route(network, &mapped.partition, &mapped.placement, 1, limits).unwrap();
+            let alone = route(network, &mapped.partition, &mapped.placement, (1, None), limits).unwrap();
             assert_eq!(mapped.program, alone, "seed {seed}");
             assert_eq!(
                 check_copies(network, &alone, copies),

@@ -16,6 +16,7 @@ use rayon::prelude::*;
 
 use crate::base::csr::Csr;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::shared::Shared;
 use crate::compile::emit::route::{assemble, compartments};
 use crate::compile::emit::sample::{SampledCore, sample};
 use crate::compile::partition::lattice;
@@ -23,9 +24,10 @@ use crate::compile::resources::closed_form::Layer;
 use crate::compile::resources::fan_in::first_source;
 use crate::compile::resources::receptive_field::{ReceptiveField, WindowAxis};
 use crate::desc::resource::Limits;
+use crate::ir::dealt::Dealt;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
-use crate::ir::program::{CoreImage, Program};
+use crate::ir::program::{CoreImage, Program, Stored};
 use crate::ir::quantised::Quantised;
 
 /// The program, and the tables of one core of each pattern.
@@ -35,7 +37,7 @@ use crate::ir::quantised::Quantised;
 pub fn route_boxes(
     network: &Quantised,
     partition: &Partition,
-    placement: &Placement,
+    (placement, dealt): (&Placement, Option<Dealt>),
     limits: &Limits,
 ) -> Result<(Program, Vec<SampledCore>), String> {
     if partition.cores() != placement.len() {
@@ -45,13 +47,17 @@ pub fn route_boxes(
     let all: Vec<CoreId> = partition.members().ids().collect();
     let boxes: Vec<Option<BoxOfLayer>> =
         all.par_iter().map(|&core| BoxOfLayer::holding(network, &layers, &partition.members()[core])).collect();
-    // The first core of each pattern, by core.
+    let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
+    // The first core of each pattern, by core; those that another process holds have none.
     let mut known: HashMap<&Pattern, usize> = HashMap::new();
     let mut firsts: Vec<CoreId> = Vec::new();
     let first_of: Vec<usize> = all
         .iter()
         .zip(&boxes)
         .map(|(&core, found)| {
+            if !holds(core) {
+                return usize::MAX;
+            }
             let mut push = || {
                 firsts.push(core);
                 firsts.len() - 1
@@ -63,7 +69,14 @@ pub fn route_boxes(
         })
         .collect();
     let written = sample(network, partition, placement, &firsts, limits)?;
+    let nothing = Shared::from(Stored::default());
     let write = |(&core, &first): (&CoreId, &usize)| {
+        if first == usize::MAX {
+            let ids = partition.members()[core].clone();
+            let compartments = compartments(network, &ids).into();
+            let (site, formats, axons_out) = (placement.site(core), Vec::new(), Csr::default());
+            return (CoreImage { site, compartments, ids, formats, inputs: nothing.clone(), axons_out }, Vec::new());
+        }
         let SampledCore { core: of_first, image, sources } = &written[first];
         if *of_first == core {
             return (image.clone(), sources.clone());
@@ -86,7 +99,7 @@ pub fn route_boxes(
         (image, shifted(sources, &shifts))
     };
     let (cores, sources) = all.par_iter().zip(&first_of).map(write).unzip();
-    Ok((assemble(network, partition, placement, (cores, sources))?, written))
+    Ok((assemble(network, partition, (placement, dealt), (cores, sources))?, written))
 }
 
 /// What of a box decides what its core stores.

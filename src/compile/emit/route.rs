@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
 use crate::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use crate::base::shared::Shared;
 use crate::compile::emit::twins::{Twin, twins};
 use crate::compile::resources::axon_sharing::{EqualPlace, Places};
 use crate::compile::resources::by_core::{self, Key, by_core_from};
@@ -24,6 +25,7 @@ use crate::compile::resources::fan_in::first_source;
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Compression, Group, Widths};
 use crate::desc::resource::Limits;
+use crate::ir::dealt::Dealt;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::program::{
@@ -36,7 +38,7 @@ use crate::ir::quantised::{Population, Quantised, Units};
 const PIECE: u32 = 1 << 14;
 
 /// The program of a network, so many equal copies that share nothing, on its places. What equal cores of several copies store
-/// is written once.
+/// is written once. Of a program that is dealt out and held in part, only what is held is written.
 ///
 /// # Errors
 /// A sentence when the tables contradict each other or a core has more formats than can be numbered: a fault of the
@@ -45,7 +47,7 @@ pub fn route(
     network: &Quantised,
     partition: &Partition,
     placement: &Placement,
-    copies: u32,
+    (copies, dealt): (u32, Option<Dealt>),
     limits: &Limits,
 ) -> Result<Program, String> {
     if partition.cores() != placement.len() {
@@ -54,25 +56,33 @@ pub fn route(
     let tables = Tables::new(network, partition, placement, limits);
     let (channels, compartments) = (network.channels(), network.compartments());
     let of_copy = |units: usize| units as u32 / copies.max(1);
-    let twins = twins(partition.members(), of_copy(compartments as usize));
+    let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
+    // A part writes each of its cores by itself: the first of its kind may be another rank's.
+    let twins = match dealt.as_ref().is_some_and(|dealt| dealt.held.is_some()) {
+        true => partition.members().ids().map(|first| Twin { first, later: 0 }).collect(),
+        false => twins(partition.members(), of_copy(compartments as usize)),
+    };
     let (mut cores, mut sources): (Vec<CoreImage>, Vec<Vec<u32>>) =
         (Vec::with_capacity(twins.len()), Vec::with_capacity(twins.len()));
     // The copies of which a core is the first of its kind.
     let mut written_down = vec![false; copies as usize];
-    for (core, _) in twins.enumerate().filter(|(core, twin)| twin.first == *core) {
+    for (core, _) in twins.enumerate().filter(|(core, twin)| twin.first == *core && holds(*core)) {
         let copies_of = partition.members()[core].iter().map(|id| id.0 / of_copy(compartments as usize).max(1));
         copies_of.for_each(|copy| written_down[copy as usize] = true);
     }
     let populations = of_copy(network.populations().len()).max(1);
     let counts = |id: PopulationId| written_down.get((id.0 / populations) as usize).copied().unwrap_or(true);
     let longest = longest_delays(network, partition.seats(), partition.cores(), counts);
-    let written = by_core_from(network, &tables.formats, partition.seats(), twins.len(), counts, |core, keys| {
-        (twins[core].first == core).then(|| tables.image(core, keys, longest[core])).transpose()
+    let wanted = (counts, holds);
+    let written = by_core_from(network, &tables.formats, partition.seats(), twins.len(), wanted, |core, keys| {
+        (holds(core) && twins[core].first == core).then(|| tables.image(core, keys, longest[core])).transpose()
     });
+    let nothing = Shared::from(Stored::default());
     for (core, written) in twins.ids().zip(written) {
         let Twin { first, later } = twins[core];
         let (image, of_core) = match written? {
             Some(written) => written,
+            None if !holds(core) => (tables.empty_image(core, &nothing), Vec::new()),
             None => {
                 let later_source = |&source: &u32| match source < channels {
                     true => source + later * of_copy(channels as usize),
@@ -86,7 +96,7 @@ pub fn route(
         cores.push(image);
         sources.push(of_core);
     }
-    assemble(network, partition, placement, (cores, sources))
+    assemble(network, partition, (placement, dealt), (cores, sources))
 }
 
 /// The program of these cores, in order, each with the source of each of its input axons.
@@ -96,7 +106,7 @@ pub fn route(
 pub(super) fn assemble(
     network: &Quantised,
     partition: &Partition,
-    placement: &Placement,
+    (placement, dealt): (&Placement, Option<Dealt>),
     (mut cores, sources): (Vec<CoreImage>, Vec<Vec<u32>>),
 ) -> Result<Program, String> {
     let (channels, compartments) = (network.channels(), network.compartments());
@@ -122,6 +132,7 @@ pub(super) fn assemble(
         semantics: parts.semantics,
         threshold: parts.threshold,
         reset: parts.reset,
+        dealt,
     })
     .map_err(|error| error.to_string())
 }
@@ -156,6 +167,19 @@ impl<'a> Tables<'a> {
     ) -> Self {
         let (formats, places) = (Formats::for_network(network), Places::for_network(network, limits));
         Tables { network, partition, placement, limits, formats, places }
+    }
+
+    /// The image of a core whose tables another process holds.
+    pub(super) fn empty_image(&self, core: CoreId, nothing: &Shared<Stored>) -> CoreImage {
+        let held = &self.partition.members()[core];
+        CoreImage {
+            site: self.placement.site(core),
+            compartments: compartments(self.network, held).into(),
+            ids: held.clone(),
+            formats: Vec::new(),
+            inputs: nothing.clone(),
+            axons_out: Csr::default(),
+        }
     }
 
     /// The image of a core with these synapses, without messages, and the source of each input axon.

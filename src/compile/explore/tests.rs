@@ -453,8 +453,8 @@ fn programs_of_boxes_are_those_written_synapse_by_synapse() {
         let board = target(8, 8, limits().with(Resource::Compartments, most));
         let Ok(mapping) = symbolic(network, &board, &Options::default()) else { continue };
         let Mapping { quantised: all, partition, placement, .. } = &mapping;
-        let meant = route(all, partition, placement, 1, board.limits()).unwrap();
-        let (written, sample) = route_boxes(all, partition, placement, board.limits()).unwrap();
+        let meant = route(all, partition, placement, (1, None), board.limits()).unwrap();
+        let (written, sample) = route_boxes(all, partition, (placement, None), board.limits()).unwrap();
         assert!(written == meant, "seed {seed}");
         (alike, cores) = (alike + partition.cores() - sample.len(), cores + partition.cores());
         let compiled = with_program(mapping, &board).unwrap();

@@ -15,6 +15,7 @@
 //! An annealed placement is taken only if its spikes cross no more links than in the sequential one.
 
 pub mod anneal;
+pub mod deal;
 pub mod link_loads;
 pub mod nets;
 

@@ -198,16 +198,16 @@ pub fn by_core<T: Send>(
     cores: usize,
     f: impl Fn(CoreId, &[Key]) -> T + Sync,
 ) -> Vec<T> {
-    by_core_from(network, formats, seats, cores, |_| true, f)
+    by_core_from(network, formats, seats, cores, (|_| true, |_| true), f)
 }
 
-/// The same, of the synapses from the populations that count.
+/// The same, of the synapses from the populations that count to the cores that are wanted; the others have none.
 pub fn by_core_from<T: Send>(
     network: &Quantised,
     formats: &Formats,
     seats: &IdVec<CompartmentId, Seat>,
     cores: usize,
-    counts: impl Fn(PopulationId) -> bool,
+    (counts, wanted): (impl Fn(PopulationId) -> bool, impl Fn(CoreId) -> bool + Sync),
     f: impl Fn(CoreId, &[Key]) -> T + Sync,
 ) -> Vec<T> {
     let pieces = pieces(network, formats, &counts);
@@ -227,7 +227,7 @@ pub fn by_core_from<T: Send>(
                 let mut buckets = vec![Vec::new(); ranges];
                 piece.for_each(seats, |local, core, rest| {
                     let within = core.index().wrapping_sub(wave.start);
-                    if within < wave.len() {
+                    if within < wave.len() && wanted(core) {
                         let key = ((within % of_range) as u64) << PIECE_BITS | u64::from(local);
                         buckets[within / of_range].push(key << SYNAPSE_BITS | rest);
                     }

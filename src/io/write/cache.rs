@@ -26,6 +26,14 @@ pub fn turn_off() {
     OFF.store(true, Ordering::SeqCst);
 }
 
+/// Whether this process writes no entries, because another of the same job does.
+static READ_ONLY: AtomicBool = AtomicBool::new(false);
+
+/// Lets this process read the cache and not write it.
+pub fn read_only() {
+    READ_ONLY.store(true, Ordering::SeqCst);
+}
+
 /// The user's folder, if the system says which.
 #[must_use]
 pub fn folder() -> Option<PathBuf> {
@@ -58,7 +66,7 @@ fn read(path: &Path) -> Option<Vec<u8>> {
 
 /// Keeps bytes under a name, if that is possible.
 pub fn put(name: &str, bytes: &[u8]) {
-    if OFF.load(Ordering::SeqCst) || bytes.len() as u64 > MOST_BYTES {
+    if OFF.load(Ordering::SeqCst) || READ_ONLY.load(Ordering::SeqCst) || bytes.len() as u64 > MOST_BYTES {
         return;
     }
     let Some(folder) = folder() else { return };

@@ -32,12 +32,29 @@ pub fn has_printed() -> bool {
     PRINTING.load(Ordering::SeqCst)
 }
 
+/// Whether this process prints nothing, because another of the same job does.
+static SILENT: AtomicBool = AtomicBool::new(false);
+
+/// Lets this process print nothing, or again what it has to say.
+pub fn be_silent(silent: bool) {
+    SILENT.store(silent, Ordering::SeqCst);
+}
+
+/// Whether this process prints nothing.
+#[must_use]
+pub fn is_silent() -> bool {
+    SILENT.load(Ordering::SeqCst)
+}
+
 /// Writes a file through `fill`, in a folder that is made when it is absent. `-` is stdout.
 ///
 /// # Errors
 /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
 pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     if is_standard_stream(path) {
+        if is_silent() {
+            return Ok(());
+        }
         let mut out = BufWriter::new(disk::Stdout(std::io::stdout().lock()));
         PRINTING.store(true, Ordering::SeqCst);
         let done = fill(&mut out).and_then(|()| out.flush()).or_else(ignore_closed_pipe);

@@ -61,6 +61,16 @@ impl Residual {
         sum + shards.map(of_shard).sum::<i64>()
     }
 
+    /// The same for n of compartments by their number, or of none.
+    pub fn events_by_number(&self, compartments: &[u32]) -> i64 {
+        if self.by_source.is_empty() || compartments.is_empty() {
+            return 0;
+        }
+        let first = self.by_source.len() - compartments.len();
+        let product = |(&residual, &spikes): (&i32, &u32)| i64::from(residual) * i64::from(spikes);
+        self.by_source[first..].iter().zip(compartments).map(product).sum()
+    }
+
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
         size_of_val(self.by_source.as_slice())

@@ -21,6 +21,8 @@ use crate::machine::update::state::ShardState;
 pub(crate) struct SpikeCounts {
     /// n of each channel.
     pub channels: Vec<u32>,
+    /// n of each compartment that another process holds, by compartment; empty where there is none.
+    pub remote: Vec<u32>,
     /// L: sources and the steps that their deliveries reach.
     late: Vec<(u32, u32)>,
     /// Timesteps.
@@ -31,9 +33,16 @@ pub(crate) struct SpikeCounts {
 }
 
 impl SpikeCounts {
-    /// No spikes of so many channels.
-    pub fn new(channels: u32) -> Self {
-        SpikeCounts { channels: vec![0; channels as usize], late: Vec::new(), steps: 0, residual_before: 0 }
+    /// No spikes of an image's sources.
+    pub fn new(image: &Image) -> Self {
+        let remote = if image.held < image.compartments() { image.compartments() } else { 0 };
+        SpikeCounts {
+            channels: vec![0; image.channels as usize],
+            remote: vec![0; remote],
+            late: Vec::new(),
+            steps: 0,
+            residual_before: 0,
+        }
     }
 
     /// Begins a sample.
@@ -54,7 +63,7 @@ impl SpikeCounts {
 
     fn residual(&self, image: &Image, shards: &[ShardState], arch: pulp::Arch) -> i64 {
         let lanes = image.shards.iter().zip(shards).map(|(shard, state)| (&*shard.names, &*state.fired));
-        image.residual.events(arch, &self.channels, lanes)
+        image.residual.events(arch, &self.channels, lanes) + image.residual.events_by_number(&self.remote)
     }
 
     /// What all steps did since this was last asked, by core and by source.
@@ -68,6 +77,8 @@ impl SpikeCounts {
             }
         }
         let by_source = self.by_source(&fired, image, shards);
+        let of_compartments = fired[self.channels.len()..].iter_mut();
+        of_compartments.zip(&mut self.remote).for_each(|(fired, remote)| *fired += std::mem::take(remote));
         for &(source, _) in &self.late {
             fired[source as usize] -= 1;
         }
@@ -92,7 +103,7 @@ impl SpikeCounts {
         let (channels, compartments) = fired.split_at(self.channels.len());
         let wide = |counts: &[u32]| counts.iter().map(|&count| u64::from(count)).collect::<Vec<_>>();
         let mut counts = SourceCounts {
-            channels: wide(channels).into(),
+            channels: if image.counts_inputs { wide(channels) } else { vec![0; channels.len()] }.into(),
             compartments: wide(compartments).into(),
             ..SourceCounts::default()
         };
@@ -107,6 +118,6 @@ impl SpikeCounts {
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.channels.as_slice())
+        size_of_val(self.channels.as_slice()) + size_of_val(self.remote.as_slice())
     }
 }

@@ -76,6 +76,8 @@ impl ListKinds {
 #[derive(Debug)]
 pub struct Tally<'p> {
     program: &'p Program,
+    /// Whether this process counts input spikes, which all see.
+    counts_inputs: bool,
     longest_delay: u32,
     /// By core with tables of its own.
     kinds: Vec<ListKinds>,
@@ -99,6 +101,7 @@ impl<'p> Tally<'p> {
         let sites = program.cores().iter().map(|image| image.site).collect();
         Tally {
             program,
+            counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
             longest_delay: longest_delay(program),
             kinds,
             kind_of,
@@ -168,11 +171,12 @@ impl<'p> Tally<'p> {
             let (sent, times) = (self.tables.messages(source).len() as u64, times(source));
             match self.core_of(source) {
                 None => {
-                    sum.spikes_in += times;
+                    sum.spikes_in += if self.counts_inputs { times } else { 0 };
                     sum.messages_from_inputs += sent * times;
                 }
                 Some(core) => {
-                    sum.cores[core].spikes += times;
+                    // A core's spikes are counted where it is held; its messages where they arrive.
+                    sum.cores[core].spikes += if self.program.holds(core) { times } else { 0 };
                     sum.cores[core].messages_out += sent * times;
                 }
             }
@@ -220,7 +224,7 @@ impl<'p> Tally<'p> {
     }
 
     /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one less.
-    pub fn add_step(&self, channels: &[ChannelId], spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
+    pub fn add_step(&self, (channels, spikes): (&[ChannelId], &[CompartmentId]), left: u32, step: &mut StepActivity) {
         let (first, size) = self.program.output();
         step.channels.extend_from_slice(channels);
         step.fired.extend_from_slice(spikes);
@@ -230,9 +234,16 @@ impl<'p> Tally<'p> {
         self.add_spikes(spikes.iter().map(|spike| before + spike.0), |_| 1, left.saturating_sub(1), step);
     }
 
+    /// Adds what the spikes of another process do on the cores of this one, in a step after which one less than `left` remain.
+    pub fn add_remote(&self, spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
+        let before = self.program.channels();
+        self.add_spikes(spikes.iter().map(|spike| before + spike.0), |_| 1, left.saturating_sub(1), step);
+    }
+
     /// Adds the visits to all compartments in so many steps.
     pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
-        for (counts, image) in sum.cores.iter_mut().zip(self.program.cores()) {
+        let cores = self.program.cores().enumerate().zip(sum.cores.iter_mut());
+        for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.holds(*core)) {
             counts.visited += image.compartments.len() as u64 * steps;
         }
     }

@@ -268,6 +268,7 @@ mod tests {
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,
             reset: None,
+            dealt: None,
         })
         .unwrap()
     }

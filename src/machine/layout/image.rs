@@ -24,6 +24,9 @@ use crate::machine::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::machine::update::kernel::{LANES, Shared};
 use crate::neuron::{self, Fields};
 
+/// The lane of a compartment that another process holds.
+pub(crate) const ELSEWHERE: u32 = u32::MAX;
+
 /// The shortest run of equal parameters that gets a core block of its own.
 const SHORTEST_RUN: usize = 8;
 
@@ -66,8 +69,14 @@ pub struct Image<'p> {
     pub(crate) field_of: Vec<u32>,
     /// Whether each step sorts its spikes: dense blocks are found in ascending order, and lanes are not in that order.
     pub(crate) sorts_spikes: bool,
-    /// Shard and lane of each compartment of the network.
+    /// Lane of each compartment of the network over all shards; [`ELSEWHERE`] where another process holds it.
     pub(crate) lanes: Vec<u32>,
+    /// Compartments that are held.
+    pub(crate) held: usize,
+    /// Whether this process counts input spikes, which all see.
+    pub(crate) counts_inputs: bool,
+    /// Whether compartments reach dense blocks.
+    pub(crate) has_blocks: bool,
     /// First lane of each shard, over all.
     pub(crate) bases: Vec<u32>,
     pub(crate) shards: Vec<Shard>,
@@ -103,7 +112,10 @@ impl<'p> Image<'p> {
             shared: Vec::new(),
             field_of: Vec::new(),
             sorts_spikes: false,
-            lanes: vec![0; program.compartments() as usize],
+            lanes: vec![ELSEWHERE; program.compartments() as usize],
+            held: 0,
+            counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
+            has_blocks: false,
             bases: Vec::new(),
             shards: Vec::new(),
             sum_width: SumWidth::Bits16,
@@ -115,13 +127,15 @@ impl<'p> Image<'p> {
             rows: Arc::default(),
         };
         let blocks = image.lay_out();
+        image.held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).count();
         image.check_fan_in()?;
         image.split_into_shards(blocks, shards);
         image.name();
         image.connect()?;
         let mut from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments);
-        image.sorts_spikes =
-            !image.lanes.is_sorted() && from_compartments.any(|fan_out| !fan_out.dense.blocks.is_empty());
+        image.has_blocks = from_compartments.any(|fan_out| !fan_out.dense.blocks.is_empty());
+        let held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE);
+        image.sorts_spikes = image.has_blocks && !held.is_sorted();
         image.delivery_counts_channels = matches!(image.shards.as_slice(), [shard]
             if matches!(shard.from_channels.as_slice(), [fan_out] if fan_out.is_narrow(image.channels)));
         image.residual = image.replace_by_means();
@@ -134,10 +148,15 @@ impl<'p> Image<'p> {
         self.program
     }
 
-    /// Number of compartments.
+    /// Number of compartments, those included that other processes hold.
     #[must_use]
     pub fn compartments(&self) -> usize {
         self.lanes.len()
+    }
+
+    /// Whether a compartment is held by this process.
+    pub(crate) fn holds(&self, compartment: CompartmentId) -> bool {
+        self.lanes[compartment.index()] != ELSEWHERE
     }
 
     /// Number of sources.
@@ -186,7 +205,7 @@ impl<'p> Image<'p> {
         // Parameters and population of the last block, if it is updated as vectors.
         let mut last: Option<(u32, usize)> = None;
         let order = LaneOrder::new(self.program);
-        for (core, core_image) in parts.cores.enumerate() {
+        for (core, core_image) in parts.cores.enumerate().filter(|(core, _)| self.program.holds(*core)) {
             let slots = order.slots(core);
             let ids: Vec<CompartmentId> = slots.iter().map(|&slot| core_image.ids[usize::from(slot)]).collect();
             let field_of: Vec<u32> = slots
@@ -355,6 +374,9 @@ impl<'p> Image<'p> {
     /// Notes which compartment each lane holds.
     fn name(&mut self) {
         for compartment in (0..self.compartments()).map(CompartmentId::new) {
+            if !self.holds(compartment) {
+                continue;
+            }
             let (shard, lane) = self.lane(compartment);
             self.shards[shard].names[lane] = compartment;
         }

@@ -20,9 +20,22 @@ use crate::machine::layout::store::Aligned;
 use crate::machine::update::kernel::{self, LANES, Portable, Sum, Vectors};
 use crate::neuron::{Effect, Registers, update};
 
+/// What of a step is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Phase {
+    /// All of it.
+    Whole,
+    /// Delivery of these spikes; more follow.
+    Deliver,
+    /// Delivery of the last spikes, and the update.
+    Update,
+}
+
 /// Parameters of one step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StepInput<'a> {
+    /// What of the step is done.
+    pub phase: Phase,
     /// The step.
     pub step: u32,
     /// Steps of the sample that are left, this one included: later arrivals are no events.
@@ -295,15 +308,22 @@ impl CompartmentState {
     {
         let (channels, carried) = ((channels, channel_counts), (carried, &mut [][..]));
         let cursor = input.step as usize % ring.sums.len();
-        self.events_now = 0;
+        if input.phase != Phase::Update {
+            self.events_now = 0;
+        }
         if input.visit_all {
             // This step's spikes may arrive in any slot that a delay leads to.
-            ring.mark_all(shard.skip_blocks.len() - 1);
+            if input.phase != Phase::Update {
+                ring.mark_all(shard.skip_blocks.len() - 1);
+            }
             self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, cursor, input.left);
             self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, cursor, input.left);
         } else {
             self.events_now += ring.deliver::<true, _>(&shard.from_channels, channels, cursor, input.left);
             self.events_now += ring.deliver::<true, _>(&shard.from_compartments, carried, cursor, input.left);
+        }
+        if input.phase == Phase::Deliver {
+            return;
         }
         self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, shard, input, vectors);
         self.record_spikes(shard);

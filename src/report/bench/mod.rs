@@ -4,4 +4,5 @@ pub mod early;
 pub mod mapping;
 pub mod pareto;
 pub mod published;
+pub mod scale;
 pub mod step;

@@ -21,6 +21,8 @@ pub struct StepRow {
     /// Milliseconds that the sums by core (messages, hops) take, once a run: the machine notes who spiked and multiplies
     /// at the end.
     pub sums_ms: f64,
+    /// Processes that ran it together.
+    pub ranks: u32,
 }
 
 impl StepRow {
@@ -55,6 +57,7 @@ impl StepReport<'_> {
             json!({
                 "network": row.network,
                 "threads": row.threads,
+                "ranks": row.ranks,
                 "skip": row.skip,
                 "us_per_timestep": rounded(row.measured.us_per_timestep),
                 "spread": rounded(row.measured.spread),
@@ -101,7 +104,10 @@ impl StepReport<'_> {
         };
         let columns: [Column<StepRow>; 11] = [
             ("network", |row| row.network.to_string()),
-            ("threads", |row| row.threads.to_string()),
+            ("threads", |row| match row.ranks {
+                1 => row.threads.to_string(),
+                ranks => format!("{ranks} x {}", row.threads),
+            }),
             ("skip", |row| if row.skip { "on" } else { "off" }.to_string()),
             ("us a step", |row| significant(row.measured.us_per_timestep)),
             ("quartiles apart", |row| significant(row.measured.spread)),
@@ -131,8 +137,15 @@ mod tests {
     fn report(check: impl Fn(StepReport)) {
         let totals = Totals { synaptic_events: 4_000, spikes: 10, ..Totals::default() };
         let measured = StepTiming { us_per_timestep: 1.25, fastest: 1.2, spread: 0.02, repeats: 5, steps: 2, totals };
-        let row =
-            |skip| StepRow { network: "vtsnn-1pct", threads: 1, skip, measured, bytes_per_synapse: 7.5, sums_ms: 0.1 };
+        let row = |skip| StepRow {
+            network: "vtsnn-1pct",
+            threads: 1,
+            skip,
+            measured,
+            bytes_per_synapse: 7.5,
+            sums_ms: 0.1,
+            ranks: 1,
+        };
         check(StepReport { environment: &Environment::here(), rows: &[row(true), row(false)] });
     }
 

@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use super::text::table_of;
 use crate::drive::cores::CoreRow;
 use crate::drive::populations::{ByPopulation, PopulationCounts};
+use crate::drive::ranks::RankRow;
 use crate::drive::warnings::Warning;
 
 /// What a run did in its parts.
@@ -16,10 +17,12 @@ pub struct Detail {
     pub cores: Vec<CoreRow>,
     /// What to look at.
     pub warnings: Vec<Warning>,
+    /// The processes that ran it together; empty where it was one alone.
+    pub ranks: Vec<RankRow>,
 }
 
 impl Detail {
-    /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object.
+    /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object, and `ranks` where there are any.
     pub fn add_to(&self, object: &mut Value) {
         let populations = self.sums.populations.iter().map(|row| {
             json!({
@@ -33,6 +36,9 @@ impl Detail {
             inputs.map(|row| json!({ "name": row.name, "channels": row.channels, "spikes": row.spikes })).collect();
         object["cores"] = self.cores.iter().map(core_json).collect();
         object["warnings"] = json!(self.warnings);
+        if !self.ranks.is_empty() {
+            object["ranks"] = self.ranks.iter().map(rank_json).collect();
+        }
     }
 
     /// A table of the populations, for so many timesteps.
@@ -52,6 +58,17 @@ impl Detail {
         }
         super::text::right_from(&mut table, 1);
         format!("{}\n\n", table.trim_fmt())
+    }
+
+    /// A line for each process that ran a part.
+    #[must_use]
+    pub fn ranks_text(&self) -> String {
+        let line = |row: &RankRow| {
+            let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
+            let peak = peak_mib.map_or(String::new(), |mib| format!(", {mib:.0} MiB at most"));
+            format!("rank {rank}: {chips} chips, {compartments} compartments, {synapses} synapses{peak}\n")
+        };
+        self.ranks.iter().map(line).collect()
     }
 
     /// A table of the cores that were the slowest in most steps, at most this many.
@@ -83,6 +100,14 @@ impl Detail {
             if self.cores.len() > most { format!(", {most} of {} cores", self.cores.len()) } else { String::new() };
         format!("Cores by the steps in which they were the slowest{shown}:\n{}\n\n", table.trim_fmt())
     }
+}
+
+fn rank_json(row: &RankRow) -> Value {
+    let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
+    json!({
+        "rank": rank, "chips": chips, "compartments": compartments, "synapses": synapses,
+        "peak_mib": peak_mib.map(|mib| (mib * 10.0).round() / 10.0),
+    })
 }
 
 fn core_json(row: &CoreRow) -> Value {

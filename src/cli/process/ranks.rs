@@ -1,0 +1,130 @@
+//! The processes of a job that was started by `mpirun` or `srun`.
+//!
+//! Rank 0 prints and writes files, the others are silent. A rank that fails ends the job, with one message: an error that all
+//! ranks find is rank 0's to say, so the others wait a moment before they say theirs; that of another rank is said by it, and rank 0,
+//! which is then ended by a signal, is told. Without the feature `mpi` every process is alone.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+#[cfg(feature = "mpi")]
+use std::time::{Duration, Instant};
+
+use crate::drive::ranks::RankRow;
+use crate::error::Error;
+use crate::ir::dealt::Share;
+use crate::ir::program::Program;
+use crate::machine::ranks::transport::Ranks;
+
+/// How much longer each rank than the one before it waits for another to say what is wrong.
+#[cfg(feature = "mpi")]
+const MOMENT: Duration = Duration::from_millis(250);
+/// From this rank on all wait as long: a job ends within two seconds.
+#[cfg(feature = "mpi")]
+const LONGEST: u32 = 4;
+
+static HERE: OnceLock<Ranks> = OnceLock::new();
+/// Whether rank 0 needs the whole program.
+static WHOLE: AtomicBool = AtomicBool::new(false);
+
+/// Joins the job, if this process is of one.
+pub fn start() {
+    #[cfg(feature = "mpi")]
+    if let Some(ranks) = crate::machine::ranks::mpi::start() {
+        crate::io::write::be_silent(ranks.rank() > 0);
+        if ranks.rank() > 0 {
+            crate::io::write::cache::read_only();
+        }
+        let _ = HERE.set(ranks);
+    }
+}
+
+/// The job that this process is one rank of, several or not.
+fn here() -> Option<&'static Ranks> {
+    HERE.get()
+}
+
+/// The processes of the job, where there are several.
+#[must_use]
+pub fn several() -> Option<&'static Ranks> {
+    here().filter(|ranks| ranks.ranks() > 1)
+}
+
+/// Refuses what runs in one process.
+///
+/// # Errors
+/// [`Error::Usage`] where there are several.
+pub fn alone(what: &str) -> Result<(), Error> {
+    match several() {
+        None => Ok(()),
+        Some(_) => {
+            Err(Error::Usage(format!("{what} runs in one process: start it without mpirun or srun, or with one task")))
+        }
+    }
+}
+
+/// Lets rank 0 hold the whole program, which prices it.
+pub fn price() {
+    WHOLE.store(true, Ordering::SeqCst);
+}
+
+/// What of a program this process is to hold.
+#[must_use]
+pub fn share() -> Share {
+    several().map_or(Share::ALL, |ranks| {
+        let whole = ranks.rank() == 0 && WHOLE.load(Ordering::SeqCst);
+        Share { rank: ranks.rank(), ranks: ranks.ranks(), whole }
+    })
+}
+
+/// What each process held in a run; also where one is all of a job.
+#[must_use]
+pub fn rows(of_run: &[RankRow], program: Option<&Program>) -> Vec<RankRow> {
+    match (here(), program) {
+        (Some(_), Some(program)) if of_run.is_empty() => vec![RankRow::here(program, 0)],
+        _ => of_run.to_vec(),
+    }
+}
+
+/// Ends any process but the first, which has the result; it waits until the first has written it.
+pub fn leave_to_first() {
+    if several().is_some_and(|ranks| ranks.rank() > 0) {
+        finish();
+        std::process::exit(0);
+    }
+}
+
+/// Leaves the job in peace, once every rank does.
+pub fn finish() {
+    #[cfg(feature = "mpi")]
+    if here().is_some() {
+        crate::machine::ranks::mpi::finish();
+    }
+}
+
+/// What comes before the message of a failure. What another rank has said already is not said again.
+pub fn before_failing() {
+    #[cfg(feature = "mpi")]
+    if let Some(ranks) = several() {
+        use crate::machine::ranks::mpi::{another_has_failed, tell_failed};
+        let until = Instant::now() + MOMENT * ranks.rank().min(LONGEST);
+        while Instant::now() < until {
+            if another_has_failed() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        tell_failed(ranks);
+        crate::io::write::be_silent(false);
+    }
+}
+
+/// Whether a signal that ends this process has been said, or is said, by another.
+#[must_use]
+pub fn is_said_elsewhere() -> bool {
+    #[cfg(feature = "mpi")]
+    {
+        several().is_some_and(|ranks| ranks.rank() > 0 || crate::machine::ranks::mpi::another_has_failed())
+    }
+    #[cfg(not(feature = "mpi"))]
+    false
+}

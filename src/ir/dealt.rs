@@ -1,0 +1,48 @@
+//! Which process of several holds which cores of a program.
+//!
+//! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every [`Dealt`]: each core has one rank, below
+//! their number.
+
+use crate::base::id::{CoreId, IdVec};
+use crate::base::shared::Shared;
+
+/// A process among those that run a program together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Share {
+    /// Its number.
+    pub rank: u32,
+    /// How many there are.
+    pub ranks: u32,
+    /// Whether it holds the tables of all cores, although it runs its own only: what prices a run needs every message.
+    pub whole: bool,
+}
+
+impl Share {
+    /// The only process.
+    pub const ALL: Share = Share { rank: 0, ranks: 1, whole: true };
+}
+
+/// The cores of a program, dealt out to ranks.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Dealt {
+    /// Number of ranks.
+    pub ranks: u32,
+    /// The rank of each core.
+    pub owners: Shared<IdVec<CoreId, u32>>,
+    /// The only rank of whose cores there are tables and to whose cores there are messages; `None` where there are all.
+    pub held: Option<u32>,
+}
+
+impl Dealt {
+    /// Whether so many cores each have a rank.
+    #[must_use]
+    pub fn is_of(&self, cores: usize) -> bool {
+        self.owners.len() == cores && self.owners.iter().all(|&owner| owner < self.ranks)
+    }
+
+    /// Whether the tables of a core are held.
+    #[must_use]
+    pub fn holds(&self, core: CoreId) -> bool {
+        self.held.is_none_or(|rank| self.owners[core] == rank)
+    }
+}

@@ -1,0 +1,12 @@
+//! One program run by several processes.
+//!
+//! - `transport`: what processes say to each other, whatever carries it.
+//! - `exchange`: spikes of a step, to those that have axons of their sources.
+//! - `threads`: ranks that are threads of one process, for tests.
+//! - `mpi`: ranks of an MPI job, with the feature of that name.
+
+pub mod exchange;
+#[cfg(feature = "mpi")]
+pub mod mpi;
+pub mod threads;
+pub mod transport;
