@@ -18,6 +18,9 @@ use crate::machine::ranks::transport::Ranks;
 /// How much longer each rank than the one before it waits for another to say what is wrong.
 #[cfg(feature = "mpi")]
 const MOMENT: Duration = Duration::from_millis(250);
+/// How long rank 0 listens for what another rank has to say, once it is ended.
+#[cfg(feature = "mpi")]
+const HEARING: Duration = Duration::from_millis(200);
 /// From this rank on all wait as long: a job ends within two seconds.
 #[cfg(feature = "mpi")]
 const LONGEST: u32 = 4;
@@ -122,9 +125,15 @@ pub fn before_failing() {
 #[must_use]
 pub fn is_said_elsewhere() -> bool {
     #[cfg(feature = "mpi")]
-    {
-        several().is_some_and(|ranks| ranks.rank() > 0 || crate::machine::ranks::mpi::another_has_failed())
+    if let Some(ranks) = several() {
+        let until = Instant::now() + HEARING;
+        while ranks.rank() == 0 && Instant::now() < until {
+            if crate::machine::ranks::mpi::another_has_failed() {
+                return true;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        return ranks.rank() > 0;
     }
-    #[cfg(not(feature = "mpi"))]
     false
 }

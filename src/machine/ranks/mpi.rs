@@ -9,6 +9,7 @@
 
 use std::ffi::{c_int, c_void};
 use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
 use mpi::environment::Universe;
 use mpi::ffi;
@@ -21,6 +22,8 @@ const LAUNCHED: [&str; 4] = ["OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "P
 /// The message of a round, and the one that says that a rank has failed and said why.
 const ROUND: c_int = 1;
 const FAILED: c_int = 2;
+/// How long the message of a failure may take to leave.
+const SENDING: Duration = Duration::from_millis(100);
 
 /// Held until the end of the job: letting it go waits for all other ranks.
 static JOB: Mutex<Option<Universe>> = Mutex::new(None);
@@ -58,12 +61,24 @@ pub fn finish() {
 
 /// Tells the other ranks that this one has failed and says why, so that they say nothing when they are ended for it.
 pub fn tell_failed(ranks: &Ranks) {
+    let mut requests = Vec::new();
     for to in (0..ranks.ranks()).filter(|&to| to != ranks.rank()) {
         #[expect(unsafe_code, reason = "MPI is a C library; no bytes are sent")]
         unsafe {
             let (nothing, mut request) = (std::ptr::null(), ffi::RSMPI_REQUEST_NULL);
             let (byte, world) = (ffi::RSMPI_UINT8_T, ffi::RSMPI_COMM_WORLD);
             ffi::MPI_Isend(nothing, 0, byte, to as c_int, FAILED, world, &raw mut request);
+            requests.push(request);
+        }
+    }
+    // A message leaves only while MPI is called; a rank that does not answer is not waited for.
+    let begin = Instant::now();
+    let mut sent = 0;
+    while sent == 0 && begin.elapsed() < SENDING {
+        #[expect(unsafe_code, reason = "MPI is a C library; the answer is written to a live integer")]
+        unsafe {
+            let (count, statuses) = (length(requests.len()), ffi::RSMPI_STATUSES_IGNORE);
+            ffi::MPI_Testall(count, requests.as_mut_ptr(), &raw mut sent, statuses);
         }
     }
 }

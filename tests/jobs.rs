@@ -1,0 +1,165 @@
+//! Jobs of several processes, started by `mpirun`: results of one process, files of the first rank, and ends with one message within two
+//! seconds, whatever fails. With the feature `mpi` only; says so where `mpirun` is absent.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+#![cfg(all(feature = "mpi", unix))]
+
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+const MODEL: &str = "Network(name: \"ranks\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4000]), \
+    Loihi(name: \"n\", shape: [4000], du: 1024, dv: 256, vth_mant: 130, refractory: 1)], \
+    projections: [Random(from: [\"in\"], to: \"n\", fan_out: 2, low: 100, high: 126, seed: 1), \
+    Random(from: [\"n\"], to: \"n\", fan_out: 32, low: -24, high: 16, seed: 2, delay: 2)], output: \"n\")";
+const SHORT: &str = "scene:noise?samples=2&steps=40&seed=1&rate=0.02";
+/// Longer than any test waits.
+const LONG: &str = "scene:noise?samples=400&steps=4000&seed=1&rate=0.02";
+
+/// A folder with a model, and whether there is an `mpirun`, without which nothing is tested.
+fn ready() -> Option<tempfile::TempDir> {
+    let found = Command::new("mpirun").arg("--version").stdout(Stdio::null()).status().is_ok();
+    if !found {
+        eprintln!("SKIPPED: mpirun is absent (Debian: libopenmpi-dev openmpi-bin), no job was started");
+        return None;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("m.ron"), MODEL).unwrap();
+    std::fs::write(folder.path().join("bad.ron"), &MODEL[..60]).unwrap();
+    Some(folder)
+}
+
+/// A job: for each group of ranks their number, a fault of their disk, and what all run.
+fn job(folder: &Path, groups: &[(u32, &str)], line: &[&str]) -> Command {
+    let mut command = Command::new("mpirun");
+    command.current_dir(folder).args(["--oversubscribe", "--allow-run-as-root", "--bind-to", "none"]);
+    for (place, (ranks, fault)) in groups.iter().enumerate() {
+        command.args(if place > 0 { [":"].as_slice() } else { &[] }).args(["-n", &ranks.to_string()]);
+        if !fault.is_empty() {
+            command.args(["-x", &format!("NSIM_FAULT={fault}")]);
+        }
+        command.arg(env!("CARGO_BIN_EXE_nsim")).args(line);
+    }
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn run(folder: &Path, groups: &[(u32, &str)], line: &[&str]) -> Output {
+    job(folder, groups, line).output().unwrap()
+}
+
+fn json(output: &Output) -> serde_json::Value {
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{}: {said}", output.status);
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: not one object"))
+}
+
+/// A line that runs the model.
+fn simulated<'a>(input: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    let mut line =
+        vec!["run", "m.ron", "--target", "pohoiki-springs", "--threads", "1", "--no-cache", "--input", input];
+    line.extend_from_slice(more);
+    line
+}
+
+#[test]
+fn a_job_finds_what_one_process_finds() {
+    let Some(folder) = ready() else { return };
+    let line = simulated(SHORT, &["--format", "json"]);
+    let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(&line).output().unwrap();
+    let alone = json(&alone);
+    assert!(alone.get("ranks").is_none());
+    for ranks in 1..=4 {
+        let found = json(&run(folder.path(), &[(ranks, "")], &line));
+        for key in ["digest", "activity", "output_counts", "populations", "inputs", "cores", "overflow", "warnings"] {
+            assert_eq!(alone[key], found[key], "{key} on {ranks} ranks");
+        }
+        let parts = found["ranks"].as_array().unwrap();
+        let sum = |key: &str| parts.iter().map(|part| part[key].as_u64().unwrap()).sum::<u64>();
+        assert_eq!((parts.len() as u32, sum("compartments"), sum("synapses")), (ranks, 4_000, 136_000));
+        let most = parts.iter().map(|part| part["synapses"].as_u64().unwrap()).max().unwrap();
+        assert!(most * u64::from(ranks) < 136_000 * 14 / 10, "{most} synapses on one of {ranks} ranks");
+    }
+    let line =
+        ["energy", "vtsnn-slip", "--input", "scene:slip?samples=2", "--copies", "3", "--baseline", "--format", "json"];
+    let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(line).output().unwrap();
+    let (alone, mut found) = (json(&alone), json(&run(folder.path(), &[(2, "")], &line)));
+    assert_eq!(found.as_object_mut().unwrap().remove("ranks").unwrap().as_array().unwrap().len(), 2);
+    assert_eq!(alone, found, "energy on two ranks");
+}
+
+/// Messages of nsim in what a job printed: those of `mpirun` stand between lines of dashes.
+fn messages(output: &Output) -> Vec<String> {
+    let said = [&output.stdout[..], &output.stderr[..]].concat();
+    let said = String::from_utf8_lossy(&said).into_owned();
+    let own = |line: &&str| line.starts_with("error") || line.starts_with("nsim:");
+    said.lines().filter(own).map(str::to_string).collect()
+}
+
+#[test]
+fn a_job_that_fails_says_so_once() {
+    let Some(folder) = ready() else { return };
+    let probed = simulated(SHORT, &["--probe", "n.spikes", "-o", "traces"]);
+    let malformed = ["run", "bad.ron", "--no-cache"];
+    let cases: [(&[(u32, &str)], &[&str], &str); 5] = [
+        (&[(3, "")], &malformed, "error[model."),
+        (&[(2, "")], &["map", "m.ron"], "error: this command runs in one process"),
+        // The disk of rank 0 is full; a file cannot be read on rank 1 alone.
+        (&[(1, "full:1"), (1, "")], &probed, "error[write."),
+        (&[(1, ""), (1, "read-broken:1")], &probed, "error[io.read]"),
+        (&[(2, "")], &["run", "--nonsense"], "error: unexpected argument"),
+    ];
+    for (groups, line, message) in cases {
+        let begin = Instant::now();
+        let output = run(folder.path(), groups, line);
+        let took = begin.elapsed();
+        let said = messages(&output);
+        assert!(said.len() == 1 && said[0].starts_with(message), "{line:?}: {said:?}, not {message}");
+        assert!(!output.status.success() && took < Duration::from_secs(10), "{line:?}: {} in {took:?}", output.status);
+    }
+    // Only rank 0 writes: that of rank 1 may be full.
+    let output = run(folder.path(), &[(1, ""), (1, "full:1")], &probed);
+    assert!(output.status.success() && folder.path().join("traces/n.spikes.npy").exists(), "{:?}", messages(&output));
+}
+
+/// The processes that a job has started, by rank.
+fn process_of(job: &Child, rank: u32) -> Option<u32> {
+    let wanted = format!("OMPI_COMM_WORLD_RANK={rank}");
+    let parent = format!("PPid:\t{}", job.id());
+    let numbers =
+        std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    let mut numbers: Vec<u32> = numbers.collect();
+    numbers.retain(|number| {
+        let read = |name: &str| std::fs::read(format!("/proc/{number}/{name}")).unwrap_or_default();
+        let environment = read("environ");
+        let is_rank = environment.split(|&byte| byte == 0).any(|entry| entry == wanted.as_bytes());
+        is_rank && String::from_utf8_lossy(&read("status")).lines().any(|line| line == parent)
+    });
+    numbers.first().copied()
+}
+
+#[test]
+fn a_rank_that_is_killed_and_an_interrupt_end_all() {
+    let Some(folder) = ready() else { return };
+    for signal in ["KILL", "INT"] {
+        let job = job(folder.path(), &[(3, "")], &simulated(LONG, &[])).spawn().unwrap();
+        std::thread::sleep(Duration::from_secs(4));
+        let ranks: Vec<u32> = (0..3).map(|rank| process_of(&job, rank).expect("a rank is not running")).collect();
+        let target = if signal == "KILL" { ranks[1] } else { job.id() };
+        assert!(Command::new("kill").args([&format!("-{signal}"), &target.to_string()]).status().unwrap().success());
+        let begin = Instant::now();
+        let output = job.wait_with_output().unwrap();
+        let took = begin.elapsed();
+        assert!(took < Duration::from_millis(2_500) && !output.status.success(), "{signal}: {took:?}");
+        // A killed rank is named by mpirun; rank 0 says that it was ended, if it is given the time.
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(messages(&output).len() <= 1, "{signal}: {:?}", messages(&output));
+        assert!(said.contains(if signal == "KILL" { "signal 9" } else { "nsim: ended by" }), "{signal}: {said}");
+        let is_left = |rank: &u32| Path::new(&format!("/proc/{rank}")).exists();
+        while ranks.iter().any(is_left) {
+            assert!(begin.elapsed() < Duration::from_millis(2_500), "{signal}: ranks are left");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
