@@ -18,9 +18,9 @@ use crate::machine::ranks::transport::Ranks;
 /// How much longer each rank than the one before it waits for another to say what is wrong.
 #[cfg(feature = "mpi")]
 const MOMENT: Duration = Duration::from_millis(250);
-/// How long rank 0 listens for what another rank has to say, once it is ended.
+/// How long rank 0 listens for what another rank has to say, once it is ended: `mpirun` soon passes on nothing more.
 #[cfg(feature = "mpi")]
-const HEARING: Duration = Duration::from_millis(200);
+const HEARING: Duration = Duration::from_millis(10);
 /// From this rank on all wait as long: a job ends within two seconds.
 #[cfg(feature = "mpi")]
 const LONGEST: u32 = 4;
@@ -131,7 +131,7 @@ pub fn is_said_elsewhere() -> bool {
             if crate::machine::ranks::mpi::another_has_failed() {
                 return true;
             }
-            std::thread::sleep(Duration::from_millis(5));
+            std::thread::sleep(Duration::from_millis(1));
         }
         return ranks.rank() > 0;
     }
