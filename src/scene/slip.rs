@@ -59,6 +59,12 @@ pub struct Slip {
     pub chatter: (f64, f64),
     /// Relative relief of the surface in the pressure.
     pub relief: (f64, f64),
+    /// Part of the skin's shear stress that a taxel senses beside the pressure; 0 leaves it at pressure.
+    pub shear: f64,
+    /// Width in which an edge goes from one brightness to the other in the picture: the blur of the lens, pixels.
+    pub edge_px: f64,
+    /// Amplitude of the flicker of the lamps at 100 Hz in the natural logarithm of brightness.
+    pub flicker: f64,
     /// The taxels.
     pub skin: Skin,
     /// The camera's pixels.
@@ -82,6 +88,9 @@ impl Default for Slip {
             vibration: (0.02, 0.09),
             chatter: (0.01, 0.035),
             relief: (0.05, 0.2),
+            shear: 0.0,
+            edge_px: 1.0,
+            flicker: 0.0,
             skin: Skin::default(),
             pixels: Pixels::default(),
             wire: None,
@@ -103,6 +112,9 @@ parameters! {
     vibration = spread(0.0..=1.0) => slip.vibration,
     chatter = spread(0.0..=1.0) => slip.chatter,
     relief = spread(0.0..=1.0) => slip.relief,
+    shear = parameter(0.0..=1.0) => slip.shear,
+    edge_px = parameter(1.0..=20.0) => slip.edge_px,
+    flicker = parameter(0.0..=1.0) => slip.flicker,
     threshold_kpa = parameter(0.001..=1000.0) => slip.skin.threshold_kpa,
     touch_noise_kpa = parameter(0.0..=1000.0) => slip.skin.noise_kpa,
     touch_refractory_ms = parameter(1..=1000) => slip.skin.refractory_ms,
@@ -254,6 +266,7 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
         let (radius, peak) = hertz(grip, grasp.contact_m, nominal);
         // A load on skin of 1.5 mm moves the centre of pressure.
         let shift = if grip > 0.0 { 1.5 * 0.5 * state.load_n / grip } else { 0.0 };
+        let traction = Traction::new(grasp, state);
         for (k, pressure) in pressure.iter_mut().enumerate() {
             let (finger, (x, y)) = (k / TAXELS, places[k % TAXELS]);
             let (dx, dy) = (x - centres[finger].0, y - centres[finger].1 - shift);
@@ -265,7 +278,8 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
                     let speed = state.rate_rad_per_s.abs() * (dx * dx + dy * dy).sqrt();
                     part += chatter * (speed / 20.0).min(1.0) * draws.normal(Purpose::Sliding, k as u32, ms as u32);
                 }
-                peak * within.sqrt() * part
+                let pressed = peak * within.sqrt() * part;
+                pressed + slip.shear * traction.at(x, y, finger, pressed)
             } else {
                 0.0
             };
@@ -277,6 +291,42 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
         });
     }
     events
+}
+
+/// The shear that load and twist put on the skin of a finger.
+///
+/// The skin is a layer that shears in proportion to how far its surface is moved: down by the load, around by the twist.
+/// Where that exceeds what friction bears under the pressure there, the surface has slipped, at the rim of the contact first.
+struct Traction {
+    /// Movement of the surface by the load, mm, and by the twist, rad.
+    sag_mm: f64,
+    twist_rad: f64,
+    /// Shear stress by movement, kPa/mm.
+    kpa_per_mm: f64,
+    friction: f64,
+}
+
+impl Traction {
+    fn new(grasp: &Grasp, state: &GraspState) -> Traction {
+        let area_mm2 = std::f64::consts::PI * (1e3 * grasp.contact_m) * (1e3 * grasp.contact_m);
+        let kinetic = if state.sliding { grasp.kinetic_part } else { 1.0 };
+        Traction {
+            sag_mm: 1e3 * state.sag_m,
+            twist_rad: state.friction_nm / grasp.twist_stiffness(),
+            // Both fingers share the stiffness; N/mm^3 is 1,000 kPa/mm.
+            kpa_per_mm: 0.5 * grasp.shear_n_per_m * 1e-3 / area_mm2 * 1e3,
+            friction: grasp.static_friction * kinetic,
+        }
+    }
+
+    /// The stress at a place of a finger, mm, under a pressure; kPa.
+    fn at(&self, x: f64, y: f64, finger: usize, pressed_kpa: f64) -> f64 {
+        // The second finger sees the box from behind.
+        let twist = if finger == 0 { self.twist_rad } else { -self.twist_rad };
+        let (across, down) = (-twist * y, twist * x + self.sag_mm);
+        let stress = self.kpa_per_mm * (across * across + down * down).sqrt();
+        stress.min(self.friction * pressed_kpa.max(0.0))
+    }
 }
 
 /// Where the box is in the picture, and the table behind it.
@@ -301,19 +351,21 @@ struct Look {
     cells: [[f32; BRICKS.0 + 2]; BRICKS.1 + 2],
     wall: f32,
     table: f32,
+    /// Pixels that an edge is wide.
+    edge: f32,
 }
 
 impl Look {
-    /// The brightness at the middle of a pixel. Edges are one pixel wide.
+    /// The brightness at the middle of a pixel.
     #[inline]
     fn at(&self, pose: &Pose, x: usize, y: usize) -> f32 {
         let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
         let (dx, dy) = (px - pose.x, py - pose.y);
         let u = (pose.cos * dx + pose.sin * dy - self.left) / self.brick.0;
         let v = (pose.cos * dy - pose.sin * dx - self.top) / self.brick.1;
-        let behind = self.wall + (self.table - self.wall) * (py - pose.table + 0.5).clamp(0.0, 1.0);
-        let (column, across) = cell(u, self.brick.0, BRICKS.0);
-        let (row, down) = cell(v, self.brick.1, BRICKS.1);
+        let behind = self.wall + (self.table - self.wall) * ((py - pose.table) / self.edge + 0.5).clamp(0.0, 1.0);
+        let (column, across) = cell(u, self.brick.0 / self.edge, BRICKS.0);
+        let (row, down) = cell(v, self.brick.1 / self.edge, BRICKS.1);
         let look = |r: usize, c: usize| {
             let outside = r == 0 || c == 0 || r > BRICKS.1 || c > BRICKS.0;
             if outside { behind } else { self.cells[r][c] }
@@ -335,7 +387,7 @@ fn cell(place: f32, pixels: f32, bricks: usize) -> (usize, f32) {
 }
 
 impl Look {
-    fn draw(draws: Draws) -> (Look, f32, f32) {
+    fn draw(draws: Draws, edge_px: f64) -> (Look, f32, f32) {
         let cells = std::array::from_fn(|r| {
             std::array::from_fn(|c| {
                 // The same box in every sample: its bricks are lighter or darker by turns.
@@ -351,31 +403,38 @@ impl Look {
             cells,
             wall: 0.0,
             table: -0.5,
+            edge: edge_px as f32,
         };
         (look, 100.0, 110.0)
+    }
+
+    /// How far from an edge a pixel may see a part of it.
+    fn reach(&self) -> f32 {
+        1.2 + 0.5 * (self.edge - 1.0)
     }
 
     /// The pixels near edges of this pose.
     fn near_edges(&self, pose: &Pose, table_moves: bool, near: &mut Vec<u32>) {
         near.clear();
+        let reach = self.reach();
         let (width, height) = (self.brick.0 * BRICKS.0 as f32, self.brick.1 * BRICKS.1 as f32);
         let place = |u: f32, v: f32| (pose.x + pose.cos * u - pose.sin * v, pose.y + pose.sin * u + pose.cos * v);
         for k in 0..=BRICKS.0 {
             let u = self.left + self.brick.0 * k as f32;
-            line(place(u, self.top), place(u, self.top + height), near);
+            line(place(u, self.top), place(u, self.top + height), reach, near);
         }
         for k in 0..=BRICKS.1 {
             let v = self.top + self.brick.1 * k as f32;
-            line(place(self.left, v), place(self.left + width, v), near);
+            line(place(self.left, v), place(self.left + width, v), reach, near);
         }
         if table_moves {
-            line((0.0, pose.table), (WIDTH as f32, pose.table), near);
+            line((0.0, pose.table), (WIDTH as f32, pose.table), reach, near);
         }
     }
 }
 
-/// The pixels near a line, those within 1.2 of where it crosses a row or a column.
-fn line(from: (f32, f32), to: (f32, f32), near: &mut Vec<u32>) {
+/// The pixels near a line, those within `reach` of where it crosses a row or a column.
+fn line(from: (f32, f32), to: (f32, f32), reach: f32, near: &mut Vec<u32>) {
     let (dx, dy) = (to.0 - from.0, to.1 - from.1);
     let steep = dy.abs() > dx.abs();
     let (a, b, slope) = if steep { (from.1, to.1, dx / dy) } else { (from.0, to.0, dy / dx) };
@@ -385,10 +444,10 @@ fn line(from: (f32, f32), to: (f32, f32), near: &mut Vec<u32>) {
     let last = ((a.max(b) + 1.0).max(0.0) as usize).min(most_along - 1);
     for along in first..=last {
         let across = start + slope * (along as f32 + 0.5);
-        if across < -1.5 || across >= most_across as f32 + 1.5 {
+        if across < -reach - 0.3 || across >= most_across as f32 + reach + 0.3 {
             continue;
         }
-        for other in (across - 1.2).max(0.0) as usize..((across + 2.2) as usize).min(most_across) {
+        for other in (across - reach).max(0.0) as usize..((across + reach + 1.0) as usize).min(most_across) {
             let (x, y) = if steep { (other, along) } else { (along, other) };
             near.push((y * WIDTH + x) as u32);
         }
@@ -396,7 +455,7 @@ fn line(from: (f32, f32), to: (f32, f32), near: &mut Vec<u32>) {
 }
 
 fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> Vec<(u32, u32)> {
-    let (look, x, y) = Look::draw(draws);
+    let (look, x, y) = Look::draw(draws, slip.edge_px);
     let tilt = draws.between(Purpose::Look, 2, (-0.02, 0.02));
     let bottom = y + look.top + look.brick.1 * BRICKS.1 as f32;
     let pose = |state: &GraspState, t: f64| {
@@ -414,6 +473,7 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
     let states = motion.recorded();
     let rest = pose(&states[0], -1.0);
     let mut camera = Camera::new(&slip.pixels, draws, Draws::new(0, 0));
+    let lamps = draws.between(Purpose::Look, 3, (0.0, TAU));
     let (mut near, mut shown) = (Vec::new(), rest);
     let mut events = Vec::new();
     for (step, state) in states.iter().enumerate() {
@@ -426,15 +486,24 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
             if turned > 0.1 {
                 look.near_edges(&now, moved > 0.0, &mut near);
             } else {
-                line((0.0, now.table), (WIDTH as f32, now.table), &mut near);
+                line((0.0, now.table), (WIDTH as f32, now.table), look.reach(), &mut near);
             }
             shown = now;
         }
+        let flicker = match slip.flicker {
+            0.0 => 0.0,
+            // All pixels see the lamps.
+            depth => {
+                near.clear();
+                near.extend(0..(WIDTH * HEIGHT) as u32);
+                (depth * libm::sin(lamps + 0.1 * TAU * step as f64)) as f32
+            }
+        };
         let view = shown;
         camera.step(
             &near,
             |x, y| look.at(&rest, x, y),
-            |x, y| look.at(&view, x, y),
+            |x, y| look.at(&view, x, y) + flicker,
             |unit| events.push((step as u32, unit)),
         );
     }
@@ -507,6 +576,44 @@ mod tests {
             assert_eq!((recording.touch.len(), recording.vision.len()), (0, 0));
             assert_eq!((recording.label, recording.onset_ms), (0, None));
         }
+    }
+
+    #[test]
+    fn skin_that_senses_shear_answers_the_lift_first_and_a_blurred_edge_is_seen_later() {
+        // Events after the lift begins, as the time by which the tenth of them has come.
+        let tenth = |text: &str, touch: bool| {
+            let slip = parse(text).unwrap();
+            let of = |sample| {
+                let recording = slip.recording(sample);
+                let events = if touch { recording.touch } else { recording.vision };
+                f64::from(events[9].0)
+            };
+            (0..20).map(of).sum::<f64>() / 20.0
+        };
+        let quiet = "slip?touch_noise_kpa=0&pixel_noise_hz=0&vibration=0&lift_ms=5&adaptation_ms=5";
+        let (pressure, shear) = (tenth(quiet, true), tenth(&format!("{quiet}&shear=0.32"), true));
+        let (sharp, blurred) = (tenth(quiet, false), tenth(&format!("{quiet}&edge_px=3"), false));
+        assert!(shear < pressure && sharp < blurred, "{shear} {pressure}, {sharp} {blurred}");
+        assert!(shear < blurred, "{shear} {blurred}");
+    }
+
+    #[test]
+    fn lamps_that_flicker_beyond_the_contrast_are_seen_everywhere() {
+        let still = "slip?touch_noise_kpa=0&pixel_noise_hz=0&lift_ms=1000&vibration=0&samples=1";
+        let spikes = |flicker: &str| parse(&format!("{still}&flicker={flicker}")).unwrap().recording(0).vision.len();
+        assert_eq!(spikes("0.05"), 0);
+        assert!(spikes("0.5") > 3150 * 15);
+    }
+
+    #[test]
+    fn skin_bears_no_more_shear_than_friction() {
+        let (grasp, motion) = Slip::default().course(1);
+        let state = motion.states.last().unwrap();
+        let traction = Traction::new(&grasp, state);
+        for (x, y) in layout() {
+            assert!(traction.at(x, y, 0, 3.0) <= grasp.static_friction * 3.0);
+        }
+        assert_eq!(traction.at(3.0, 0.0, 1, 0.0), 0.0);
     }
 
     #[test]

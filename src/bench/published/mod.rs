@@ -7,6 +7,7 @@
 //! already counted again.
 
 pub mod network;
+pub mod paper;
 pub mod predict;
 
 use self::predict::{PredictError, Predicted, predict};

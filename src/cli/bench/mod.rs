@@ -1,6 +1,7 @@
 //! `nsim bench`: measures speed and the quality of mappings.
 
 pub mod early;
+pub mod paper;
 pub mod pareto;
 pub mod published;
 pub mod scale;
@@ -11,6 +12,7 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use self::early::EarlyArgs;
+use self::paper::PaperArgs;
 use self::pareto::ParetoArgs;
 use self::published::PublishedArgs;
 use self::scale::ScaleArgs;
@@ -45,7 +47,8 @@ EXAMPLES:
   nsim bench map --full                             with networks of a million compartments
   nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network
   nsim bench scale                                  what a step would take on many machines
-  nsim bench published                              what others measured on the chip, beside what nsim predicts";
+  nsim bench published                              what others measured on the chip, beside what nsim predicts
+  nsim bench paper                                  the tables of the seed paper beside what was measured";
 
 /// Measure speed and mappings on standard networks, and run time against error
 #[derive(Debug, clap::Args)]
@@ -71,6 +74,7 @@ enum Which {
     Pareto(Box<ParetoArgs>),
     Published(PublishedArgs),
     Scale(ScaleArgs),
+    Paper(PaperArgs),
 }
 
 /// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each mapping is run and its
@@ -131,6 +135,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Pareto(args) => pareto::run(args, context),
         Which::Published(args) => published::run(args, context),
         Which::Scale(args) => scale::run(args, context),
+        Which::Paper(args) => paper::run(args, context),
     }
 }
 

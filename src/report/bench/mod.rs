@@ -2,6 +2,7 @@
 
 pub mod early;
 pub mod mapping;
+pub mod paper;
 pub mod pareto;
 pub mod published;
 pub mod scale;
