@@ -29,7 +29,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 49] = [
+const WRITING: [Case; 50] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -83,6 +83,7 @@ const WRITING: [Case; 49] = [
         "b",
     ),
     case("run i/GEN.ron --mapping i/GEN-map.ron --input i/labels.ron --probe o.spikes -o p --format json", "a", "b"),
+    case("bench paper --results i/GEN-rows.json --markdown t.md", "one", "two"),
     Case { arguments: "bench published --plot GEN.svg --preset GEN.ron", generations: ["one", "two"], slow: true },
 ];
 
@@ -233,6 +234,13 @@ fn prepare(i: &Path) {
              \"total\", figure: \"total_mw\", printed: \"32.3\")])"
         );
         put(&format!("{name}-table.ron"), table.as_bytes());
+    }
+    for (name, accuracy) in [("one", "0.5"), ("two", "0.25")] {
+        let rows = format!(
+            "{{\"rows\": [{{\"table\": \"accuracy\", \"task\": \"slip\", \"modality\": \"both\", \"loss\": \"count\", \
+             \"quantity\": \"accuracy\", \"measured\": {accuracy}, \"note\": \"made up\"}}]}}"
+        );
+        put(&format!("{name}-rows.json"), rows.as_bytes());
     }
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     for (name, source) in [
