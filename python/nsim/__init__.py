@@ -6,5 +6,7 @@
 """
 
 from ._nsim import Energy, Error, Mapping, Network, Run, __version__, load
+from ._sweep import Table, sweep
+from ._tools import from_nir
 
-__all__ = ["Energy", "Error", "Mapping", "Network", "Run", "__version__", "load"]
+__all__ = ["Energy", "Error", "Mapping", "Network", "Run", "Table", "__version__", "from_nir", "load", "sweep"]

@@ -23,7 +23,48 @@ class Error(Exception):
 def load(model: Path) -> Network:
     """Loads a model file or a shipped model."""
 
+def from_nir(
+    graph: Any,
+    *,
+    name: str = "network",
+    dt_ms: Optional[float] = None,
+    reset: Optional[str] = None,
+    threshold: Optional[str] = None,
+    input_shape: Optional[Sequence[int]] = None,
+) -> Network:
+    """A `nir.NIRGraph` as a network, as `nsim import` reads its file; `dt_ms` is the timestep in ms."""
+
+def sweep(
+    sweep: Path, *, threads: Optional[int] = None, client: Any = None, parts: Optional[int] = None
+) -> Table:
+    """Runs every variant of a sweep file or text, on threads or on a client (Dask, the module ray, an executor)."""
+
+class Table:
+    csv: str
+    """What `nsim sweep -o` writes."""
+    @property
+    def columns(self) -> list[str]: ...
+    @property
+    def rows(self) -> list[dict[str, str]]: ...
+    def table(self) -> Any:
+        """A data frame of pandas, or of polars."""
+    def __len__(self) -> int: ...
+
 class Network:
+    def __init__(
+        self,
+        name: str,
+        populations: Sequence[dict[str, Any]],
+        projections: Sequence[dict[str, Any]],
+        *,
+        output: str,
+        timestep_ms: float = 1.0,
+        classes: Sequence[str] = (),
+    ) -> None:
+        """Populations and projections as in a model file; weights are `[target, source]`, a kernel, or a SciPy sparse array."""
+    @property
+    def notes(self) -> list[str]:
+        """By which conventions another tool's network was read."""
     @property
     def name(self) -> str: ...
     @property

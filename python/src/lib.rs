@@ -8,9 +8,11 @@ mod energy;
 mod error;
 mod keywords;
 mod mapping;
+mod memory;
 mod network;
 mod run;
 mod spikes;
+mod sweep;
 mod work;
 
 use pyo3::prelude::*;
@@ -23,5 +25,9 @@ fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<mapping::Mapping>()?;
     module.add_class::<run::Run>()?;
     module.add_class::<energy::Energy>()?;
-    module.add_function(wrap_pyfunction!(network::load, module)?)
+    module.add_function(wrap_pyfunction!(network::load, module)?)?;
+    module.add_function(wrap_pyfunction!(network::from_bytes, module)?)?;
+    module.add_function(wrap_pyfunction!(sweep::sweep_len, module)?)?;
+    module.add_function(wrap_pyfunction!(sweep::sweep_part, module)?)?;
+    module.add_function(wrap_pyfunction!(sweep::sweep_merged, module)?)
 }

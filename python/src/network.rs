@@ -1,6 +1,6 @@
 //! A model as Python sees it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nsim::compile::frontend::real_and_integers;
 use nsim::desc::network::PopulationDesc;
@@ -11,6 +11,7 @@ use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::Keywords;
 use crate::mapping::{Mapping, MappingRequest};
+use crate::memory;
 
 /// Loads a model.
 ///
@@ -25,7 +26,20 @@ pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
         Ok(network)
     });
     let network = loaded.map_err(|error: nsim::base::diagnostic::Diagnostic| raised(py, error))?;
-    Ok(Network { model, network })
+    Ok(Network { model, network, notes: Vec::new() })
+}
+
+/// A network from the bytes of a file that another tool wrote.
+#[pyfunction]
+#[pyo3(signature = (name, content, **options))]
+pub fn from_bytes(
+    py: Python<'_>,
+    name: &str,
+    content: Vec<u8>,
+    options: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Network> {
+    let (network, notes) = memory::imported(py, name, content, &Keywords::new(options)?)?;
+    Network::checked(py, network, notes)
 }
 
 /// A network as its file says.
@@ -33,10 +47,47 @@ pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
 pub struct Network {
     model: String,
     network: nsim::desc::network::Network,
+    notes: Vec<String>,
+}
+
+impl Network {
+    /// A network that has no file.
+    fn checked(py: Python<'_>, network: nsim::desc::network::Network, notes: Vec<String>) -> PyResult<Self> {
+        py.detach(|| real_and_integers(&network)).map_err(|problem| raised(py, problem))?;
+        Ok(Network { model: memory::place(&network.file().name), network, notes })
+    }
 }
 
 #[pymethods]
 impl Network {
+    /// A network of populations and projections, dictionaries whose keys are the fields of a model file.
+    ///
+    /// A population has `name`, `shape` (a number, `[n]` or `[channels, height, width]`) and `kind` ('Input', 'Loihi' and the other kinds
+    /// of neurons); parameters such as `du`, `dv`, `vth_mant` are a number or an array with one for each neuron. A projection has
+    /// `from`, `to` and `weights`: `[target, source]`, a kernel `[C', C / groups, kh, kw]` or a SciPy sparse array `[target, source]`.
+    /// `timestep_ms` is in ms.
+    #[new]
+    #[pyo3(signature = (name, populations, projections, *, output, timestep_ms=1.0, classes=Vec::new()))]
+    fn new(
+        py: Python<'_>,
+        name: &str,
+        populations: Vec<Bound<'_, PyDict>>,
+        projections: Vec<Bound<'_, PyDict>>,
+        output: &str,
+        timestep_ms: f64,
+        classes: Vec<String>,
+    ) -> PyResult<Self> {
+        let model = memory::built(name, &populations, &projections, output, timestep_ms, classes)?;
+        let network = py.detach(|| model.build(Path::new(&memory::place(name))));
+        Network::checked(py, network.map_err(|problem| raised(py, problem))?, Vec::new())
+    }
+
+    /// By which conventions another tool's network was read, and what was changed.
+    #[getter]
+    fn notes(&self) -> Vec<String> {
+        self.notes.clone()
+    }
+
     /// Its name.
     #[getter]
     fn name(&self) -> &str {

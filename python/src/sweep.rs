@@ -1,0 +1,65 @@
+//! Parts of sweeps, and the table that parts make together.
+//!
+//! Input: the text of a sweep and the path that messages name. Output: tables as CSV, the bytes that `nsim sweep` writes. Each row
+//! is the library's; who runs which part is for Python, so that any engine for clusters can do it. Errors: `sweep.*`.
+
+use std::path::PathBuf;
+
+use nsim::base::diagnostic::SourceText;
+use nsim::sweep::table::Table;
+use nsim::sweep::variants::Sweep;
+use nsim::sweep::work as variants;
+use pyo3::prelude::*;
+
+use crate::error::raised;
+use crate::keywords::usage;
+use crate::work::work;
+
+fn parsed(py: Python<'_>, path: PathBuf, text: String) -> PyResult<Sweep> {
+    Sweep::parse(&SourceText::new(path, text)).map_err(|problem| raised(py, problem))
+}
+
+/// The number of variants of a sweep.
+#[pyfunction]
+pub fn sweep_len(py: Python<'_>, path: PathBuf, text: String) -> PyResult<u64> {
+    Ok(parsed(py, path, text)?.len())
+}
+
+/// Runs part `number` (from 0) of `parts` on so many threads; its table as CSV.
+#[pyfunction]
+pub fn sweep_part(
+    py: Python<'_>,
+    path: PathBuf,
+    text: String,
+    number: u64,
+    parts: u64,
+    threads: usize,
+) -> PyResult<String> {
+    if number >= parts {
+        return Err(usage(format!("part {number} of {parts} parts counted from 0")));
+    }
+    let sweep = parsed(py, path, text)?;
+    work(py, true, |progress| {
+        let mut table = Table::new(&sweep);
+        let wanted = (0..sweep.len()).filter(|variant| variant % parts == number).collect();
+        variants::run(&sweep, wanted, threads, |variant, cells| {
+            table.rows.insert(variant, cells);
+            progress();
+            Ok(())
+        })?;
+        table.csv().map_err(|error| nsim::Error::Fault(error.to_string()))
+    })
+}
+
+/// The tables of all parts together, as CSV.
+#[pyfunction]
+pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<String>) -> PyResult<String> {
+    let sweep = parsed(py, path, text)?;
+    let merged = py.detach(|| {
+        let mut whole = Table::new(&sweep);
+        tables.iter().try_for_each(|table| whole.add_csv(table))?;
+        whole.check_whole()?;
+        whole.csv().map_err(|error| nsim::Error::Fault(error.to_string()))
+    });
+    merged.map_err(|error| raised(py, error))
+}

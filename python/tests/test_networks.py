@@ -1,0 +1,130 @@
+"""Networks in memory are those of files; SciPy and nir are used where they are installed, and their absence is said."""
+
+import os
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+
+import nsim
+
+try:
+    import scipy.sparse as sparse
+except ImportError:
+    sparse = None
+    print("absent: scipy, networks of sparse arrays were not tested", file=sys.stderr)
+try:
+    import nir
+except ImportError:
+    nir = None
+    print("absent: nir, graphs in memory were not tested", file=sys.stderr)
+
+WEIGHTS = np.array([[40, -20, 0], [0, 62, 8]])
+TEXT = """Network(
+    name: "small",
+    timestep_ms: 1,
+    populations: [
+        Input(name: "in", shape: [3]),
+        Loihi(name: "out", shape: [2], du: 4096, dv: 128, vth_mant: [3, 2]),
+    ],
+    projections: [Dense(from: ["in"], to: "out", weights: [[40, -20, 0], [0, 62, 8]], delay: 1)],
+    output: "out",
+    classes: ["a", "b"],
+)
+"""
+
+
+def small(weights=WEIGHTS, **changed):
+    populations = [
+        {"name": "in", "shape": 3, "kind": "Input"},
+        {"name": "out", "shape": [2], "du": 4096, "dv": 128, "vth_mant": np.array([3, 2])},
+    ]
+    projections = [{"from": "in", "to": "out", "weights": weights, "delay": 1, **changed}]
+    return nsim.Network("small", populations, projections, output="out", classes=["a", "b"])
+
+
+def of_file(text):
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "small.ron")
+        with open(path, "w") as file:
+            file.write(text)
+        return nsim.load(path)
+
+
+def figures(network, channels=3):
+    spikes = (np.random.default_rng(5).random((4, channels, 80)) < 0.4).astype(np.uint8)
+    mapping = network.map()
+    run = mapping.run(spikes)
+    return run.digest, run.counts.tolist(), run.activity, mapping.energy(spikes).json()["rows"]
+
+
+class InMemory(unittest.TestCase):
+    def test_arrays_are_a_file(self):
+        network, file = small(), of_file(TEXT)
+        self.assertEqual((network.name, network.populations, network.classes), (file.name, file.populations, file.classes))
+        theirs = figures(file)
+        self.assertGreater(sum(map(sum, theirs[1])), 0)
+        self.assertEqual(figures(network), theirs)
+        self.assertEqual(figures(small(np.asfortranarray(WEIGHTS.astype(np.float32)))), theirs)
+
+    @unittest.skipIf(sparse is None, "scipy is absent")
+    def test_sparse_arrays(self):
+        listed = TEXT.replace("Dense(", "Sparse(")
+        listed = listed.replace("weights: [[40, -20, 0], [0, 62, 8]]", "synapses: [(0, 0, 40), (1, 0, -20), (1, 1, 62), (2, 1, 8)]")
+        theirs = figures(of_file(listed))
+        for form in [sparse.csr_array, sparse.csc_array, sparse.coo_matrix]:
+            self.assertEqual(figures(small(form(WEIGHTS))), theirs)
+
+    def test_a_convolution(self):
+        populations = [
+            {"name": "in", "shape": (1, 4, 4), "kind": "Input"},
+            {"name": "out", "shape": (2, 2, 2), "kind": "If", "vth_mant": 1},
+        ]
+        kernel = np.arange(-4, 14).reshape(2, 1, 3, 3) * 2
+        projections = [{"from": ["in"], "to": "out", "weights": kernel, "stride": (2, 2), "padding": (1, 1)}]
+        network = nsim.Network("convolved", populations, projections, output="out")
+        self.assertEqual(network.populations[1], ("out", "integers", [2, 2, 2]))
+        self.assertGreater(network.map().run(np.ones((1, 4, 4, 9), np.uint8)).counts.sum(), 0)
+
+    def test_problems_name_what_they_are_in(self):
+        def raised(call):
+            with self.assertRaises(nsim.Error) as caught:
+                call()
+            return str(caught.exception)
+
+        self.assertIn("small (in memory)", raised(lambda: small(WEIGHTS.T)))
+        self.assertIn("in -> out", raised(lambda: small(np.zeros(3))))
+        self.assertIn("sign", raised(lambda: small(sign="Both")))
+        self.assertIn("'to'", raised(lambda: nsim.Network("x", [], [{"from": "a"}], output="a")))
+        out = {"name": "out", "shape": 2, "vth_mant": [1, 2, 3]}
+        self.assertIn("'out': vth_mant", raised(lambda: nsim.Network("x", [out], [], output="out")))
+        with self.assertRaises(TypeError):
+            small(weigth_exp=1)
+
+    @unittest.skipIf(nir is None, "nir is absent")
+    def test_a_graph_of_nir_to_energy(self):
+        rng = np.random.default_rng(1)
+        graph = nir.NIRGraph.from_list(
+            nir.Input({"input": np.array([6])}),
+            nir.Affine(rng.normal(0.3, 0.6, (4, 6)), np.zeros(4)),
+            nir.CubaLIF(*[np.full(4, x) for x in [5e-3, 1e-2, 1.0, 0.0, 0.5]], w_in=np.full(4, 1.0), v_reset=np.zeros(4)),
+            nir.Output({"output": np.array([4])}),
+        )
+        network = nsim.from_nir(graph, dt_ms=1.0)
+        self.assertTrue(network.notes)
+        self.assertGreater(network.map().energy(np.ones((6, 40), np.uint8)).energy_uj, 0)
+        # The same graph as a file.
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "network.nir")
+            nir.write(path, graph)
+            folded = nsim.from_nir(nir.read(path), dt_ms=1.0)
+            with open(path, "rb") as file:
+                content = file.read()
+        of_bytes = nsim._nsim.from_bytes("network", content, dt_ms=1.0)
+        self.assertEqual(figures(network, 6), figures(of_bytes, 6))
+        self.assertEqual(figures(network, 6), figures(folded, 6))
+
+
+if __name__ == "__main__":
+    unittest.main()
