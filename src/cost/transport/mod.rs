@@ -167,16 +167,20 @@ pub(crate) mod tests {
         };
         MessageRoutes {
             kinds: vec![KindOfGroup { kind, groups: 1 }],
-            regions: vec![Region {
-                columns: 8,
-                rows: 4,
-                chip_width: 8,
-                chip_height: 4,
-                chips_x: 1,
-                tiles: tiles.iter().copied().chain([(0, 0)]).collect(),
-                cores: tiles.len(),
-                groups: vec![(0, 0)],
-            }],
+            regions: vec![
+                Region {
+                    columns: 8,
+                    rows: 4,
+                    chip_width: 8,
+                    chip_height: 4,
+                    chips_x: 1,
+                    tiles: tiles.iter().copied().chain([(0, 0)]).collect(),
+                    cores: tiles.len(),
+                    groups: vec![(0, 0)],
+                    entries: Vec::new(),
+                }
+                .with_entries(),
+            ],
             inputs: lists(inputs),
             spikes: lists(spikes),
             seats: (0..spikes.len() as u32).map(|i| (CoreId(i / 10), i % 10, 10)).collect(),

@@ -74,23 +74,58 @@ impl<'w> Queue<'w> {
         Queue { routes, region, table, memory, handling: 0 }
     }
 
-    /// What each sender sends, in order, and how long it is busy after its last message.
+    /// The time that a message takes at its receiver.
+    fn handling(&self, message: &Message) -> u64 {
+        let counts = [
+            (self.table.axon_in_time, 1),
+            (self.table.synapse_dense_time, message.events_dense.into()),
+            (self.table.synapse_sparse_time, message.events_sparse.into()),
+        ];
+        times(&counts).0
+    }
+
+    /// Whether each input spike, but for the last, has been handled when the next enters, and its links are free: spikes then never
+    /// meet, and those before the last are over before a core begins. It suffices that all enter by one port, each with a message
+    /// at most that takes no longer through the empty mesh than the least time between two spikes.
+    fn inputs_meet_nobody(&self, step: &StepActivity, injection: u64, most: u64) -> bool {
+        let (routes, region, table) = (self.routes, self.region, self.table);
+        let apart = injection / most.max(1);
+        let mut spikes = 0;
+        let free = table.link_time.0.max(table.link_chip_time.0) <= apart;
+        free && region.groups.iter().all(|&(kind, first)| {
+            let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
+            step.channels.iter().filter(|channel| channels.contains(&channel.0)).all(|channel| {
+                spikes += 1;
+                match routes.inputs.get(channel.index()) {
+                    [] => true,
+                    [message] => {
+                        let (_, route) = region.entries[first + message.core.index() - cores.start as usize];
+                        route_time(route, table).0.saturating_add(self.handling(message)) <= apart
+                    }
+                    _ => false,
+                }
+            })
+        }) && spikes == most
+    }
+
+    /// What each sender sends, in order, and how long it is busy after its last message; and the handling times of messages that
+    /// are left out, summed by receiver: with `skip` those that [`Queue::inputs_meet_nobody`] finds to be over by then.
     ///
     /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with n spikes at the chip with `most`,
     /// while others are injected; cores begin when all are.
-    fn senders(&self, step: &StepActivity, injection: u64, most: u64) -> Vec<(Vec<Ready>, u64)> {
+    fn senders(
+        &self,
+        step: &StepActivity,
+        injection: u64,
+        most: u64,
+        skip: bool,
+    ) -> (Vec<(Vec<Ready>, u64)>, Vec<u64>) {
         let (routes, region, table) = (self.routes, self.region, self.table);
-        let handling = |message: &Message| {
-            let counts = [
-                (table.axon_in_time, 1),
-                (table.synapse_dense_time, message.events_dense.into()),
-                (table.synapse_sparse_time, message.events_sparse.into()),
-            ];
-            times(&counts).0
-        };
         let ready =
-            |after: u64, to: usize, message: &Message| Ready { after, to: to as u32, handling: handling(message) };
+            |after: u64, to: usize, message: &Message| Ready { after, to: to as u32, handling: self.handling(message) };
         let mut senders: Vec<(Vec<Ready>, u64)> = vec![Default::default(); region.tiles.len()];
+        let mut left_out = vec![0u64; region.cores];
+        let skipped = if skip && self.inputs_meet_nobody(step, injection, most) { u128::from(most) - 1 } else { 0 };
         // Chips are served side by side: a spike is the next of the port that its first message enters by.
         let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
         let mut ports = region.ports(routes, step);
@@ -99,6 +134,12 @@ impl<'w> Queue<'w> {
             for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
                 let number = &mut spikes[ports.next().expect("a port for each spike")];
                 *number += 1;
+                if *number <= skipped {
+                    for message in routes.inputs.get(channel.index()) {
+                        left_out[first + message.core.index() - cores.start as usize] += self.handling(message);
+                    }
+                    continue;
+                }
                 let now = (u128::from(injection) * *number / u128::from(most)) as u64;
                 for message in routes.inputs.get(channel.index()) {
                     let to = first + message.core.index() - cores.start as usize;
@@ -144,7 +185,7 @@ impl<'w> Queue<'w> {
                 senders[at].1 += visits[core as usize] - passed[at];
             }
         }
-        senders
+        (senders, left_out)
     }
 
     /// Takes what was received by now out of the mesh.
@@ -203,9 +244,19 @@ impl<'w> Queue<'w> {
     }
 
     /// The busiest core's own time and what the mesh adds to it, both counted from the end of the injection.
-    pub(super) fn run(mut self, step: &StepActivity, injection: Picoseconds, most: u64) -> (Picoseconds, Picoseconds) {
-        let senders = self.senders(step, injection.0, most);
-        let mut received = vec![0u64; self.region.cores];
+    pub(super) fn run(self, step: &StepActivity, injection: Picoseconds, most: u64) -> (Picoseconds, Picoseconds) {
+        self.follow(step, injection, most, true)
+    }
+
+    /// The same; every message is followed unless `skip`.
+    fn follow(
+        mut self,
+        step: &StepActivity,
+        injection: Picoseconds,
+        most: u64,
+        skip: bool,
+    ) -> (Picoseconds, Picoseconds) {
+        let (senders, mut received) = self.senders(step, injection.0, most, skip);
         let mut alone = 0;
         for (number, (messages, after)) in senders.iter().enumerate() {
             let time = messages.iter().map(|message| message.after).sum::<u64>() + after;
@@ -268,6 +319,7 @@ fn quotient(dividend: u128, divisor: u64) -> u128 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::rng;
     use crate::cost::constants::tests::table;
     use crate::cost::transport::tests::{routes, step};
 
@@ -278,8 +330,14 @@ mod tests {
         let routes = routes(&[(7, 3), (3, 2), (0, 0)], &list, &[&[] as &[_]; 30]);
         let mut memory = QueueMemory::default();
         let mut queue = Queue::new(&routes, &routes.regions[0], &sana, &mut memory);
-        for (at, message) in
-            queue.senders(&step(3, &(0..10).collect::<Vec<_>>(), &[]), 0, 10).pop().unwrap().0.iter().enumerate()
+        for (at, message) in queue
+            .senders(&step(3, &(0..10).collect::<Vec<_>>(), &[]), 0, 10, false)
+            .0
+            .pop()
+            .unwrap()
+            .0
+            .iter()
+            .enumerate()
         {
             queue.send(at as u64 * 10, 3, *message);
         }
@@ -290,5 +348,41 @@ mod tests {
         let QueueMemory { occupied, free, touched, done, under_way, .. } = &memory;
         assert!([occupied, free, done].iter().all(|numbers| numbers.iter().all(|&number| number == 0)));
         assert!(under_way.is_empty() && touched.is_empty());
+    }
+
+    #[test]
+    fn inputs_that_meet_nobody_may_be_left_out() {
+        let sana = table("sanafe-calibrated");
+        let draw = |below: u64, k: u64| rng::below(below, 78, k, 0) as u32;
+        let (mut left_out, mut followed) = (0, 0);
+        for seed in 0..400 {
+            let key = |k: u64| 1_000 * seed + k;
+            let cores = 1 + draw(3, key(0));
+            let tiles: Vec<(u32, u32)> =
+                (0..u64::from(cores)).map(|core| (draw(8, key(1 + core)), draw(4, key(5 + core)))).collect();
+            let list = |from: u64, most: u64| -> Vec<(u32, u32)> {
+                let messages = u64::from(draw(most, key(10 + 4 * from)));
+                (0..messages)
+                    .map(|k| (draw(cores.into(), key(11 + 4 * from + k)), draw(60, key(12 + 4 * from + k))))
+                    .collect()
+            };
+            let lists: Vec<Vec<(u32, u32)>> = (0..12).map(|from| list(from, 2 + u64::from(seed % 9 == 0))).collect();
+            let inputs: Vec<&[(u32, u32)]> = lists.iter().map(Vec::as_slice).collect();
+            let lists: Vec<Vec<(u32, u32)>> = (12..12 + 10 * u64::from(cores)).map(|from| list(from, 3)).collect();
+            let spikes: Vec<&[(u32, u32)]> = lists.iter().map(Vec::as_slice).collect();
+            let routes = routes(&tiles, &inputs, &spikes);
+            let drawn = |of: u32, k: u64| (0..of).filter(|&i| draw(3, key(k + u64::from(i))) == 0).collect::<Vec<_>>();
+            let step = step(cores as usize, &drawn(12, 500), &drawn(10 * cores, 600));
+            let injection = Picoseconds(u64::from(draw(3_000_000, key(700))));
+            let most = routes.regions[0].most_spikes(&routes, &step).max(1);
+            let mut memory = QueueMemory::default();
+            let region = &routes.regions[0];
+            let skips = Queue::new(&routes, region, &sana, &mut memory).inputs_meet_nobody(&step, injection.0, most)
+                && most > 1;
+            (left_out, followed) = (left_out + u32::from(skips), followed + u32::from(!skips));
+            let mut time = |skip| Queue::new(&routes, region, &sana, &mut memory).follow(&step, injection, most, skip);
+            assert_eq!(time(true), time(false), "{seed}");
+        }
+        assert!(left_out > 50 && followed > 50, "{left_out} {followed}");
     }
 }

@@ -75,6 +75,8 @@ pub(super) struct Region {
     pub(super) cores: usize,
     /// Kind of each group of cores and its first core here.
     pub(super) groups: Vec<(usize, usize)>,
+    /// Of each core the port through which its inputs enter, and their route from there.
+    pub(super) entries: Vec<(usize, Route)>,
 }
 
 /// Dense and sparse synapses of an input axon.
@@ -147,7 +149,9 @@ fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
             tiles: cores.chain((0..chips_x * chips_y).map(corner)).collect(),
             cores: first,
             groups: starts,
-        };
+            entries: Vec::new(),
+        }
+        .with_entries();
         known.insert(key, found.len());
         found.push((region, 1));
     }
@@ -287,8 +291,19 @@ impl MessageRoutes {
 }
 
 impl Region {
+    /// The same with the entries of its cores.
+    pub(super) fn with_entries(mut self) -> Self {
+        let entry = |core| (self.port_of(core), self.route(self.port_of(core), core));
+        self.entries = (0..self.cores).map(entry).collect();
+        self
+    }
+
     /// The port through which a core's inputs enter.
     pub(super) fn port(&self, core: usize) -> usize {
+        self.entries[core].0
+    }
+
+    fn port_of(&self, core: usize) -> usize {
         let (x, y) = self.tiles[core];
         self.cores + (y / self.chip_height * self.chips_x + x / self.chip_width) as usize
     }

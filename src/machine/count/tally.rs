@@ -8,11 +8,14 @@
 //! How many synapses of a list are dense is known beforehand. Only near a sample's end, where deliveries fall after it, are
 //! synapses counted one by one.
 
+use std::sync::OnceLock;
+
 use rayon::prelude::*;
 
+use crate::base::csr::Csr;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use crate::ir::activity::StepActivity;
-use crate::ir::placement::Site;
+use crate::ir::placement::{Route, Site};
 use crate::ir::program::{CoreFormat, CoreImage, Program, Synapse};
 use crate::machine::count::routing_tables::{RoutingTables, Selected};
 
@@ -72,6 +75,30 @@ impl ListKinds {
     }
 }
 
+/// What a message causes at its receiver.
+#[derive(Debug, Clone, Copy)]
+struct Caused {
+    core: CoreId,
+    dense: u32,
+    sparse: u32,
+    route: Route,
+}
+
+impl Caused {
+    /// Adds it so many times.
+    #[inline]
+    fn add(self, times: u64, sum: &mut StepActivity) {
+        let core = &mut sum.cores[self.core];
+        core.messages_in += times;
+        core.events_dense += u64::from(self.dense) * times;
+        core.events_sparse += u64::from(self.sparse) * times;
+        sum.add_routes(self.route, times);
+    }
+}
+
+/// The most messages of all sources together for which what each causes is kept: two megabytes of memory.
+const MOST_KEPT: usize = 1 << 16;
+
 /// What a spike of each source causes.
 #[derive(Debug)]
 pub struct Tally<'p> {
@@ -84,6 +111,9 @@ pub struct Tally<'p> {
     kind_of: IdVec<CoreId, u32>,
     sites: IdVec<CoreId, Site>,
     tables: RoutingTables<'p>,
+    /// By source, what its messages cause if every synapse is counted; `None` where there are more than are kept. Made by the first
+    /// step that is counted by itself.
+    kept: OnceLock<Option<Csr<Caused>>>,
 }
 
 impl<'p> Tally<'p> {
@@ -107,6 +137,7 @@ impl<'p> Tally<'p> {
             kind_of,
             sites,
             tables: RoutingTables::new(program),
+            kept: OnceLock::new(),
         }
     }
 
@@ -168,37 +199,84 @@ impl<'p> Tally<'p> {
         sum: &mut StepActivity,
     ) {
         for source in sources.clone() {
-            let (sent, times) = (self.tables.messages(source).len() as u64, times(source));
-            match self.core_of(source) {
-                None => {
-                    sum.spikes_in += if self.counts_inputs { times } else { 0 };
-                    sum.messages_from_inputs += sent * times;
-                }
-                Some(core) => {
-                    // A core's spikes are counted where it is held; its messages where they arrive.
-                    sum.cores[core].spikes += if self.program.holds(core) { times } else { 0 };
-                    sum.cores[core].messages_out += sent * times;
-                }
+            self.add_sent(source, self.tables.messages(source).len() as u64, times(source), sum);
+        }
+        let mut last = None;
+        self.each_caused(sources, reach, |source, caused| {
+            let times = match last {
+                Some((of, times)) if of == source => times,
+                _ => times(source),
+            };
+            last = Some((source, times));
+            caused.add(times, sum);
+        });
+    }
+
+    /// Adds so many spikes of a source that sends so many messages.
+    #[inline]
+    fn add_sent(&self, source: u32, sent: u64, times: u64, sum: &mut StepActivity) {
+        match self.core_of(source) {
+            None => {
+                sum.spikes_in += if self.counts_inputs { times } else { 0 };
+                sum.messages_from_inputs += sent * times;
+            }
+            Some(core) => {
+                // A core's spikes are counted where it is held; its messages where they arrive.
+                sum.cores[core].spikes += if self.program.holds(core) { times } else { 0 };
+                sum.cores[core].messages_out += sent * times;
             }
         }
+    }
+
+    /// What each message of these sources causes, with its source, counting synapses whose delay field is below `reach`.
+    fn each_caused(&self, sources: impl Iterator<Item = u32>, reach: u32, mut see: impl FnMut(u32, Caused)) {
         let (mesh, mut last) = (self.program.mesh(), None);
         self.tables.resolve(sources, |Selected { source, core, list, stored, formats, .. }| {
-            let (from, times) = match last {
-                Some((of, from, times)) if of == source => (from, times),
-                _ => {
-                    let (from, times) = (self.core_of(source).map(|core| self.sites[core]), times(source));
-                    last = Some((source, from, times));
-                    (from, times)
-                }
+            let from = match last {
+                Some((of, from)) if of == source => from,
+                _ => self.core_of(source).map(|core| self.sites[core]),
             };
+            last = Some((source, from));
             let (dense, sparse) = self.events((core, list), stored, formats, reach);
             let to = self.sites[core];
-            let core = &mut sum.cores[core];
-            core.messages_in += times;
-            core.events_dense += dense * times;
-            core.events_sparse += sparse * times;
-            sum.add_routes(from.map_or_else(|| mesh.route_from_corner(to), |from| mesh.route(from, to)), times);
+            let route = from.map_or_else(|| mesh.route_from_corner(to), |from| mesh.route(from, to));
+            // A list has no more synapses than an index counts.
+            see(source, Caused { core, dense: dense as u32, sparse: sparse as u32, route });
         });
+    }
+
+    /// What the messages of each source cause, if these are few.
+    fn kept(&self) -> Option<&Csr<Caused>> {
+        let kept = self.kept.get_or_init(|| {
+            let sources = 0..self.program.channels() + self.program.compartments();
+            let mut all = 0;
+            if !sources.clone().all(|source| {
+                all += self.tables.messages(source).len();
+                all <= MOST_KEPT
+            }) {
+                return None;
+            }
+            let mut kept = Csr::default();
+            for source in sources {
+                let mut caused = Vec::new();
+                self.each_caused(std::iter::once(source), u32::MAX, |_, one| caused.push(one));
+                kept.push(caused);
+            }
+            Some(kept)
+        });
+        kept.as_ref()
+    }
+
+    /// Adds what one spike of each of these sources causes.
+    fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
+        let Some(kept) = self.kept().filter(|_| reach > self.longest_delay) else {
+            return self.add_spikes(sources, |_| 1, reach, sum);
+        };
+        for source in sources {
+            let messages = kept.get(source as usize);
+            self.add_sent(source, messages.len() as u64, 1, sum);
+            messages.iter().for_each(|caused| caused.add(1, sum));
+        }
     }
 
     /// What so many spikes of each source cause if no delivery falls after a sample's end.
@@ -230,14 +308,14 @@ impl<'p> Tally<'p> {
         step.fired.extend_from_slice(spikes);
         step.spikes_out += spikes.iter().filter(|c| (first.0..first.0 + size).contains(&c.0)).count() as u64;
         let before = self.program.channels();
-        self.add_spikes(channels.iter().map(|channel| channel.0), |_| 1, left, step);
-        self.add_spikes(spikes.iter().map(|spike| before + spike.0), |_| 1, left.saturating_sub(1), step);
+        self.add_each(channels.iter().map(|channel| channel.0), left, step);
+        self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
     }
 
     /// Adds what the spikes of another process do on the cores of this one, in a step after which one less than `left` remain.
     pub fn add_remote(&self, spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
         let before = self.program.channels();
-        self.add_spikes(spikes.iter().map(|spike| before + spike.0), |_| 1, left.saturating_sub(1), step);
+        self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
     }
 
     /// Adds the visits to all compartments in so many steps.
