@@ -37,6 +37,7 @@ pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) ->
 }
 
 /// Whether a name fits a pattern, in which `*` stands for any characters and `?` for one.
+#[cfg(any(feature = "cli", test))]
 #[must_use]
 pub fn fits_pattern(pattern: &str, name: &str) -> bool {
     let (pattern, name): (Vec<char>, Vec<char>) = (pattern.chars().collect(), name.chars().collect());

@@ -28,7 +28,7 @@ pub mod train;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::process::{log, panics, ranks, signals, threads};
@@ -144,7 +144,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Inspect(args) => inspect::run(args, context),
         Command::Show(args) => inspect::show::run(args, context),
         Command::Cache(args) => inspect::cache::run(args, context),
-        Command::Help(args) => inspect::help::run(args, Cli::command(), context),
+        Command::Help(args) => inspect::help::run(args, args::columns::folded(Cli::command()), context),
         Command::Completions { shell } => {
             crate::io::write::stdout(&completions(*shell))?;
             Ok(Answer::Yes)
@@ -168,16 +168,30 @@ fn with_shipped_names(command: clap::Command) -> clap::Command {
     })
 }
 
-/// The script of completions for a shell. Bash completes names of files where no shipped name fits; the other shells would complete
-/// nothing else, so that they are not told shipped names.
+/// The script of completions for a shell. Bash, zsh and fish complete shipped names and names of files; what is generated for the others
+/// completes nothing else where it knows names, so that they are not told any.
 fn completions(shell: clap_complete::Shell) -> String {
+    use clap_complete::Shell::{Bash, Fish, Zsh};
     let mut command = match shell {
-        clap_complete::Shell::Bash => with_shipped_names(Cli::command()),
+        Bash | Zsh | Fish => with_shipped_names(Cli::command()),
         _ => Cli::command(),
     };
     let mut script = Vec::new();
     clap_complete::generate(shell, &mut command, "nsim", &mut script);
-    String::from_utf8_lossy(&script).into_owned()
+    let mut script = String::from_utf8_lossy(&script).into_owned();
+    for names in [shipped::MODELS, shipped::TARGETS, shipped::CONSTANTS] {
+        let list = names.iter().map(|file| file.name).collect::<Vec<_>>().join(" ");
+        // A list in parentheses is all that zsh completes; a list that is added leaves room for files.
+        script = script.replace(&format!(":({list})"), &format!(":{{compadd -- {list}; _files}}"));
+        let first = names.first().map_or("", |file| file.name);
+        // `-f` is fish's word for no files.
+        let lines = script.lines().map(|line| match shell == Fish && line.contains(&format!(" -a \"{first}\\t")) {
+            true => line.replace(" -f ", " -F "),
+            false => line.to_string(),
+        });
+        script = lines.collect::<Vec<_>>().join("\n") + "\n";
+    }
+    script
 }
 
 /// Runs the command line of this process and returns its exit status.
@@ -200,7 +214,9 @@ pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
 fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     signals::listen(asked);
     ranks::start();
-    let cli = match Cli::try_parse_from(line) {
+    let mut known = args::columns::folded(Cli::command());
+    let parsed = known.try_get_matches_from_mut(line).and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed.map_err(|error| error.format(&mut known)) {
         Ok(cli) => cli,
         Err(error) => {
             let status = diagnostics::usage(&error, asked);
@@ -239,14 +255,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bash_completes_shipped_names_and_files() {
+    fn shells_complete_shipped_names_and_files() {
         let script = completions(clap_complete::Shell::Bash);
         for names in [shipped::TARGETS, shipped::CONSTANTS] {
             let list = names.iter().map(|file| file.name).collect::<Vec<_>>().join(" ");
             assert!(script.contains(&format!("compgen -W \"{list}\"")), "{list}");
         }
         assert!(script.contains("vtsnn-slip-srm") && script.contains("-o default"));
-        assert!(completions(clap_complete::Shell::Zsh).contains("_files"));
+        let script = completions(clap_complete::Shell::Zsh);
+        assert!(
+            script.contains(":{compadd -- davies2018") && script.contains(":{compadd -- container-tactile "),
+            "{script}"
+        );
+        let fish = completions(clap_complete::Shell::Fish);
+        assert!(
+            fish.lines().any(|line| line.contains("-l constants") && line.contains("-r -F -a \"davies2018")),
+            "{fish}"
+        );
+        assert!(!script.contains(":(vtsnn-slip"), "a list that leaves no room for files");
     }
 
     #[test]

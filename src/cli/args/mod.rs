@@ -1,5 +1,6 @@
 //! Arguments that several commands share, and what they stand for.
 
+pub(super) mod columns;
 pub mod conversion;
 pub mod input;
 pub mod jobs;

@@ -40,7 +40,7 @@ fn title(table: &str) -> &'static str {
 }
 
 impl PaperReport<'_> {
-    fn of(&self, table: &str) -> Vec<&PaperRow> {
+    fn rows_of(&self, table: &str) -> Vec<&PaperRow> {
         self.rows.iter().filter(|row| row.table == table).collect()
     }
 
@@ -81,7 +81,7 @@ impl PaperReport<'_> {
     #[must_use]
     pub fn markdown(&self) -> String {
         let section = |table: &&str| {
-            let rows = self.of(table);
+            let rows = self.rows_of(table);
             (!rows.is_empty()).then(|| format!("## {}\n\n{}\n", title(table), markdown_of(rows, &COLUMNS)))
         };
         TABLES.iter().filter_map(section).collect()
@@ -91,10 +91,10 @@ impl PaperReport<'_> {
     #[must_use]
     pub fn text(&self) -> String {
         let section = |table: &&str| {
-            let rows = self.of(table);
+            let rows = self.rows_of(table);
             (!rows.is_empty()).then(|| format!("{}\n\n{}\n\n", title(table), table_of(rows, &COLUMNS, 5)))
         };
-        let have = self.of("accuracy").iter().filter(|row| row.measured.is_some()).count();
+        let have = self.rows_of("accuracy").iter().filter(|row| row.measured.is_some()).count();
         let tables: String = TABLES.iter().filter_map(section).collect();
         format!(
             "{tables}{have} cells of the table of accuracies are measured, of scenes that were simulated unless the note says otherwise\n"
