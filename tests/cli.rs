@@ -452,6 +452,41 @@ fn a_fan_in_beyond_a_core_names_its_population_and_the_ways_out() {
 }
 
 #[test]
+fn independent_errors_of_a_file_are_told_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = |du: u32, second: &str, to: &str, output: &str| {
+        format!(
+            "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]),
+             Loihi(name: \"a\", shape: [4], du: {du}, dv: 5001, vth_mant: 130),
+             Loihi(name: \"b\", shape: [{second}], du: 1024, dv: 256, vth_mant: 1300000)],
+             projections: [Random(from: [\"in\"], to: \"{to}\", fan_out: 2, low: 0, high: 8, seed: 1),
+             Random(from: [\"y\"], to: \"a\", fan_out: 2, low: 0, high: 8, seed: 1)], output: \"{output}\")"
+        )
+    };
+    let codes_and_lines = |text: &str| {
+        let model = write(folder.path(), "bad.ron", text);
+        let error = object(&["map", &model], 3);
+        let others = error["others"].as_array().unwrap();
+        let (_, _, stderr) = said(&["map", &model]);
+        assert_eq!(stderr.matches("error[").count(), 1 + others.len(), "{stderr}");
+        std::iter::once(&error)
+            .chain(others)
+            .map(|one| (one["code"].to_string(), one["line"].to_string()))
+            .collect::<Vec<_>>()
+    };
+    let told = |list: &[(&str, u32)]| -> Vec<(String, String)> {
+        list.iter().map(|(code, line)| (format!("\"{code}\""), line.to_string())).collect()
+    };
+    // A population that cannot be read hides who names it; names that nobody has hide values.
+    assert_eq!(codes_and_lines(&line(500, "0", "x", "zz")), told(&[("model.shape", 3)]));
+    let unknown = "model.unknown-population";
+    assert_eq!(codes_and_lines(&line(500, "2", "x", "zz")), told(&[(unknown, 4), (unknown, 5), (unknown, 5)]));
+    let values = line(5000, "2", "a", "b").replace("[\"y\"]", "[\"b\"]");
+    let range = "model.range";
+    assert_eq!(codes_and_lines(&values), told(&[(range, 2), (range, 2), (range, 3)]));
+}
+
+#[test]
 fn errors_have_a_status_a_place_and_an_object() {
     let folder = tempfile::tempdir().unwrap();
     let model = write(folder.path(), "bad.ron", &MODEL.replace("du: 1024", "du: 5000"));

@@ -90,21 +90,66 @@ pub struct Diagnostic {
     /// What is wrong, with the entity, the value and the limit.
     pub message: String,
     /// What to change.
-    pub help: Option<String>,
+    pub help: Option<Box<str>>,
     /// Where, when a file is to blame.
     pub place: Option<Place>,
+    /// Further problems of the same input.
+    others: Option<Box<Others>>,
+}
+
+/// Problems that have nothing to do with the one they come with. Boxed: results carry diagnostics everywhere.
+#[derive(Debug, Clone)]
+struct Others(Vec<Diagnostic>);
+
+/// The most problems of an input that are told together.
+const MOST_TOGETHER: usize = 10;
+
+/// Every value; or every problem, the first with the others behind it.
+///
+/// # Errors
+/// The problems of these results, if there are any.
+pub fn gathered<T>(results: impl IntoIterator<Item = Result<T>>) -> Result<Vec<T>> {
+    let (mut values, mut problems) = (Vec::new(), Vec::new());
+    for result in results {
+        match result {
+            Ok(value) => values.push(value),
+            Err(mut problem) => {
+                let others = problem.others.take();
+                problems.push(problem);
+                problems.extend(others.into_iter().flat_map(|others| others.0));
+            }
+        }
+        if problems.len() >= MOST_TOGETHER {
+            break;
+        }
+    }
+    let mut problems = problems.into_iter();
+    match problems.next() {
+        None => Ok(values),
+        Some(first) => {
+            let others: Vec<Diagnostic> = problems.take(MOST_TOGETHER - 1).collect();
+            let others = (!others.is_empty()).then(|| Box::new(Others(others)));
+            Err(Diagnostic { others, ..first })
+        }
+    }
 }
 
 impl Diagnostic {
     /// A problem with this code and message.
     #[must_use]
     pub fn new(code: &'static str, message: impl Into<String>) -> Self {
-        Diagnostic { code, message: message.into(), help: None, place: None }
+        Diagnostic { code, message: message.into(), help: None, place: None, others: None }
+    }
+
+    /// Further problems of the same input, which have nothing to do with this one.
+    #[must_use]
+    pub fn others(&self) -> &[Diagnostic] {
+        self.others.as_ref().map_or(&[], |others| &others.0)
     }
 
     /// With advice.
     #[must_use]
-    pub fn help(mut self, help: impl Into<String>) -> Self {
+    pub fn help(mut self, help: impl Into<Box<str>>) -> Self {
         self.help = Some(help.into());
         self
     }

@@ -87,6 +87,7 @@ fn object(error: &Error) -> serde_json::Value {
         Error::Fault(_) => ("fault", None, None),
     };
     let position = place.and_then(|d| d.position());
+    let others = place.map_or(&[][..], |d| d.others()).iter().map(|other| object(&other.clone().into()));
     json!({
         "schema": "nsim.error/1",
         "code": code,
@@ -95,12 +96,16 @@ fn object(error: &Error) -> serde_json::Value {
         "file": place.and_then(|d| d.file()).map(|file| file.display().to_string()),
         "line": position.map(|p| p.line),
         "column": position.map(|p| p.column),
+        "others": others.collect::<Vec<_>>(),
     })
 }
 
 fn text(error: &Error, colour: bool) -> String {
     match error {
-        Error::Input(diagnostic) => drawn(diagnostic, colour),
+        Error::Input(diagnostic) => {
+            let all = std::iter::once(&**diagnostic).chain(diagnostic.others());
+            all.map(|one| drawn(one, colour)).collect::<Vec<_>>().join("\n")
+        }
         Error::Usage(message) => format!("error: {message}\n\nFor more information, try '--help'.\n"),
         Error::Fault(_) => format!("error[fault]: {error}\n"),
     }

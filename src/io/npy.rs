@@ -78,7 +78,7 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<usize> {
         let archive =
             bytes.starts_with(b"PK\x03\x04").then_some("this is an archive (.npz?); save each array with numpy.save");
         let mut other = Diagnostic::new("npy.format", "this is not a NumPy array: it does not start with \\x93NUMPY");
-        other.help = archive.map(str::to_string);
+        other.help = archive.map(Into::into);
         return Err(other.in_file(path));
     }
     let (length, start) = match *bytes.get(6..).unwrap_or_default() {

@@ -155,19 +155,16 @@ pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
             let bytes = error.into_bytes();
             let byte = bytes[good];
             let text = std::str::from_utf8(&bytes[..good]).unwrap_or_default();
-            let mut diagnostic = Diagnostic::new("io.utf8", format!("byte 0x{byte:02x} at offset {good} is not UTF-8"))
+            let help = if bytes.starts_with(NPY_MAGIC) {
+                "this is a NumPy array; a text file is expected here"
+            } else if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+                "this looks like UTF-16; save the file as UTF-8"
+            } else {
+                "a text file in UTF-8 is expected here"
+            };
+            let diagnostic = Diagnostic::new("io.utf8", format!("byte 0x{byte:02x} at offset {good} is not UTF-8"))
                 .at(&SourceText::new(name, text), Span { start: good, end: good });
-            diagnostic.help = Some(
-                if bytes.starts_with(NPY_MAGIC) {
-                    "this is a NumPy array; a text file is expected here"
-                } else if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
-                    "this looks like UTF-16; save the file as UTF-8"
-                } else {
-                    "a text file in UTF-8 is expected here"
-                }
-                .to_string(),
-            );
-            Err(diagnostic)
+            Err(diagnostic.help(help))
         }
     }
 }

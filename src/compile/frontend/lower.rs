@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use petgraph::graph::{DiGraph, NodeIndex};
 
-use crate::base::diagnostic::{Diagnostic, Span};
+use crate::base::diagnostic::{Diagnostic, Span, gathered};
 use crate::base::fixed::{Delay, Payload, SignMode};
 use crate::base::names::did_you_mean;
 use crate::base::rng;
@@ -43,8 +43,15 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     let mut graph = DiGraph::new();
     let mut nodes: HashMap<&str, NodeIndex> = HashMap::new();
     let mut units = 0u64;
+    let mut problems = Vec::new();
     for desc in &file.populations {
-        let population = lowering.population(desc)?;
+        let population = match lowering.population(desc) {
+            Ok(population) => population,
+            Err(problem) => {
+                problems.push(Err(problem));
+                continue;
+            }
+        };
         units += u64::from(population.shape.len());
         if matches!(population.kind, PopulationKind::Input) && u64::from(population.shape.len()) > MOST_CHANNELS {
             let message = format!("{} input channels are more than {MOST_CHANNELS}", population.shape.len());
@@ -63,10 +70,12 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
                 .help("give each population its own name"));
         }
     }
-    for desc in &file.projections {
-        lowering.projection(desc, &nodes, &mut graph)?;
-    }
-    let output = lowering.find(&nodes, &file.output, "output")?;
+    // What names a population that has a problem would have one too.
+    gathered::<()>(problems)?;
+    let output = lowering.find(&nodes, &file.output, "output");
+    let joined = file.projections.iter().map(|desc| lowering.projection(desc, &nodes, &mut graph));
+    gathered(joined.chain([output.clone().map(drop)]))?;
+    let output = output?;
     let size = graph[output].shape.len();
     if matches!(graph[output].kind, PopulationKind::Input) {
         let message = format!("output '{}' is an input population", file.output.value);

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use petgraph::graph::NodeIndex;
 
-use crate::base::diagnostic::{Diagnostic, Result, Span};
+use crate::base::diagnostic::{Diagnostic, Result, Span, gathered};
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
     WeightBits, WeightExponent,
@@ -51,6 +51,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         graph.populations().map(|(node, population)| stage.scale(node, population)).collect::<Result<_, _>>()?;
     let (mut channels, mut compartments) = (0, 0);
     let mut populations: IdVec<PopulationId, Population> = IdVec::new();
+    let mut problems = Vec::new();
     for ((_, population), scale) in graph.populations().zip(&scales) {
         let units = match &population.kind {
             PopulationKind::Input => {
@@ -61,7 +62,13 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
             PopulationKind::Neurons(parameters) => {
                 let first = CompartmentId(compartments);
                 compartments += population.shape.len();
-                let neurons = stage.neurons(population, parameters, *scale)?;
+                let neurons = match stage.neurons(population, parameters, *scale) {
+                    Ok(neurons) => neurons,
+                    Err(problem) => {
+                        problems.push(Err(problem));
+                        continue;
+                    }
+                };
                 Units::Compartments { first, neurons, start_step: parameters.start_step }
             }
             PopulationKind::Srm(_) => return Err(stage.real_neurons(population)),
@@ -69,10 +76,11 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         let (name, payload) = (population.name.clone(), population.payload);
         populations.push(Population { name, shape: population.shape, units, payload });
     }
-    let mut projections: IdVec<ProjectionId, Projection> = graph
+    let projections = graph
         .projections()
-        .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]))
-        .collect::<Result<_, _>>()?;
+        .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]));
+    let mut projections: IdVec<ProjectionId, Projection> =
+        gathered(problems.into_iter().chain(projections))?.into_iter().collect();
     if detail >= Detail::Carried {
         carry::carry(graph, &populations, &scales, &mut projections);
     }
@@ -278,12 +286,8 @@ impl Stage<'_> {
             let message = format!("population '{name}': {} has no form in semantics {semantics:?}", p.kind.name());
             return Err(self.error("model.semantics", message, population.span));
         }
-        let integers: Vec<PerCompartment<i64>> = p
-            .kind
-            .parameters()
-            .iter()
-            .map(|parameter| self.parameter(name, p, parameter, scale))
-            .collect::<Result<_, _>>()?;
+        let integers = p.kind.parameters().iter().map(|parameter| self.parameter(name, p, parameter, scale));
+        let integers = gathered(integers)?;
         let neuron = |index: u32| {
             let values: Vec<i64> = integers.iter().map(|values| values.get(index)).collect();
             (kind.neuron)(&values)

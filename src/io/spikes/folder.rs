@@ -72,19 +72,19 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     }
     if found.is_empty() {
         others.sort();
-        let mut missing =
+        let missing =
             Diagnostic::new("input.folder", "the folder holds no sample_<i>_label_<c>.npy and no recording of events")
                 .in_file(folder);
         let inner: Vec<&str> =
             others.iter().filter(|(_, path)| path.is_dir()).map(|(name, _)| name.as_str()).take(8).collect();
-        missing.help = if others.iter().any(|(name, _)| name == MANIFEST) {
-            Some(format!("it holds a manifest: give {}", folder.join(MANIFEST).display()))
+        let help = if others.iter().any(|(name, _)| name == MANIFEST) {
+            format!("it holds a manifest: give {}", folder.join(MANIFEST).display())
         } else if inner.is_empty() {
-            Some(format!("it holds {} other files", others.len()))
+            format!("it holds {} other files", others.len())
         } else {
-            Some(format!("it holds the folders {}; give one of them", inner.join(", ")))
+            format!("it holds the folders {}; give one of them", inner.join(", "))
         };
-        return Err(missing);
+        return Err(missing.help(help));
     }
     Ok(found.into_iter().map(|(index, (label, path))| (index, label, path)).collect())
 }
