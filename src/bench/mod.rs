@@ -5,12 +5,10 @@
 //!
 //! There are no goals here: documents say whether a figure is good.
 
-mod builder;
 pub mod cpu;
 pub mod early;
 pub mod environment;
 pub mod gpu;
-mod layers;
 pub mod mapping;
 pub mod measure;
 pub mod networks;

@@ -32,8 +32,8 @@
 
 use crate::base::fixed::SignMode;
 use crate::base::rng;
-use crate::bench::builder::Builder;
-use crate::bench::layers::Layers;
+use crate::bench::networks::builder::Builder;
+use crate::bench::networks::layers::Layers;
 use crate::bench::networks::{
     BenchNetwork, BuildError, Random, conv_10m, dvs_gesture, independent_spikes, lava_pilotnet, random,
     random_synapses, vtsnn,

@@ -173,9 +173,15 @@ impl<'i> Machine<'i> {
     fn deliver_and_update(&mut self, channels: &[ChannelId], left: u32) {
         std::mem::swap(&mut self.spikes, &mut self.carried);
         std::mem::swap(&mut self.payloads, &mut self.carried_payloads);
-        if self.others.is_none() {
-            return self.each_shard(Phase::Whole, channels, left);
+        match self.others {
+            None => self.each_shard(Phase::Whole, channels, left),
+            Some(_) => self.deliver_and_update_with_others(channels, left),
         }
+    }
+
+    /// The same among other ranks, apart: a step of one process is to have nothing of it.
+    #[cold]
+    fn deliver_and_update_with_others(&mut self, channels: &[ChannelId], left: u32) {
         // What is known is delivered while the rest is under way.
         self.each_shard(Phase::Deliver, channels, left);
         self.take_remote();
@@ -209,6 +215,7 @@ impl<'i> Machine<'i> {
     }
 
     /// A phase of every shard's step.
+    #[inline(always)]
     fn each_shard(&mut self, phase: Phase, channels: &[ChannelId], left: u32) {
         let image = self.image;
         let input = &StepInput {

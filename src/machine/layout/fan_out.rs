@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use crate::base::id::{ChannelId, Id};
+use crate::machine::layout::delivery_cost::DeliveryParts;
 use crate::machine::layout::dense_blocks::{BlockWriter, DenseBlock, DenseBlocks};
 use crate::machine::layout::flatten::Flattened;
 use crate::machine::layout::lists::ListTable;
@@ -51,6 +53,31 @@ impl FanOut {
         let adjacent =
             |end: u32, block: &DenseBlock| Some(block.end).filter(|_| block.first == end && block.narrow().is_some());
         self.rows.is_none() && self.lists.is_none() && self.dense.blocks.iter().try_fold(0, adjacent) == Some(sources)
+    }
+
+    /// Adds what delivering these spikes, in ascending order, consists of.
+    pub fn add_parts(&self, spikes: &[ChannelId], parts: &mut DeliveryParts) {
+        for spike in spikes {
+            if let Some(table) = &self.rows {
+                let (_, places, rows) = table.stencil(table.origins[spike.index()]);
+                parts.row += rows;
+                parts.row_chunk += places[..rows].iter().map(|place| place.row().chunks()).sum::<usize>();
+            }
+            if let Some(table) = &self.lists {
+                let synapses = table.places[spike.index()].len();
+                parts.list += usize::from(synapses > 0);
+                parts.synapse += synapses;
+            }
+        }
+        for block in &self.dense.blocks {
+            let first = spikes.partition_point(|spike| spike.0 < block.first);
+            let sources = spikes[first..].partition_point(|spike| spike.0 < block.end);
+            if sources > 0 {
+                parts.block += 1;
+                parts.range += block.ranges.len();
+                parts.chunk += sources * block.stride;
+            }
+        }
     }
 
     /// Bytes of memory that it holds.

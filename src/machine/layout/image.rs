@@ -10,12 +10,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::base::id::{CompartmentId, Id};
+use crate::base::id::{ChannelId, CompartmentId, Id};
 use crate::desc::network::Semantics;
 use crate::ir::program::Program;
 use crate::ir::quantised::{Neuron, Reset};
 use crate::machine::count::residual::Residual;
 use crate::machine::count::tally::Tally;
+use crate::machine::layout::delivery_cost::DeliveryParts;
 use crate::machine::layout::fan_out::FanOut;
 use crate::machine::layout::flatten::Flattener;
 use crate::machine::layout::lane_order::LaneOrder;
@@ -169,6 +170,15 @@ impl<'p> Image<'p> {
     #[must_use]
     pub fn shared_chunks(&self) -> usize {
         self.rows.chunks()
+    }
+
+    /// What it takes to deliver the spikes of these channels, in ascending order, that spike in one step.
+    #[must_use]
+    pub fn delivery_parts(&self, channels: &[ChannelId]) -> DeliveryParts {
+        let mut parts = DeliveryParts::default();
+        let fan_outs = self.shards.iter().flat_map(|shard| &shard.from_channels);
+        fan_outs.for_each(|fan_out| fan_out.add_parts(channels, &mut parts));
+        parts
     }
 
     /// The parameters of a compartment.

@@ -1,5 +1,6 @@
 //! A program laid out for the processor: the image that a run only reads.
 
+pub mod delivery_cost;
 pub(crate) mod dense_blocks;
 pub(crate) mod fan_out;
 pub(crate) mod flatten;

@@ -5,6 +5,7 @@
 //! less time than one listed synapse, so blocks pay even with many zeros. But a chunk takes the memory of ten synapses, so blocks
 //! with many zeros do not pay in networks that fit no cache.
 
+use crate::machine::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::machine::layout::padded_runs::{Packing, RunForm};
 use crate::machine::update::kernel::LANES;
 
@@ -16,21 +17,11 @@ const CHUNK_BYTES: usize = 2 * LANES;
 const DENSE: u32 = 5;
 /// Bytes of weights that may be mostly zeros: half of a second-level cache.
 const CACHED: usize = 1 << 20;
-/// Cost of delivery in tenths of a nanosecond: a chunk of a dense block, measured with `vtsnn-5pct`.
-const CHUNK_COST: usize = 4;
-/// A synapse of a list, measured with `random-32k`.
-const SYNAPSE_COST: usize = 6;
-/// Looking up a list.
-const LIST_COST: usize = 40;
-/// Finding a dense block.
-const BLOCK_COST: usize = 50;
-/// Beginning a lane range of it: loading sums into registers and storing them.
-const RANGE_COST: usize = 40;
 /// Steps in which each source spikes about once: sources of a block that spike together find it once.
 const STEPS: usize = 20;
 /// Chunks of zeros a source that may be added to join two blocks, by round: similar blocks join first. The last is worth what a
 /// block costs.
-const ZEROS: [usize; 5] = [1, 3, 6, 12, (BLOCK_COST + RANGE_COST) / CHUNK_COST];
+const ZEROS: [usize; 5] = [1, 3, 6, 12, (COST.block + COST.range) / COST.chunk];
 
 /// Consecutive sources that become a dense block.
 #[derive(Debug)]
@@ -61,7 +52,7 @@ impl PlannedBlock {
     /// Cost when each source spikes once.
     fn cost(&self) -> usize {
         let ranges = self.chunks.chunk_by(|a, b| a + 1 == *b).count();
-        self.size() * CHUNK_COST + self.sources().min(STEPS) * (BLOCK_COST + ranges * RANGE_COST)
+        self.size() * COST.chunk + self.sources().min(STEPS) * (COST.block + ranges * COST.range)
     }
 
     /// Joins the next block if that adds few zeros; returns the chunks of zeros added, or the next block. Zeros may be half of
@@ -160,7 +151,7 @@ impl Candidate {
     fn drop_losses(&mut self) {
         let (listed, size) = (&mut self.listed, &mut self.size);
         self.blocks.retain(|block| {
-            let keep = block.cost() <= block.synapses * SYNAPSE_COST + block.sources() * LIST_COST;
+            let keep = block.cost() <= block.synapses * COST.synapse + block.sources() * COST.list;
             *listed += if keep { 0 } else { block.synapses };
             *size -= if keep { 0 } else { block.size() };
             keep
@@ -169,7 +160,7 @@ impl Candidate {
 
     /// Cost when each source spikes once.
     fn cost(&self, sources: usize) -> usize {
-        let lists = if self.listed > 0 { self.listed * SYNAPSE_COST + sources * LIST_COST } else { 0 };
+        let lists = if self.listed > 0 { self.listed * COST.synapse + sources * COST.list } else { 0 };
         self.blocks.iter().map(PlannedBlock::cost).sum::<usize>() + lists
     }
 }

@@ -18,13 +18,10 @@ use rayon::prelude::*;
 use crate::base::csr::Csr;
 use crate::base::id::{CoreId, Id};
 use crate::ir::program::{CoreFormat, CoreImage, Program, Selected, Stored, Synapse};
+use crate::machine::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::machine::layout::lane_order::LaneOrder;
 use crate::machine::update::kernel::LANES;
 
-/// Cost of delivery in tenths of a nanosecond: a row, a chunk of it, and a synapse of a list, measured with `conv-98k`.
-const ROW_COST: usize = 15;
-const CHUNK_COST: usize = 5;
-const SYNAPSE_COST: usize = 6;
 /// Lanes without a synapse that a row may bridge.
 const BRIDGED: u16 = LANES as u16;
 /// How often rows must be used on average: rows of one source each belong to dense blocks.
@@ -245,13 +242,14 @@ fn rows_of(
     if !scratch.is_sorted_by_key(|&(delay, rank, _)| (delay, rank)) {
         scratch.sort_unstable();
     }
+    // The last chunk of a row may reach beyond its last lane, whose number has 16 bits.
     let together =
         |a: &(u8, u16, i16), b: &(u8, u16, i16)| a.0 == b.0 && b.1 - a.1 <= BRIDGED && b.1 < u16::MAX - LANES as u16;
     let mut cost = 0;
     for row in scratch.chunk_by(together) {
         let span = usize::from(row[row.len() - 1].1 - row[0].1) + 1;
-        cost += ROW_COST + span.div_ceil(LANES) * CHUNK_COST;
-        if cost > axon.stored.len() * SYNAPSE_COST {
+        cost += COST.row + span.div_ceil(LANES) * COST.row_chunk;
+        if cost > axon.stored.len() * COST.synapse {
             return None;
         }
     }

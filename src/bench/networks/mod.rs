@@ -30,14 +30,17 @@
 //! Channels of the convolutions spike independently: 5 % a step, in `conv-10m` 1 %, in `conv-98k` 8 %, whose compartments
 //! have thirteen times the threshold of the others, so that about 4 % of them fire.
 
+pub(super) mod builder;
+pub mod delivery;
+pub(super) mod layers;
+
 use crate::base::fixed::{OutOfRange, SignMode};
 use crate::base::id::{ChannelId, PopulationId};
 use crate::base::names::named_variants;
 use crate::base::rng;
-use crate::bench::builder::Builder;
-use crate::bench::layers::Layers;
-use crate::ir::graph::PerCompartment;
-use crate::ir::quantised::{Connectivity, Inconsistent, Neuron, Quantised, Units};
+use crate::bench::networks::builder::Builder;
+use crate::bench::networks::layers::Layers;
+use crate::ir::quantised::{Connectivity, Inconsistent, Neuron, Quantised};
 use crate::ir::spikes::{Sample, SampleError};
 
 /// A standard network. Its names are fixed: stored results carry them.
@@ -324,10 +327,8 @@ fn events_over(
     let mut net = Builder::new(name);
     let drive = net.input("drive", compartments);
     let neurons = net.loihi("neurons", compartments, 131_071, 1)?;
-    if let Units::Compartments { neurons, .. } = &mut net.parts.populations[neurons].units {
-        // Without memory, and with the greatest threshold.
-        *neurons = PerCompartment::Same(Neuron::PLAIN);
-    }
+    // Without memory, and with the greatest threshold.
+    net.neurons_of_last(Neuron::PLAIN);
     spread((&mut net, (drive, neurons)), compartments, delays)?;
     // A stride that shares no factor with the number of channels visits each before any again.
     let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);

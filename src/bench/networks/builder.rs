@@ -19,20 +19,23 @@ const THRESHOLD: i64 = 1_400;
 const REFRACTORY: i64 = 8;
 
 /// Appends populations and projections in order.
-pub(super) struct Builder {
-    pub(super) parts: Parts,
+pub(in crate::bench) struct Builder {
+    pub(in crate::bench) parts: Parts,
     channels: u32,
     compartments: u32,
 }
 
 impl Builder {
-    pub(super) fn new(name: &str) -> Self {
+    pub(in crate::bench) fn new(name: &str) -> Self {
         let parts = Parts::empty(name);
         Builder { parts, channels: 0, compartments: 0 }
     }
 
     /// Compartments that fire at a set rate: each has a driving channel over one strong synapse.
-    pub(super) fn driven(name: &str, compartments: u32) -> Result<(Self, PopulationId, PopulationId), OutOfRange> {
+    pub(in crate::bench) fn driven(
+        name: &str,
+        compartments: u32,
+    ) -> Result<(Self, PopulationId, PopulationId), OutOfRange> {
         let mut net = Builder::new(name);
         let drive = net.input("drive", compartments);
         let neurons = net.loihi("neurons", compartments, THRESHOLD, REFRACTORY)?;
@@ -45,7 +48,7 @@ impl Builder {
         Ok((net, drive, neurons))
     }
 
-    pub(super) fn input(&mut self, name: &str, channels: u32) -> PopulationId {
+    pub(in crate::bench) fn input(&mut self, name: &str, channels: u32) -> PopulationId {
         let units = Units::Input(ChannelId(self.channels));
         self.channels += channels;
         self.parts.populations.push(Population {
@@ -57,7 +60,7 @@ impl Builder {
     }
 
     /// Gives the last population a shape over space with as many units.
-    pub(super) fn over_space(&mut self, channels: u32, height: u32, width: u32) {
+    pub(in crate::bench) fn over_space(&mut self, channels: u32, height: u32, width: u32) {
         let shape = Shape::Volume(channels, height, width);
         if let Some(last) = self.parts.populations.iter_mut().last().filter(|last| last.shape.len() == shape.len()) {
             last.shape = shape;
@@ -65,7 +68,7 @@ impl Builder {
     }
 
     /// Compartments with the decays of the published visual-tactile network; the last population is the output.
-    pub(super) fn loihi(
+    pub(in crate::bench) fn loihi(
         &mut self,
         name: &str,
         compartments: u32,
@@ -86,7 +89,16 @@ impl Builder {
         Ok(self.parts.output)
     }
 
-    pub(super) fn connect(
+    /// Gives the last population these neurons.
+    pub(in crate::bench) fn neurons_of_last(&mut self, neuron: Neuron) {
+        if let Some(Population { units: Units::Compartments { neurons, .. }, .. }) =
+            self.parts.populations.as_mut_slice().last_mut()
+        {
+            *neurons = PerCompartment::Same(neuron);
+        }
+    }
+
+    pub(in crate::bench) fn connect(
         &mut self,
         (source, target): (PopulationId, PopulationId),
         exponent: i64,
@@ -102,7 +114,7 @@ impl Builder {
     }
 
     /// Gives the last projection this delay.
-    pub(super) fn delay_last(&mut self, delay: i64) -> Result<(), OutOfRange> {
+    pub(in crate::bench) fn delay_last(&mut self, delay: i64) -> Result<(), OutOfRange> {
         let delay = Delay::new(delay)?;
         if let Some(projection) = self.parts.projections.as_mut_slice().last_mut() {
             projection.delay = delay;
@@ -111,7 +123,7 @@ impl Builder {
     }
 
     /// All to all with even weights in `low..=high`.
-    pub(super) fn dense(
+    pub(in crate::bench) fn dense(
         &mut self,
         ends: (PopulationId, PopulationId),
         (low, high): (i16, i16),
@@ -125,7 +137,7 @@ impl Builder {
         self.connect(ends, 0, SignMode::Mixed, Connectivity::Dense { targets, weights })
     }
 
-    pub(super) fn build(self) -> Result<Quantised, Inconsistent> {
+    pub(in crate::bench) fn build(self) -> Result<Quantised, Inconsistent> {
         Quantised::new(self.parts)
     }
 }

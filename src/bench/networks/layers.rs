@@ -6,12 +6,12 @@
 use crate::base::fixed::{OutOfRange, SignMode};
 use crate::base::id::PopulationId;
 use crate::base::rng;
-use crate::bench::builder::Builder;
+use crate::bench::networks::builder::Builder;
 use crate::ir::graph::Window;
 use crate::ir::quantised::Connectivity;
 
 /// Layers that grow one by one.
-pub(super) struct Layers {
+pub(in crate::bench) struct Layers {
     /// The network so far.
     pub net: Builder,
     last: PopulationId,

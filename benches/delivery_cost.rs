@@ -1,0 +1,64 @@
+//! Measures what the parts of a delivery take, and prints it beside the table by which the machine chooses forms of synapses
+//! (`src/machine/layout/delivery_cost.rs`): `cargo bench --bench delivery_cost`, on a quiet machine.
+
+// A bench that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+use std::time::Duration;
+
+use nsim::base::id::ChannelId;
+use nsim::bench::networks::delivery::{DeliveryNetwork, delivery_networks, lists_beyond_caches};
+use nsim::bench::{Budget, measure};
+use nsim::compile::{Options, compile};
+use nsim::cost::calibrate::{Cell, Unknown, fit};
+use nsim::io::target::load_target;
+use nsim::ir::spikes::Sample;
+use nsim::machine::layout::delivery_cost::{DELIVERY_COST, DeliveryParts};
+use nsim::machine::{Image, Machine, Settings};
+
+/// How long each step is measured.
+const BUDGET: Budget = Budget::Time(Duration::from_millis(400));
+
+/// The parts that the second half of the spikes adds, and the nanoseconds that it takes.
+fn measured(one: DeliveryNetwork) -> (String, [f64; 7], f64) {
+    let target = load_target("nahuku-32").unwrap();
+    let program = compile(one.network, &target, &Options::default()).unwrap().program;
+    let image = Image::new(&program, 1).unwrap();
+    let half = &one.spikes[..one.spikes.len() / 2];
+    let of = |spikes: &[ChannelId]| {
+        let at = |step| spikes.iter().map(move |spike| (step, ChannelId(spike.0 + step)));
+        let events: Vec<_> = (0..one.period).flat_map(at).collect();
+        let period = Sample::new(one.period, &events, None).unwrap();
+        // Compartments at rest are updated too: the update is the same, whatever spikes.
+        let mut machine = Machine::new(&image, Settings { skip: false, per_step: false });
+        1e3 * measure(&mut machine, &period, BUDGET).fastest
+    };
+    let (all, fewer) = (of(&one.spikes), of(half));
+    let (parts, before) = (image.delivery_parts(&one.spikes).numbers(), image.delivery_parts(half).numbers());
+    (one.name, std::array::from_fn(|part| parts[part] as f64 - before[part] as f64), all - fewer)
+}
+
+fn main() {
+    let rows: Vec<_> = delivery_networks().unwrap().into_iter().map(measured).collect();
+    let cells: Vec<Cell> = rows.iter().map(|&(_, _, ns)| Cell { value: ns, half: 0.05 * ns }).collect();
+    let table = DELIVERY_COST.numbers().map(|tenths| tenths as f64 / 10.0);
+    let unknowns: Vec<Unknown> = DeliveryParts::NAMES
+        .iter()
+        .zip(table)
+        .map(|(name, start)| Unknown { name: (*name).to_string(), start, step: 1e-3 })
+        .collect();
+    let time = |parts: &[f64; 7], each: &[f64]| parts.iter().zip(each).map(|(number, ns)| number * ns).sum::<f64>();
+    let predict = |lists: &[Vec<f64>]| {
+        Ok::<_, ()>(lists.iter().map(|each| rows.iter().map(|(_, parts, _)| time(parts, each)).collect()).collect())
+    };
+    let fitted = fit(&unknowns, &cells, predict).unwrap().unwrap();
+    println!("{:>28} {:>10} {:>10} {:>10}", "ns of a step's spikes", "measured", "table", "fitted");
+    let beyond = measured(lists_beyond_caches().unwrap());
+    for (name, parts, ns) in rows.iter().chain([&beyond]) {
+        println!("{name:>28} {ns:>10.0} {:>10.0} {:>10.0}", time(parts, &table), time(parts, &fitted.values));
+    }
+    println!("\n{:>28} {:>10} {:>10}", "ns of a part", "table", "fitted");
+    for ((name, table), fitted) in DeliveryParts::NAMES.iter().zip(table).zip(&fitted.values) {
+        println!("{name:>28} {table:>10.2} {fitted:>10.2}");
+    }
+}
