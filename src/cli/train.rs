@@ -129,7 +129,7 @@ fn examples(
     network: &Quantised,
     given: &[String],
     named: &[String],
-    what: &str,
+    (what, classes): (&str, usize),
     config: &Path,
 ) -> Result<Vec<Example>> {
     let sources = if given.is_empty() { named } else { given };
@@ -139,12 +139,29 @@ fn examples(
     let stimulus = inputs::stimulus(network, sources, None, None)?;
     let mut examples = Vec::with_capacity(stimulus.samples.len());
     for (index, sample) in stimulus.samples.iter().enumerate() {
-        let example = Example::from_sample(network, sample);
-        examples.push(example.ok_or_else(|| {
-            Diagnostic::new("train.label", format!("{what} sample {index} has no label")).in_file(config)
-        })?);
+        let wrong = |message: String| Diagnostic::new("train.label", message).in_file(config);
+        let example = Example::from_sample(network, sample)
+            .ok_or_else(|| wrong(format!("{what} sample {index} has no label")))?;
+        if example.label as usize >= classes {
+            return Err(wrong(format!("a sample has label {}, the network {classes} outputs", example.label)).into());
+        }
+        examples.push(example);
     }
     Ok(examples)
+}
+
+/// The training samples of a file, and its number of classes.
+///
+/// # Errors
+/// As those of a training.
+#[cfg(feature = "ann")]
+pub(in crate::cli) fn labelled(file: &TrainingFile, source: &SourceText) -> Result<(Vec<Example>, usize)> {
+    let classes = plan(file, source)?.topology.classes();
+    let samples = examples(&stand_in(file)?, &[], &file.train, ("training", classes), source.path())?;
+    if samples.is_empty() {
+        return Err(Diagnostic::new("train.sources", "it names no samples to train on").in_file(source.path()).into());
+    }
+    Ok((samples, classes))
 }
 
 /// Training and test samples.
@@ -155,14 +172,10 @@ struct Data {
 
 fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data> {
     let network = stand_in(file)?;
-    let train = examples(&network, &args.train, &file.train, "training", &args.config)?;
-    let test = examples(&network, &args.test, &file.test, "test", &args.config)?;
+    let train = examples(&network, &args.train, &file.train, ("training", classes), &args.config)?;
+    let test = examples(&network, &args.test, &file.test, ("test", classes), &args.config)?;
     if train.is_empty() {
         return Err(Error::Usage("there are no training samples: add --train SOURCE".to_string()));
-    }
-    if let Some(example) = train.iter().chain(&test).find(|example| example.label as usize >= classes) {
-        let message = format!("a sample has label {}, the network {classes} outputs", example.label);
-        return Err(Diagnostic::new("train.label", message).in_file(&args.config).into());
     }
     Ok(Data { train, test })
 }
@@ -225,9 +238,14 @@ fn cross_validate(plan: &Plan, examples: &[Example], fold: &[usize], context: Co
 /// Folds are drawn from a fixed seed, so that every setting is tried on the same ones.
 const FOLD_SEED: u64 = 0;
 
-fn folds(args: &Args, examples: &[Example]) -> Vec<Vec<usize>> {
+/// So many folds of these samples.
+pub(in crate::cli) fn folds_of(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
     let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
-    args.folds.map_or_else(Vec::new, |k| stratified_folds(&labels, k as usize, FOLD_SEED))
+    stratified_folds(&labels, k as usize, FOLD_SEED)
+}
+
+fn folds(args: &Args, examples: &[Example]) -> Vec<Vec<usize>> {
+    args.folds.map_or_else(Vec::new, |k| folds_of(examples, k))
 }
 
 /// Output spikes as a run shows them.

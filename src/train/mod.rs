@@ -6,6 +6,8 @@
 //! temporal credit assignment and surrogate; rounding is passed straight through. Convolutions, recurrent projections and
 //! trained delays are left out on purpose.
 
+#[cfg(feature = "ann")]
+pub mod ann;
 pub mod augment;
 pub mod cells;
 pub mod checkpoint;

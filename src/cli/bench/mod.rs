@@ -1,5 +1,7 @@
 //! `nsim bench`: measures speed and the quality of mappings.
 
+#[cfg(feature = "ann")]
+pub mod ann;
 pub mod early;
 pub mod paper;
 pub mod pareto;
@@ -75,6 +77,8 @@ enum Which {
     Published(PublishedArgs),
     Scale(ScaleArgs),
     Paper(PaperArgs),
+    #[cfg(feature = "ann")]
+    Ann(ann::AnnArgs),
 }
 
 /// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each mapping is run and its
@@ -136,6 +140,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Published(args) => published::run(args, context),
         Which::Scale(args) => scale::run(args, context),
         Which::Paper(args) => paper::run(args, context),
+        #[cfg(feature = "ann")]
+        Which::Ann(args) => ann::run(args, context),
     }
 }
 

@@ -87,15 +87,21 @@ impl PaperReport<'_> {
         TABLES.iter().filter_map(section).collect()
     }
 
-    /// For people.
+    /// The tables alone.
     #[must_use]
-    pub fn text(&self) -> String {
+    pub fn tables(&self) -> String {
         let section = |table: &&str| {
             let rows = self.rows_of(table);
             (!rows.is_empty()).then(|| format!("{}\n\n{}\n\n", title(table), table_of(rows, &COLUMNS, 5)))
         };
+        TABLES.iter().filter_map(section).collect()
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
         let have = self.rows_of("accuracy").iter().filter(|row| row.measured.is_some()).count();
-        let tables: String = TABLES.iter().filter_map(section).collect();
+        let tables = self.tables();
         format!(
             "{tables}{have} cells of the table of accuracies are measured, of scenes that were simulated unless the note says otherwise\n"
         )
