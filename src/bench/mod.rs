@@ -5,6 +5,8 @@
 //!
 //! There are no goals here: documents say whether a figure is good.
 
+#[cfg(feature = "gpu")]
+pub mod batch;
 pub mod cpu;
 pub mod early;
 pub mod environment;
