@@ -22,7 +22,7 @@ pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
     let raised = Error::new_err(error.to_string());
     let value = raised.value(py);
     let set = value.setattr("code", code).and_then(|()| value.setattr("place", place));
-    match set.and_then(|()| value.setattr("help", help)) {
+    match set.and_then(|()| value.setattr("help", help.as_deref())) {
         Ok(()) => raised,
         Err(other) => other,
     }
