@@ -2,7 +2,8 @@
 //!
 //! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start again at
 //! `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole packages: what else runs is
-//! counted too. Root alone may read them since Linux 5.10; why they could not be read is kept.
+//! counted too. Root alone may read them since Linux 5.10; why they could not be read is kept. Where nothing is stated
+//! either, a package is assumed, of which each thread stands for its share.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -78,6 +79,35 @@ impl Rapl {
     }
 }
 
+/// What a whole package is assumed to draw, how many threads share it when it is busy, and how many of them compute.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PackagePower {
+    /// At idle.
+    pub idle_mw: f64,
+    /// With all threads at work.
+    pub busy_mw: f64,
+    /// Its threads.
+    pub threads: usize,
+    /// Those that compute.
+    pub used: usize,
+}
+
+impl PackagePower {
+    /// A desktop processor's package for this machine, of which so many threads compute, for when nothing says better.
+    #[must_use]
+    pub fn assumed(used: usize) -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads, used }
+    }
+
+    /// The part that the threads in use of a busy machine stand for: idle and busy, in mW.
+    #[must_use]
+    pub fn share(self) -> (f64, f64) {
+        let share = self.used.min(self.threads) as f64 / self.threads.max(1) as f64;
+        (self.idle_mw * share, self.busy_mw * share)
+    }
+}
+
 /// How power is found.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PowerMeter {
@@ -88,14 +118,17 @@ pub enum PowerMeter {
         /// Power at idle.
         idle_mw: f64,
     },
-    /// As stated by whoever runs nsim, or by nsim when nobody did.
+    /// As stated by whoever runs nsim.
     Stated {
         /// Power at idle.
         idle_mw: f64,
         /// Power while computing.
         busy_mw: f64,
-        /// Stated or assumed.
-        source: FigureSource,
+    },
+    /// As nobody stated: the share of one thread is taken.
+    Assumed {
+        /// The package.
+        package: PackagePower,
         /// Why it is not counted.
         why: String,
     },
@@ -113,9 +146,9 @@ pub struct Power {
 }
 
 impl PowerMeter {
-    /// Counters if they can be read, after watching them at idle for a while; else what is stated.
+    /// What is stated; else counters if they can be read, after watching them at idle for a while; else an assumed package.
     #[must_use]
-    pub fn new(tree: &Path, stated: Option<(f64, f64)>, default: (f64, f64), idle: Duration) -> Self {
+    pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
         let counted = || -> Result<PowerMeter, String> {
             let rapl = Rapl::open(tree)?;
             let (before, begin) = (rapl.read()?, Instant::now());
@@ -124,15 +157,9 @@ impl PowerMeter {
             let idle_mw = rapl.between(&before, &after) as f64 / took.as_secs_f64() / 1e3;
             Ok(PowerMeter::Counted { rapl, idle_mw })
         };
-        match (stated, counted) {
-            (Some((idle_mw, busy_mw)), _) => {
-                let why = "it was stated on the command line".to_string();
-                PowerMeter::Stated { idle_mw, busy_mw, source: FigureSource::Stated, why }
-            }
-            (None, counted) => counted().unwrap_or_else(|why| {
-                let (idle_mw, busy_mw) = default;
-                PowerMeter::Stated { idle_mw, busy_mw, source: FigureSource::Assumed, why }
-            }),
+        match stated {
+            Some((idle_mw, busy_mw)) => PowerMeter::Stated { idle_mw, busy_mw },
+            None => counted().unwrap_or_else(|why| PowerMeter::Assumed { package: assumed, why }),
         }
     }
 
@@ -144,7 +171,11 @@ impl PowerMeter {
             source,
         };
         match self {
-            PowerMeter::Stated { idle_mw, busy_mw, source, .. } => (run(), power(*idle_mw, *busy_mw, *source)),
+            PowerMeter::Stated { idle_mw, busy_mw } => (run(), power(*idle_mw, *busy_mw, FigureSource::Stated)),
+            PowerMeter::Assumed { package, .. } => {
+                let (idle_mw, busy_mw) = package.share();
+                (run(), power(idle_mw, busy_mw, FigureSource::Assumed))
+            }
             PowerMeter::Counted { rapl, idle_mw } => {
                 let (before, begin) = (rapl.read(), Instant::now());
                 let out = run();
@@ -169,9 +200,13 @@ impl PowerMeter {
             PowerMeter::Counted { .. } => {
                 "power from the energy counters of its packages, idle measured first".to_string()
             }
-            PowerMeter::Stated { idle_mw, busy_mw, source, why } => format!(
-                "power {}, {} W idle and {} W busy, since {why}; --cpu-watts IDLE,BUSY states another",
-                source.name(),
+            PowerMeter::Stated { idle_mw, busy_mw } => {
+                format!("power {}, {} W idle and {} W busy", FigureSource::Stated.name(), idle_mw / 1e3, busy_mw / 1e3)
+            }
+            PowerMeter::Assumed { package: PackagePower { idle_mw, busy_mw, threads, used }, why } => format!(
+                "power {}, {used} of {threads} threads that share a package of {} W idle and {} W busy, since {why}; no ratio is \
+                 taken to it; --cpu-watts IDLE,BUSY states it",
+                FigureSource::Assumed.name(),
                 idle_mw / 1e3,
                 busy_mw / 1e3
             ),
@@ -230,17 +265,23 @@ mod tests {
         let broken = tree(&[("intel-rapl:0", "package-0", 1, 1)]);
         std::fs::write(broken.path().join("intel-rapl:0/energy_uj"), "much\n").unwrap();
         assert!(Rapl::open(broken.path()).unwrap_err().contains("'much' is no number"));
-        let meter = PowerMeter::new(broken.path(), None, (10_000.0, 65_000.0), Duration::ZERO);
+        let package = PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads: 4, used: 1 };
+        let meter = PowerMeter::new(broken.path(), None, package, Duration::ZERO);
         let (out, power) = meter.during(|| 3);
-        assert_eq!((out, power.static_mw, power.dynamic_mw), (3, 10_000.0, 55_000.0));
+        assert_eq!((out, power.static_mw, power.dynamic_mw), (3, 2_500.0, 13_750.0));
         assert_eq!(power.source, FigureSource::Assumed);
-        assert!(meter.source().contains("assumed, 10 W idle and 65 W busy, since"), "{}", meter.source());
+        let said = meter.source();
+        assert!(
+            said.contains("assumed, 1 of 4 threads that share a package of 10 W idle and 65 W busy, since"),
+            "{said}"
+        );
     }
 
     #[test]
     fn counted_power_is_energy_over_time_less_idle() {
         let tree = tree(&[("intel-rapl:0", "package-0", 999_000, 1_000_000)]);
-        let meter = PowerMeter::new(tree.path(), None, (1.0, 2.0), Duration::from_millis(1));
+        let package = PackagePower { idle_mw: 1.0, busy_mw: 2.0, threads: 1, used: 1 };
+        let meter = PowerMeter::new(tree.path(), None, package, Duration::from_millis(1));
         // Nothing counts while it is idle.
         assert!(matches!(&meter, PowerMeter::Counted { idle_mw, .. } if *idle_mw == 0.0));
         let counter = tree.path().join("intel-rapl:0/energy_uj");
@@ -251,7 +292,8 @@ mod tests {
         // 2 mJ over at least 20 ms, across the end of the range.
         assert_eq!((power.source, power.static_mw), (FigureSource::Measured, 0.0));
         assert!(power.dynamic_mw > 0.0 && power.dynamic_mw <= 100.0, "{power:?}");
-        let stated = PowerMeter::new(tree.path(), Some((5.0, 8.0)), (1.0, 2.0), Duration::ZERO);
-        assert!(matches!(stated, PowerMeter::Stated { busy_mw, .. } if busy_mw == 8.0));
+        let stated = PowerMeter::new(tree.path(), Some((5.0, 8.0)), package, Duration::ZERO);
+        let ((), power) = stated.during(|| ());
+        assert_eq!((power.source, power.static_mw, power.dynamic_mw), (FigureSource::Stated, 5.0, 3.0));
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::base::units::Picoseconds;
 use crate::bench::Environment;
 use crate::bench::cpu::{self, Timed};
-use crate::bench::power::{POWERCAP, Power, PowerMeter};
+use crate::bench::power::{POWERCAP, PackagePower, Power, PowerMeter};
 use crate::cost::baseline::{Figures, NetworkShape, Work};
 use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
 use crate::desc::published::baseline::Mode;
@@ -15,8 +15,6 @@ use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
 
-/// A desktop processor at idle and busy, in mW, for when nothing says better: assumed, and printed as such.
-const ASSUMED_MW: (f64, f64) = (10_000.0, 65_000.0);
 /// How long each of the two measurements takes, about.
 const BUDGET: Duration = Duration::from_millis(400);
 /// How long the counters are watched at idle.
@@ -118,7 +116,8 @@ fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: 
 fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>, found: &mut Rows) {
     let load_before = load();
     let available = std::thread::available_parallelism().map_or(1, usize::from);
-    let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), ASSUMED_MW, IDLE);
+    let package = PackagePower::assumed(1);
+    let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), package, IDLE);
     let samples = cpu::enough(one.samples, TIMESTEPS);
     let here = Environment::here();
     let mut add = |name: &str, window: bool, (timed, power): (Result<Timed, String>, Power)| match timed {
