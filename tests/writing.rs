@@ -74,7 +74,7 @@ const WRITING: [Case; 50] = [
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --update page.md --force", "a", "b"),
     case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 -o m.ron", "r", "q"),
     case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 --update page.md --force --format json", "r", "q"),
-    case("bench early i/GEN.ron --input i/labels.ron -o early", "a", "b"),
+    case("bench early i/GEN.ron --input i/labels.ron -o early --plot e.svg", "a", "b"),
     case("bench early --study i/runs --input i/d -o GEN", "one", "two"),
     case("bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --plot p.svg", "a", "b"),
     case(

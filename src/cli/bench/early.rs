@@ -19,6 +19,7 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench early                                                      the shipped network on its shipped scene
   nsim bench early vtsnn-slip slip-tactile --input 'scene:slip?samples=200&seed=5' -o early
+  nsim bench early --plot early.pdf                                     accuracy over time as a picture
   nsim bench early --study runs --input ev-containers/train -o early    the models of a study with --folds, each on the
                                                                         samples that its training left out";
 
@@ -48,6 +49,9 @@ pub struct EarlyArgs {
     /// Folder for `early.csv`, `over-time.svg` and `over-energy.svg`
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    /// Write a chart of accuracy over time
+    #[arg(long, value_name = "FILE.svg|png|pdf")]
+    plot: Option<PathBuf>,
 }
 
 fn models(args: &EarlyArgs) -> Result<Vec<StudyModel>, Error> {
@@ -100,7 +104,7 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
     let names = ["early.csv", "over-time.svg", "over-energy.svg"];
     let paths: Vec<PathBuf> =
         args.output.iter().flat_map(|folder| names.iter().map(|name| folder.join(name))).collect();
-    io::write::check_all_free(&paths, context.force)?;
+    let taken = output::check_files(&paths, &args.plot, context)?;
     let models = models(args)?;
     let scenario =
         models.first().map(|model| io::published::scenario::shipped_for(&model.model)).transpose()?.flatten();
@@ -126,7 +130,15 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
         let bytes = if path.ends_with("early.csv") { text.into_bytes() } else { output::picture_bytes(path, &text)? };
         batch.add(path, |out| out.write_all(&bytes))?;
     }
+    if let Some(path) = args.plot.as_ref().filter(|_| !taken) {
+        let bytes = output::picture_bytes(path, &report.over_time())?;
+        batch.add(path, |out| out.write_all(&bytes))?;
+    }
     batch.commit()?;
+    if let Some(path) = args.plot.as_ref().filter(|_| taken) {
+        output::write_picture(path, &report.over_time(), context)?;
+        return Ok(Answer::Yes);
+    }
     output::print(context.format, || report.text(), || report.json(), || Ok(report.csv()))?;
     Ok(Answer::Yes)
 }
