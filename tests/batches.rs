@@ -5,6 +5,8 @@
 
 mod common;
 
+use std::time::Duration;
+
 use common::random;
 use nsim::base::id::CompartmentId;
 use nsim::base::rng;
@@ -92,6 +94,18 @@ fn every_spike_and_register_is_the_interpreters() {
     }
     eprintln!("{spikes} spikes and the registers of {compared} compartments are equal");
     assert!(spikes > 1_000 && compared > 100, "{spikes}, {compared}");
+}
+
+#[test]
+fn a_batch_is_timed_on_the_device() {
+    let Some(gpu) = gpu() else { return };
+    let network = in_hardware(&random::network(2), None);
+    let form = BatchForm::new(&network).unwrap();
+    let sample = random::sample(&network, 4);
+    let row = nsim::bench::batch_sizes::gpu(&gpu, &form, (&[&sample], sample.steps()), 8, Duration::ZERO).unwrap();
+    assert_eq!((row.batch, row.together), (8, 8));
+    assert!(row.batch_ms > 0.0 && row.hardware.starts_with(gpu.name()), "{row:?}");
+    assert_eq!(row.hardware.ends_with("software"), gpu.is_software());
 }
 
 #[test]

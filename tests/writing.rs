@@ -29,7 +29,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 50] = [
+const WRITING: [Case; 51] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -76,6 +76,11 @@ const WRITING: [Case; 50] = [
     case("convert i/GEN.ron --input scene:noise?samples=2&steps=9 --update page.md --force --format json", "r", "q"),
     case("bench early i/GEN.ron --input i/labels.ron -o early --plot e.svg", "a", "b"),
     case("bench early --study i/runs --input i/d -o GEN", "one", "two"),
+    case(
+        "bench batch i/GEN.ron --input scene:noise?samples=1&steps=9 --sizes 1,2 --seconds 0.000001 --plot p.svg",
+        "a",
+        "b",
+    ),
     case("bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --plot p.svg", "a", "b"),
     case(
         "bench pareto i/GEN.ron --input scene:noise?samples=1&steps=9 --seconds 0.000001 --update page.md --force",
@@ -351,7 +356,8 @@ impl Expected {
             other.starts_with(&one[..first]) && other.ends_with(&one[last..]) && other.len() * 4 > one.len() * 3
         };
         // Measured times differ from run to run.
-        let times = name.starts_with("runs/") && name.ends_with(".json") || self.line.starts_with("bench pareto");
+        let measured = ["bench pareto", "bench batch"].iter().any(|line| self.line.starts_with(line));
+        let times = name.starts_with("runs/") && name.ends_with(".json") || measured;
         new == bytes || times && alike(new, bytes)
     }
 
@@ -366,8 +372,8 @@ impl Expected {
             lines.map(str::to_string).collect::<Vec<_>>()
         };
         // Each line of these has some.
-        let all =
-            self.line.starts_with("bench pareto") || self.line.starts_with("train") && self.line.contains("--study");
+        let measured = ["bench pareto", "bench batch"].iter().any(|line| self.line.starts_with(line));
+        let all = measured || self.line.starts_with("train") && self.line.contains("--study");
         all || steady(printed) == steady(&self.printed)
     }
 
@@ -523,7 +529,7 @@ fn every_option_that_writes_is_tried() {
         "map", "run", "energy", "plot", "report", "help", "agree", "convert", "scene", "sweep", "train", "import",
         "export", "inspect", "stress",
     ];
-    let benches = ["step", "map", "early", "pareto", "published", "scale"].map(|name| format!("bench {name}"));
+    let benches = ["step", "map", "batch", "early", "pareto", "published", "scale"].map(|name| format!("bench {name}"));
     for command in commands.map(str::to_string).iter().chain(&benches) {
         let help = run(Path::new("."), &format!("{command} --help"), None).printed;
         for line in String::from_utf8(help).unwrap().lines().map(str::trim_start).filter(|line| line.starts_with('-')) {

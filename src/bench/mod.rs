@@ -7,6 +7,7 @@
 
 #[cfg(feature = "gpu")]
 pub mod batch;
+pub mod batch_sizes;
 pub mod cpu;
 pub mod early;
 pub mod environment;

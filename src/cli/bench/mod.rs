@@ -2,6 +2,7 @@
 
 #[cfg(feature = "ann")]
 pub mod ann;
+pub mod batch;
 pub mod early;
 pub mod paper;
 pub mod pareto;
@@ -77,6 +78,7 @@ enum Which {
     Published(PublishedArgs),
     Scale(ScaleArgs),
     Paper(PaperArgs),
+    Batch(batch::BatchArgs),
     #[cfg(feature = "ann")]
     Ann(ann::AnnArgs),
 }
@@ -140,6 +142,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Published(args) => published::run(args, context),
         Which::Scale(args) => scale::run(args, context),
         Which::Paper(args) => paper::run(args, context),
+        Which::Batch(args) => batch::run(args, context),
         #[cfg(feature = "ann")]
         Which::Ann(args) => ann::run(args, context),
     }

@@ -1,5 +1,6 @@
 //! Results of `nsim bench`.
 
+pub mod batch;
 pub mod early;
 pub mod mapping;
 pub mod paper;
