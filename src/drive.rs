@@ -7,6 +7,7 @@
 pub mod cores;
 pub mod decision;
 pub mod inputs;
+pub mod neurobench;
 pub mod populations;
 pub mod priced;
 pub mod ranks;

@@ -5,8 +5,21 @@
 >>> print(mapping.run().accuracy, mapping.energy().energy_uj)
 """
 
-from ._nsim import Energy, Error, Mapping, Network, Run, __version__, load
+from ._nsim import Agreement, Energy, Error, Mapping, Network, Run, __version__, load
 from ._sweep import Table, sweep
-from ._tools import from_nir
+from ._tools import from_nir, from_torch
 
-__all__ = ["Energy", "Error", "Mapping", "Network", "Run", "Table", "__version__", "from_nir", "load", "sweep"]
+__all__ = [
+    "Agreement",
+    "Energy",
+    "Error",
+    "Mapping",
+    "Network",
+    "Run",
+    "Table",
+    "__version__",
+    "from_nir",
+    "from_torch",
+    "load",
+    "sweep",
+]

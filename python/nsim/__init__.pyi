@@ -34,6 +34,9 @@ def from_nir(
 ) -> Network:
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file; `dt_ms` is the timestep in ms."""
 
+def from_torch(module: Any, sample: Any, *, export: Any = None, **options: Any) -> Network:
+    """A `torch.nn.Module` of snnTorch, Norse or nirtorch as a network; `sample` is an input of one timestep, `[batch, channels..]`."""
+
 def sweep(
     sweep: Path, *, threads: Optional[int] = None, client: Any = None, parts: Optional[int] = None
 ) -> Table:
@@ -106,6 +109,37 @@ class Network:
     ) -> Energy:
         """What `nsim energy` reports; without `copies`, those of the scenario that ships for the model."""
 
+    def agree(
+        self,
+        spikes: Spikes = None,
+        *,
+        target: Path = "nahuku-32",
+        against: Optional[str] = None,
+        conversion: str = "search",
+        calibration_samples: int = 60,
+        delayed_copies: Optional[int] = None,
+        steps: Optional[int] = None,
+        attribution: bool = True,
+        attribution_samples: int = 100,
+        labels: Optional[Sequence[int]] = None,
+        samples: Optional[tuple[int, int]] = None,
+        repeat: int = 1,
+        seed: Optional[int] = None,
+        time_first: bool = False,
+    ) -> Agreement:
+        """Where and why the integers disagree with the network that was trained: `nsim agree`."""
+
+class Agreement:
+    @property
+    def class_agreement(self) -> Optional[float]: ...
+    @property
+    def layers(self) -> list[dict[str, Any]]: ...
+    @property
+    def attribution(self) -> list[dict[str, Any]]: ...
+    def json(self) -> dict[str, Any]:
+        """What `nsim agree --format json` prints."""
+    def _repr_html_(self) -> str: ...
+
 class Mapping:
     @property
     def model(self) -> str: ...
@@ -124,6 +158,14 @@ class Mapping:
     @property
     def compartments(self) -> int:
         """Of all copies."""
+    @property
+    def populations(self) -> list[tuple[str, str, list[int]]]:
+        """(name, kind, shape) of one copy as it runs; kind is 'input' or 'integers'."""
+    @property
+    def output(self) -> str:
+        """The population whose spikes are the answer."""
+    def projections(self) -> list[dict[str, Any]]:
+        """Integer weights of one copy, `[target, source]` or `[C', C / groups, kh, kw]`, with exponent, delay and window."""
     def to_ron(self) -> str:
         """What `nsim map -o` writes."""
     def run(
@@ -136,6 +178,7 @@ class Mapping:
         seed: Optional[int] = None,
         time_first: bool = False,
         early_exit: Union[str, int, None] = None,
+        probe: Sequence[str] = (),
     ) -> Run:
         """Runs `[channels.., T]`, `[samples, channels.., T]`, a dictionary of such arrays, sources, or the model's scene."""
     def energy(
@@ -179,10 +222,15 @@ class Run:
         """(sample, step, output) of each output spike, `[spikes, 3]`."""
     @property
     def activity(self) -> dict[str, Any]: ...
+    def probe(self, name: str) -> NDArray[np.int32]:
+        """What `run(probe=[name])` recorded, `[samples, compartments, T]`."""
+    def neurobench(self) -> dict[str, Any]:
+        """The metrics of NeuroBench's harness, a sample."""
     @property
     def wall_s(self) -> float: ...
     def json(self) -> dict[str, Any]:
         """What `nsim run --format json` prints."""
+    def _repr_html_(self) -> str: ...
     def __len__(self) -> int: ...
 
 class Energy:
@@ -196,3 +244,4 @@ class Energy:
     def rows(self) -> list[dict[str, Any]]: ...
     def json(self) -> dict[str, Any]:
         """What `nsim energy --format json` prints."""
+    def _repr_html_(self) -> str: ...

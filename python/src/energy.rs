@@ -12,6 +12,7 @@ use nsim::report::energy::table::EnergyReport;
 use pyo3::prelude::*;
 
 use crate::error::raised;
+use crate::html::table;
 use crate::keywords::Keywords;
 use crate::mapping::Mapping;
 use crate::run::{is_long, rule, to_python};
@@ -124,5 +125,13 @@ impl Energy {
 
     fn __str__(&self) -> String {
         self.report.headline()
+    }
+
+    /// The table for notebooks: a row for each unit of hardware, of a timestep and one copy.
+    fn _repr_html_(&self) -> String {
+        let json = self.report.json();
+        let columns = ["hardware", "unit", "static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"];
+        let caption = format!("{} on {}, of a timestep and one copy", self.report.model, self.report.target);
+        table(&caption, &columns, json["rows"].as_array().map_or(&[], Vec::as_slice))
     }
 }

@@ -4,12 +4,15 @@
 //! are those of the command line. Errors: `nsim.Error` with the diagnostic's code, place and help. Work is done without the
 //! interpreter's lock.
 
+mod agree;
 mod energy;
 mod error;
+mod html;
 mod keywords;
 mod mapping;
 mod memory;
 mod network;
+mod projections;
 mod run;
 mod spikes;
 mod sweep;
@@ -25,6 +28,7 @@ fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<mapping::Mapping>()?;
     module.add_class::<run::Run>()?;
     module.add_class::<energy::Energy>()?;
+    module.add_class::<agree::Agreement>()?;
     module.add_function(wrap_pyfunction!(network::load, module)?)?;
     module.add_function(wrap_pyfunction!(network::from_bytes, module)?)?;
     module.add_function(wrap_pyfunction!(sweep::sweep_len, module)?)?;

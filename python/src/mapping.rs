@@ -13,6 +13,8 @@ use nsim::desc::target::Target;
 use nsim::drive::samples::{Division, laid_out};
 use nsim::io::mapping::{load_mapping, mapping_text};
 use nsim::ir::firing_rates::Rates;
+use nsim::ir::graph::Shape;
+use nsim::ir::quantised::Population;
 use nsim::machine::Image;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -21,11 +23,12 @@ use self_cell::self_cell;
 use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::Keywords;
+use crate::projections;
 use crate::run::Run;
 use crate::spikes::Shown;
 
 /// The target when none is named.
-const TARGET: &str = "nahuku-32";
+pub const TARGET: &str = "nahuku-32";
 
 /// What a mapping is asked for.
 pub struct MappingRequest {
@@ -195,6 +198,35 @@ impl Mapping {
         self.0.compiled().quantised.compartments()
     }
 
+    /// Populations of one copy as they run: name, kind (input or integers) and shape.
+    #[getter]
+    fn populations(&self) -> Vec<(String, &'static str, Vec<u32>)> {
+        let shown = |population: &Population| {
+            let kind = if population.first_channel().is_some() { "input" } else { "integers" };
+            let shape = match population.shape {
+                Shape::Line(n) => vec![n],
+                Shape::Volume(channels, height, width) => vec![channels, height, width],
+            };
+            (population.name.clone(), kind, shape)
+        };
+        self.0.compiled().one.populations().iter().map(shown).collect()
+    }
+
+    /// The population whose spikes are the answer.
+    #[getter]
+    fn output(&self) -> &str {
+        let network = &self.0.compiled().one;
+        &network.populations()[network.parts().output].name
+    }
+
+    /// The projections of one copy in integers, a dictionary each: `source`, `target`, `weights`, `exponent`, `delay` in timesteps,
+    /// `factor` (what a spike multiplies weights by) and, of convolutions and pools, `window`.
+    ///
+    /// `weights` are `[target, source]`, or a kernel `[C', C / groups, kh, kw]`; a spike adds `weight * 2 ** (6 + exponent)`.
+    fn projections<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        projections::dictionaries(py, &self.0.compiled().one)
+    }
+
     /// The mapping as `nsim map -o` writes it, which `Network.map(mapping=FILE)` and `nsim run --mapping` take.
     fn to_ron(&self, py: Python<'_>) -> PyResult<String> {
         mapping_text(&self.0.compiled().mapping_file()).map_err(|problem| raised(py, problem))
@@ -205,10 +237,12 @@ impl Mapping {
     /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which a number other than zero is a spike, a dictionary from
     /// input populations to such arrays, a source or a list of sources as `--input` takes them, or None for the model's own scene. With
     /// `time_first` arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the samples, `samples` is
-    /// (first, end), `seed` that of a scene, `early_exit` 'certain' or a margin in spikes.
+    /// (first, end), `seed` that of a scene, `early_exit` 'certain' or a margin in spikes, `probe` a list of POPULATION.spikes, .u, .v
+    /// or .v_register to record.
     #[pyo3(
         signature = (spikes=None, **options),
-        text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, early_exit=None)"
+        text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, early_exit=None, \
+                          probe=())"
     )]
     fn run(
         &self,

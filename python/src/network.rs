@@ -7,10 +7,11 @@ use nsim::desc::network::PopulationDesc;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::agree::Agreement;
 use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::Keywords;
-use crate::mapping::{Mapping, MappingRequest};
+use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
 
 /// Loads a model.
@@ -157,6 +158,28 @@ impl Network {
         request.copies = copies.or(plan.copies()).unwrap_or(1);
         let mapping = Mapping::new(py, &self.model, &self.network, &request)?;
         Energy::new(py, &mapping, &plan, spikes, &keywords)
+    }
+
+    /// Where and why the integers on the cores disagree with the network that was trained: `nsim agree`.
+    ///
+    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained; `conversion` 'search' or 'analytic' is how spike response
+    /// neurons become integers, the search on `calibration_samples` (60) samples; `steps` compares only so many timesteps of each sample;
+    /// `attribution` finds the causes, on `attribution_samples` (100). `spikes` and its keywords are those of `Mapping.run`.
+    #[pyo3(
+        signature = (spikes=None, *, target=None, **options),
+        text_signature = "($self, spikes=None, *, target='nahuku-32', against=None, conversion='search', calibration_samples=60, \
+                          delayed_copies=None, steps=None, attribution=True, attribution_samples=100, labels=None, samples=None, \
+                          repeat=1, seed=None, time_first=False)"
+    )]
+    fn agree(
+        &self,
+        py: Python<'_>,
+        spikes: Option<&Bound<'_, PyAny>>,
+        target: Option<PathBuf>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Agreement> {
+        let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
+        Agreement::new(py, &self.network, &target, spikes, &Keywords::new(options)?)
     }
 
     fn __repr__(&self) -> String {

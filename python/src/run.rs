@@ -2,18 +2,22 @@
 
 use std::sync::Arc;
 
+use nsim::base::diagnostic::Diagnostic;
 use nsim::drive::cores::core_rows;
 use nsim::drive::decision::{EarlyExit, Rule};
+use nsim::drive::neurobench::NeuroBench;
 use nsim::drive::populations::ByPopulation;
 use nsim::drive::samples::{self, Division, Running, fast, fast_on};
 use nsim::drive::warnings::{Finished, Ran, warnings};
-use nsim::drive::{Keep, Outcome, digest};
-use nsim::ir::spikes::Copies;
+use nsim::drive::{Keep, Outcome, Probe, Quantity, digest};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::spikes::{Copies, Sample};
 use nsim::report::detail::Detail;
-use nsim::report::run::RunReport;
-use numpy::{PyArray2, ToPyArray};
+use nsim::report::run::{RunReport, neurobench_json};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
+use crate::html::table;
 use crate::keywords::{Keywords, usage};
 use crate::mapping::Shared;
 use crate::spikes::Shown;
@@ -29,6 +33,23 @@ pub struct Run {
     shown: Shown,
     run: samples::Run<()>,
     early_exit: Option<Rule>,
+    /// Names of what was recorded.
+    probes: Vec<String>,
+}
+
+/// What `probe` names, POPULATION.WHAT each.
+fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
+    let probe = |name: &String| {
+        let (population, what) = name.rsplit_once('.').unwrap_or((name, "spikes"));
+        let quantity = Quantity::ALL.iter().find(|(_, known)| *known == what);
+        let found = network.population_named(population).map(|id| &network.populations()[id]);
+        match (quantity, found.and_then(|found| Some((found.first_compartment()?, found.shape.len())))) {
+            (Some(&(quantity, _)), Some((first, count))) => Ok(Probe { first, count, quantity }),
+            (None, _) => Err(usage(format!("probe '{name}': a probe ends in .spikes, .u, .v or .v_register"))),
+            (_, None) => Err(usage(format!("probe '{name}': there is no population of compartments '{population}'"))),
+        }
+    };
+    names.iter().map(probe).collect()
 }
 
 /// By which rule samples end, from `early_exit`: 'certain' or a number of spikes.
@@ -48,27 +69,43 @@ pub fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bo
     py.import("json")?.call_method1("loads", (value.to_string(),))
 }
 
+/// Runs samples on the simulated cores.
+fn simulated(
+    mapping: &Shared,
+    samples: &[&Sample],
+    keep: &Keep,
+    progress: samples::Progress<'_>,
+) -> Result<samples::Run<()>, Diagnostic> {
+    let compiled = mapping.compiled();
+    // Copies share no input channels: each sees the whole sample.
+    let copies = Copies { copies: compiled.options.copies, channels: compiled.one.channels() };
+    let running = Running { keep, copies, skip: true, per_step: false, progress, ranks: None };
+    let division = Division::new(&compiled.program, samples.len());
+    match mapping.image(division) {
+        Some(image) => Ok(fast_on(image, division, samples, running, || ())),
+        None => fast(&compiled.program, samples, running, || ()),
+    }
+}
+
 impl Run {
     /// Runs samples.
     pub fn new(py: Python<'_>, mapping: &Arc<Shared>, shown: Shown, keywords: &Keywords<'_>) -> PyResult<Self> {
         let early_exit = rule(keywords)?;
+        let names: Vec<String> = keywords.take("probe")?.unwrap_or_default();
         keywords.none_left()?;
-        let compiled = mapping.compiled();
-        let (network, program) = (&compiled.one, &compiled.program);
+        let (network, program) = (&mapping.compiled().one, &mapping.compiled().program);
+        let probes = probes(network, &names)?;
+        if early_exit.is_some() && !names.is_empty() {
+            return Err(usage(
+                "probe records every step of a sample, early_exit leaves some off: use one of them".into(),
+            ));
+        }
         let run = work(py, is_long(mapping, &shown), |progress| {
-            let samples = shown.samples();
             let early_exit = early_exit.map(|rule| EarlyExit::new(rule, network));
-            let keep = Keep { output: program.output(), probes: Vec::new(), early_exit };
-            // Copies share no input channels: each sees the whole sample.
-            let copies = Copies { copies: compiled.options.copies, channels: network.channels() };
-            let running = Running { keep: &keep, copies, skip: true, per_step: false, progress, ranks: None };
-            let division = Division::new(program, samples.len());
-            Ok(match mapping.image(division) {
-                Some(image) => fast_on(image, division, &samples, running, || ()),
-                None => fast(program, &samples, running, || ())?,
-            })
+            let keep = Keep { output: program.output(), probes, early_exit };
+            Ok(simulated(mapping, &shown.samples(), &keep, progress)?)
         })?;
-        Ok(Run { mapping: mapping.clone(), shown, run, early_exit })
+        Ok(Run { mapping: mapping.clone(), shown, run, early_exit, probes: names })
     }
 
     fn detail(&self) -> Detail {
@@ -100,6 +137,7 @@ impl Run {
             early_exit: self.early_exit,
             wall_s: self.run.wall_s,
             detail,
+            neurobench: None,
             files: &[],
         })
     }
@@ -154,6 +192,38 @@ impl Run {
         spikes.to_pyarray(py).call_method1("reshape", (-1, 3))
     }
 
+    /// What a probe recorded, `[samples, compartments, T]`, int32: spikes are 0 or 1, `u` and `v` the registers of one copy after each
+    /// timestep.
+    fn probe<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let Some(index) = self.probes.iter().position(|known| known == name) else {
+            let known = self.probes.join(", ");
+            return Err(usage(format!("'{name}' was not recorded; run(probe=[..]) recorded {known:?}")));
+        };
+        let outcomes = &self.run.outcomes;
+        let steps = outcomes.first().map_or(0, |outcome| outcome.steps as usize);
+        if outcomes.iter().any(|outcome| outcome.steps as usize != steps) {
+            return Err(usage("samples of several lengths are not one array: run them apart".into()));
+        }
+        let numbers: Vec<i32> = outcomes.iter().flat_map(|outcome| outcome.probes[index].iter().copied()).collect();
+        let compartments = numbers.len().checked_div(outcomes.len() * steps).unwrap_or(0);
+        Ok(PyArray1::from_vec(py, numbers).reshape([outcomes.len(), compartments, steps])?.into_any())
+    }
+
+    /// The metrics of NeuroBench's harness, as `nsim run --neurobench` gives them; the samples run once more.
+    fn neurobench<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        if self.early_exit.is_some() {
+            return Err(usage("NeuroBench counts whole samples: run without early_exit".into()));
+        }
+        let mapping = &self.mapping;
+        let metrics = work(py, is_long(mapping, &self.shown), |progress| {
+            let measured = NeuroBench::measure(&mapping.compiled().one, &self.shown.samples(), |samples, keep| {
+                simulated(mapping, samples, keep, progress).map(|run| (run.outcomes, run.counts))
+            });
+            Ok(measured?)
+        })?;
+        to_python(py, &neurobench_json(&metrics))
+    }
+
     /// Counts over all samples: spikes, synaptic events, updates, messages, hops.
     #[getter]
     fn activity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
@@ -187,5 +257,14 @@ impl Run {
 
     fn __str__(&self) -> String {
         self.with_report(&self.detail(), |report| report.text())
+    }
+
+    /// The table for notebooks: a row for each population.
+    fn _repr_html_(&self) -> String {
+        let json = self.with_report(&self.detail(), |report| report.json());
+        let accuracy = self.accuracy().map_or(String::new(), |accuracy| format!(", accuracy {accuracy:.4}"));
+        let caption = format!("{}, {} samples{accuracy}", self.mapping.compiled().one.parts().name, self.__len__());
+        let columns = ["name", "compartments", "spikes", "silent", "clipped", "wrapped"];
+        table(&caption, &columns, json["populations"].as_array().map_or(&[], Vec::as_slice))
     }
 }

@@ -19,6 +19,13 @@ try:
 except ImportError:
     nir = None
     print("absent: nir, graphs in memory were not tested", file=sys.stderr)
+try:
+    import snntorch
+    import snntorch.utils
+    import torch
+except ImportError:
+    torch = None
+    print("absent: torch with snntorch, its modules were not tested", file=sys.stderr)
 
 WEIGHTS = np.array([[40, -20, 0], [0, 62, 8]])
 TEXT = """Network(
@@ -124,6 +131,28 @@ class InMemory(unittest.TestCase):
         of_bytes = nsim._nsim.from_bytes("network", content, dt_ms=1.0)
         self.assertEqual(figures(network, 6), figures(of_bytes, 6))
         self.assertEqual(figures(network, 6), figures(folded, 6))
+
+    @unittest.skipIf(torch is None or nir is None, "torch, snntorch or nir is absent")
+    def test_a_module_of_snntorch_to_energy(self):
+        torch.manual_seed(1)
+        leaky = {"init_hidden": True, "reset_mechanism": "zero"}
+        module = torch.nn.Sequential(
+            torch.nn.Linear(20, 12), snntorch.Leaky(beta=0.9, **leaky),
+            torch.nn.Linear(12, 3), snntorch.Leaky(beta=0.8, output=True, **leaky),
+        )
+        for weights in module.parameters():
+            weights.data *= 3
+        spikes = np.random.default_rng(1).random((6, 20, 50)) < 0.3
+        mapping = nsim.from_torch(module, torch.zeros(1, 20)).map()
+        run = mapping.run(spikes)
+        self.assertGreater(mapping.energy(spikes).energy_uj, 0)
+        snntorch.utils.reset(module)
+        with torch.no_grad():
+            theirs = [module(torch.tensor(spikes[:, :, t], dtype=torch.float32))[0] for t in range(50)]
+        # Weights and decays were rounded: nearly all samples have as many spikes.
+        equal = (torch.stack(theirs).sum(0).numpy() == run.counts).all(axis=1)
+        self.assertGreater(int(run.counts.sum()), 5)
+        self.assertGreaterEqual(int(equal.sum()), 5)
 
 
 if __name__ == "__main__":

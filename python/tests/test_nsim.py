@@ -53,6 +53,28 @@ class SameAsTheCommandLine(unittest.TestCase):
                 total = next(row for row in theirs["rows"] if (row["hardware"], row["unit"]) == ("loihi", "total"))
                 self.assertEqual((energy.energy_uj, energy.latency_us), (total["energy_uj"], total["latency_us"]))
 
+    def test_agreement(self):
+        for line, options in [
+            (["vtsnn-slip-srm", "--samples", "0..3"], {}),
+            (["vtsnn-slip-srm", "--samples", "1..3", "--seed", "5", "--conversion", "analytic"], {"seed": 5, "conversion": "analytic"}),
+            (["vtsnn-slip", "--samples", "0..3", "--against", "golden", "--steps", "40"], {"against": "golden", "steps": 40}),
+        ]:
+            with self.subTest(line=line):
+                first, last = map(int, line[2].split(".."))
+                agreement = nsim.load(line[0]).agree(samples=(first, last), **options)
+                self.assertEqual(agreement.json(), command("agree", *line))
+                self.assertIn("<table>", agreement._repr_html_())
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.load("vtsnn-slip").agree(against="srm")
+        self.assertEqual(raised.exception.code, "usage")
+
+    def test_notebooks_show_tables(self):
+        mapping = nsim.load("vtsnn-slip").map()
+        run, energy = mapping.run(samples=(0, 1)), mapping.energy(samples=(0, 1))
+        self.assertEqual(run._repr_html_().count("<tr>"), 1 + len(run.json()["populations"]))
+        self.assertEqual(energy._repr_html_().count("<tr>"), 1 + len(energy.rows))
+        self.assertIn("energy_uj", energy._repr_html_())
+
     def test_options_of_energy(self):
         theirs = command("energy", "vtsnn-slip", "--baseline", "--copies", "2", "--mode", "realtime", "--samples", "1..3")
         energy = nsim.load("vtsnn-slip").energy(copies=2, mode="realtime", samples=(1, 3))

@@ -13,6 +13,7 @@ use crate::cli::probes::{NamedProbe, ProbeArgs, Recorded};
 use crate::cli::process::ranks;
 use crate::drive::cores::core_rows;
 use crate::drive::decision::{EarlyExit, Rule};
+use crate::drive::neurobench::NeuroBench;
 use crate::drive::populations::ByPopulation;
 use crate::drive::priced::Metered;
 use crate::drive::ranks::RankRow;
@@ -60,6 +61,7 @@ EXAMPLES:
   nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
   nsim run --early-exit certain                        end each sample once its decision cannot change
   nsim run --steps steps.csv                           a row a timestep: where spikes, time and energy go
+  nsim run --neurobench                                operations, sparsity and membrane updates as NeuroBench counts
   nsim run --engine golden --format json
   nsim run srm.ron --input s.npy --probe hidden.u -o traces     potentials of spike response neurons, as float64";
 
@@ -89,6 +91,9 @@ pub struct Args {
     /// target's first constants
     #[arg(long, value_name = "FILE.csv|npy|parquet")]
     steps: Option<PathBuf>,
+    /// Also say the metrics of NeuroBench's harness, which takes a second run
+    #[arg(long, conflicts_with = "early_exit")]
+    neurobench: bool,
 }
 
 /// Runs the command.
@@ -124,6 +129,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         output::with_progress(context, samples.len(), "samples", |done| {
             ran(args, &job, &samples, &keep, &mut batch, done)
         })?;
+    let neurobench = if args.neurobench { neurobench(args, &job, &samples)? } else { None };
     ranks::leave_to_first();
     let recorded = traces.as_deref().map_or(Recorded::Integers(&outcomes), Recorded::Reals);
     let mut files = args.probes.write(&probes, (recorded, &samples), network.parts().timestep_ms, &mut batch)?;
@@ -157,6 +163,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         early_exit: args.early_exit,
         wall_s,
         detail: &detail,
+        neurobench: neurobench.as_ref(),
         files: &files,
     };
     if let (Some((compiled, _)), None) = (job.mapped(), &args.job.mapping) {
@@ -164,6 +171,24 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
+}
+
+/// The metrics of NeuroBench's harness; none of the reference engine, which `ran` refuses.
+fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<NeuroBench>, Error> {
+    let measured = match job {
+        Job::Mapped(compiled, ..) => NeuroBench::measure(&compiled.one, samples, |samples, keep| {
+            let skip = args.skip == Switch::On;
+            let running = Running { keep, copies: Copies::ONE, skip, per_step: false, progress: &|| (), ranks: None };
+            let run = fast(&compiled.program, samples, running, || ())?;
+            Ok((run.outcomes, run.counts))
+        }),
+        Job::Quantised(quantised, _) => NeuroBench::measure(quantised, samples, |samples, keep| {
+            let run = golden(quantised, samples, keep, &|| ());
+            Ok((run.outcomes, run.counts))
+        }),
+        Job::Real(..) => return Ok(None),
+    };
+    Ok(Some(measured?))
 }
 
 /// Seconds of mapping that nobody waits for.
@@ -226,6 +251,13 @@ fn ran(
     }
     if args.steps.is_some() {
         ranks::alone("--steps")?;
+    }
+    if args.neurobench {
+        if matches!(job, Job::Real(..)) {
+            let message = "--neurobench counts what integers do: it needs --engine fast or golden";
+            return Err(Error::Usage(message.to_string()));
+        }
+        ranks::alone("--neurobench")?;
     }
     Ok(match job {
         Job::Mapped(compiled, target, _) => {

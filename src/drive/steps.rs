@@ -200,7 +200,7 @@ pub fn run_recorded(
 }
 
 /// Samples that follow each other and together have at most [`CELLS`] numbers, or one that has more.
-fn groups<'g, 's>(samples: &'g [&'s Sample], columns: usize) -> Vec<&'g [&'s Sample]> {
+pub(super) fn groups<'g, 's>(samples: &'g [&'s Sample], columns: usize) -> Vec<&'g [&'s Sample]> {
     let (mut groups, mut start, mut cells) = (Vec::new(), 0, 0);
     for (index, sample) in samples.iter().enumerate() {
         let more = sample.steps() as usize * columns;

@@ -8,6 +8,7 @@ use crate::agree::causes::Cause;
 use crate::agree::compare::LayerRow;
 use crate::compile::frontend::analytic::Fit;
 use crate::convert::search::{ConversionScore, SearchResult};
+use crate::ir::graph::Graph;
 use crate::report::charts::plot::{self, Axis, Series};
 use crate::report::charts::results;
 
@@ -38,6 +39,13 @@ pub struct AgreeReport<'a> {
     pub attribution: Option<&'a Attribution>,
     /// Samples that it is of.
     pub attribution_samples: usize,
+}
+
+/// What stands for each spike response population, by its name.
+#[must_use]
+pub fn named_fits(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
+    let each = graph.populations().zip(fits);
+    each.filter_map(|((_, population), fit)| Some((population.name.clone(), fit.clone()?))).collect()
 }
 
 /// `nsim.agree/1` of a network that could not be deployed.

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::text::count;
 use crate::drive::decision::Rule;
+use crate::drive::neurobench::NeuroBench;
 use crate::drive::{Outcome, accuracy, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
 use crate::ir::quantised::Quantised;
@@ -37,6 +38,8 @@ pub struct RunReport<'a> {
     pub wall_s: f64,
     /// By population, input and core, and what to warn of.
     pub detail: &'a Detail,
+    /// The metrics of NeuroBench's harness, where they were asked for.
+    pub neurobench: Option<&'a NeuroBench>,
     /// Files that were written.
     pub files: &'a [String],
 }
@@ -50,6 +53,37 @@ pub fn nothing(engine: &str) -> Value {
         "digest": null, "activity": null, "skipped": null, "overflow": null, "decided_at": [], "wall_s": null,
         "us_per_timestep": null, "populations": [], "inputs": [], "cores": [], "warnings": [],
     })
+}
+
+/// The object `neurobench`.
+#[must_use]
+pub fn neurobench_json(metrics: &NeuroBench) -> Value {
+    json!({
+        "footprint_bytes": metrics.footprint_bytes,
+        "connection_sparsity": metrics.connection_sparsity,
+        "activation_sparsity": metrics.activation_sparsity,
+        "synaptic_operations": {
+            "effective_macs": metrics.effective_macs, "effective_acs": metrics.effective_acs, "dense": metrics.dense,
+        },
+        "membrane_updates": metrics.membrane_updates,
+        "classification_accuracy": metrics.classification_accuracy,
+    })
+}
+
+fn neurobench_text(metrics: &NeuroBench) -> String {
+    let mut out = format!("\n{:<24} {:>14}\n", "NeuroBench", "a sample");
+    let mut row = |name: &str, value: String| out += &format!("{name:<24} {value:>14}\n");
+    row("synaptic operations", format!("{:.1}", metrics.dense));
+    row("  effective ACs", format!("{:.1}", metrics.effective_acs));
+    row("  effective MACs", format!("{:.1}", metrics.effective_macs));
+    row("membrane updates", format!("{:.1}", metrics.membrane_updates));
+    row("activation sparsity", format!("{:.4}", metrics.activation_sparsity));
+    row("connection sparsity", format!("{:.4}", metrics.connection_sparsity));
+    row("footprint, bytes", metrics.footprint_bytes.to_string());
+    if let Some(accuracy) = metrics.classification_accuracy {
+        row("classification accuracy", format!("{accuracy:.4}"));
+    }
+    out
 }
 
 impl RunReport<'_> {
@@ -180,6 +214,9 @@ impl RunReport<'_> {
             "files": self.files,
         });
         self.detail.add_to(&mut object);
+        if let Some(metrics) = self.neurobench {
+            object["neurobench"] = neurobench_json(metrics);
+        }
         object
     }
 
@@ -257,6 +294,7 @@ impl RunReport<'_> {
             out += &format!("{:<24} {}\n", "messages", per_step(activity.messages()));
             out += &format!("{:<24} {}\n", "hops", per_step(activity.hops().links()));
         }
+        out += &self.neurobench.map_or(String::new(), neurobench_text);
         out += &format!("\n{}", self.detail.populations_text(steps));
         out += &self.detail.ranks_text();
         out += &format!("output spikes {}\n", digest(self.outcomes));

@@ -19,7 +19,6 @@ use crate::cli::args::jobs::Refusal;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::frontend::analytic::Fit;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{CompileError, Form, Options, compile};
 use crate::desc::stimulus::{InputArg, InputSource};
@@ -29,7 +28,7 @@ use crate::io;
 use crate::io::spikes::read_source;
 use crate::ir::graph::Graph;
 use crate::ir::quantised::Quantised;
-use crate::report::agree::AgreeReport;
+use crate::report::agree::{AgreeReport, named_fits};
 
 /// Runs the command; the answer is no when a bound that was asked for is missed.
 ///
@@ -101,7 +100,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         accuracy: agreement.accuracy,
         layers: &agreement.layers,
         found: found.as_ref(),
-        fits: &named(&graph, &fits),
+        fits: &named_fits(&graph, &fits),
         attribution: attribution.as_ref(),
         attribution_samples: samples.len().min(args.attribution_samples as usize),
     };
@@ -115,11 +114,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     }
     Ok(answer(args, &report))
-}
-
-fn named(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
-    let each = graph.populations().zip(fits);
-    each.filter_map(|((_, population), fit)| Some((population.name.clone(), fit.clone()?))).collect()
 }
 
 fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Counterpart, Error> {

@@ -1,0 +1,35 @@
+//! Tables for notebooks.
+//!
+//! Input: rows as the reports' JSON has them, and which columns to show. Output: one HTML table. Text is escaped: names come from users'
+//! files.
+
+use serde_json::Value;
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+fn shown(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => escaped(text),
+        Value::Number(number) if number.is_f64() => {
+            let number = number.as_f64().unwrap_or(f64::NAN);
+            // Four digits: no constant is known better.
+            let decimals = (3 - number.abs().max(1e-9).log10().floor() as i32).clamp(0, 12) as usize;
+            format!("{number:.decimals$}")
+        }
+        other => escaped(&other.to_string()),
+    }
+}
+
+/// A table with a caption.
+pub fn table(caption: &str, columns: &[&str], rows: &[Value]) -> String {
+    let head: String = columns.iter().map(|column| format!("<th>{}</th>", escaped(column))).collect();
+    let row = |row: &Value| {
+        let cells: String = columns.iter().map(|column| format!("<td>{}</td>", shown(&row[*column]))).collect();
+        format!("<tr>{cells}</tr>")
+    };
+    let body: String = rows.iter().map(row).collect();
+    format!("<table><caption>{}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>", escaped(caption))
+}

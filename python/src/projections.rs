@@ -1,0 +1,68 @@
+//! The integers of a network's projections, as Python sees them.
+
+use nsim::ir::graph::Window;
+use nsim::ir::quantised::{Connectivity, Projection, Quantised};
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::keywords::usage;
+
+/// Entries of a matrix, 8 bytes each.
+const MOST_ENTRIES: usize = 1 << 28;
+
+/// A dictionary for each projection, in the order of the model.
+pub fn dictionaries<'py>(py: Python<'py>, network: &Quantised) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    network.projections().iter().map(|projection| dictionary(py, network, projection)).collect()
+}
+
+fn dictionary<'py>(py: Python<'py>, network: &Quantised, projection: &Projection) -> PyResult<Bound<'py, PyDict>> {
+    let [source, target] = [projection.source, projection.target].map(|id| &network.populations()[id]);
+    let found = PyDict::new(py);
+    found.set_item("source", &source.name)?;
+    found.set_item("target", &target.name)?;
+    found.set_item("exponent", projection.format.exponent.get())?;
+    found.set_item("delay", projection.delay.get())?;
+    found.set_item("factor", source.spike_factor())?;
+    let weights = |weights: Vec<i16>, shape: Vec<usize>| PyArray1::from_vec(py, weights).reshape(shape);
+    let set_window = |window: &Window, groups: u32| {
+        let window_of = PyDict::new(py);
+        window_of.set_item("stride", window.stride)?;
+        window_of.set_item("padding", window.padding)?;
+        window_of.set_item("dilation", window.dilation)?;
+        window_of.set_item("groups", groups)?;
+        window_of.set_item("source", window.source)?;
+        found.set_item("window", window_of)
+    };
+    match &projection.connectivity {
+        Connectivity::Conv2d { window, kernel } => {
+            set_window(window, window.groups)?;
+            let (channels, (height, width)) = (window.target.0, window.kernel);
+            let shape = [channels, window.source.0 / window.groups, height, width].map(|n| n as usize);
+            found.set_item("weights", weights(kernel.to_vec(), shape.to_vec())?)?;
+        }
+        Connectivity::SumPool2d { window, weight } => {
+            set_window(window, window.source.0)?;
+            let shape = [window.source.0, 1, window.kernel.0, window.kernel.1].map(|n| n as usize);
+            found.set_item("weights", weights(vec![*weight; shape.iter().product()], shape.to_vec())?)?;
+        }
+        connectivity => {
+            let shape = [target.shape.len() as usize, source.shape.len() as usize];
+            if shape[0].saturating_mul(shape[1]) > MOST_ENTRIES {
+                let name = &projection.name;
+                return Err(usage(format!(
+                    "{name} is a matrix of {} by {} entries; at most {MOST_ENTRIES} are shown as one",
+                    shape[0], shape[1]
+                )));
+            }
+            let mut matrix = vec![0i64; shape[0] * shape[1]];
+            for from in 0..source.shape.len() {
+                connectivity.for_each_from(from, |to, weight| {
+                    matrix[to as usize * shape[1] + from as usize] += i64::from(weight);
+                });
+            }
+            found.set_item("weights", PyArray1::from_vec(py, matrix).reshape(shape.to_vec())?)?;
+        }
+    }
+    Ok(found)
+}
