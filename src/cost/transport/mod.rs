@@ -126,6 +126,8 @@ impl MessageRoutes {
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use std::sync::OnceLock;
+
     use super::routes::{KindOfGroup, Message, Region};
     use super::*;
     use crate::base::csr::Csr;
@@ -185,6 +187,7 @@ pub(crate) mod tests {
             spikes: lists(spikes),
             seats: (0..spikes.len() as u32).map(|i| (CoreId(i / 10), i % 10, 10)).collect(),
             crossed: Vec::new(),
+            input_times: OnceLock::new(),
         }
     }
 

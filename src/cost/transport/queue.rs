@@ -11,7 +11,7 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use crate::base::id::{CoreId, Id};
+use crate::base::id::{ChannelId, CoreId, Id};
 use crate::base::units::Picoseconds;
 use crate::cost::constants::CostTable;
 use crate::cost::model::{route_time, times};
@@ -33,7 +33,8 @@ struct Ready {
 /// Occupancy is fixed-point in fractions of a message: integers, so that subtracting undoes adding exactly.
 const MESSAGE: u64 = 1 << 32;
 
-/// What the queue needs of memory, to be used again. Every number is 0 between two steps.
+/// What the queue needs of memory, to be used again. Every number is 0 between two steps, but for those that each step writes anew
+/// ([`Queue::prepare`]).
 #[derive(Debug, Clone, Default)]
 pub struct QueueMemory {
     /// Of each link, in parts of a [`MESSAGE`].
@@ -48,6 +49,24 @@ pub struct QueueMemory {
     under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
     /// The links of the message that is sent, and which of them join two chips; the sender's own is first.
     path: Vec<(Link, bool)>,
+    /// What each sender sends, and how long it is busy after that.
+    senders: Vec<(Vec<Ready>, u64)>,
+    /// Handling times by receiver.
+    received: Vec<u64>,
+    /// Time of the visits of each core.
+    visits: Vec<u64>,
+    /// Core, slot and slots of the compartments that fired, and their numbers.
+    fired: Vec<((CoreId, u32, u32), usize)>,
+    /// Time of the visits that have passed, by core.
+    passed: Vec<u64>,
+    /// The next message of each sender.
+    next: BinaryHeap<Reverse<(u64, usize, usize)>>,
+}
+
+/// So many zeros in place of what was there.
+fn zeros(numbers: &mut Vec<u64>, size: usize) {
+    numbers.clear();
+    numbers.resize(size, 0);
 }
 
 /// Messages in flight in one step.
@@ -74,16 +93,6 @@ impl<'w> Queue<'w> {
         Queue { routes, region, table, memory, handling: 0 }
     }
 
-    /// The time that a message takes at its receiver.
-    fn handling(&self, message: &Message) -> u64 {
-        let counts = [
-            (self.table.axon_in_time, 1),
-            (self.table.synapse_dense_time, message.events_dense.into()),
-            (self.table.synapse_sparse_time, message.events_sparse.into()),
-        ];
-        times(&counts).0
-    }
-
     /// Whether each input spike, but for the last, has been handled when the next enters, and its links are free: spikes then never
     /// meet, and those before the last are over before a core begins. It suffices that all enter by one port, each with a message
     /// at most that takes no longer through the empty mesh than the least time between two spikes.
@@ -92,6 +101,11 @@ impl<'w> Queue<'w> {
         let apart = injection / most.max(1);
         let mut spikes = 0;
         let free = table.link_time.0.max(table.link_chip_time.0) <= apart;
+        if let Some(times) = routes.input_times(table) {
+            let soon = |channel: &ChannelId| times.channels[channel.index()].is_none_or(|time| time.through <= apart);
+            let all_soon = || times.longest <= apart || step.channels.iter().all(soon);
+            return free && step.channels.len() as u64 == most && all_soon();
+        }
         free && region.groups.iter().all(|&(kind, first)| {
             let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
             step.channels.iter().filter(|channel| channels.contains(&channel.0)).all(|channel| {
@@ -100,7 +114,7 @@ impl<'w> Queue<'w> {
                     [] => true,
                     [message] => {
                         let (_, route) = region.entries[first + message.core.index() - cores.start as usize];
-                        route_time(route, table).0.saturating_add(self.handling(message)) <= apart
+                        route_time(route, table).0.saturating_add(message.handling(self.table)) <= apart
                     }
                     _ => false,
                 }
@@ -108,62 +122,76 @@ impl<'w> Queue<'w> {
         }) && spikes == most
     }
 
-    /// What each sender sends, in order, and how long it is busy after its last message; and the handling times of messages that
-    /// are left out, summed by receiver: with `skip` those that [`Queue::inputs_meet_nobody`] finds to be over by then.
+    /// Writes into the memory what each sender sends, in order, and how long it is busy after its last message; and the handling
+    /// times of messages that are left out, summed by receiver: with `skip` those that [`Queue::inputs_meet_nobody`] finds to be
+    /// over by then.
     ///
     /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with n spikes at the chip with `most`,
     /// while others are injected; cores begin when all are.
-    fn senders(
-        &self,
-        step: &StepActivity,
-        injection: u64,
-        most: u64,
-        skip: bool,
-    ) -> (Vec<(Vec<Ready>, u64)>, Vec<u64>) {
+    fn prepare(&mut self, step: &StepActivity, injection: u64, most: u64, skip: bool) {
         let (routes, region, table) = (self.routes, self.region, self.table);
-        let ready =
-            |after: u64, to: usize, message: &Message| Ready { after, to: to as u32, handling: self.handling(message) };
-        let mut senders: Vec<(Vec<Ready>, u64)> = vec![Default::default(); region.tiles.len()];
-        let mut left_out = vec![0u64; region.cores];
+        let ready = |after: u64, to: usize, message: &Message| Ready {
+            after,
+            to: to as u32,
+            handling: message.handling(table),
+        };
         let skipped = if skip && self.inputs_meet_nobody(step, injection, most) { u128::from(most) - 1 } else { 0 };
-        // Chips are served side by side: a spike is the next of the port that its first message enters by.
-        let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
-        let mut ports = region.ports(routes, step);
-        for &(kind, first) in &region.groups {
-            let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
-            for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
-                let number = &mut spikes[ports.next().expect("a port for each spike")];
-                *number += 1;
-                if *number <= skipped {
-                    for message in routes.inputs.get(channel.index()) {
-                        left_out[first + message.core.index() - cores.start as usize] += self.handling(message);
+        let quick = routes.input_times(table).filter(|_| skipped > 0);
+        let QueueMemory { senders, received: left_out, visits, fired, passed, .. } = &mut *self.memory;
+        senders.resize_with(region.tiles.len().max(senders.len()), Default::default);
+        for (messages, after) in senders.iter_mut() {
+            messages.clear();
+            *after = 0;
+        }
+        zeros(left_out, region.cores);
+        if let (Some(times), Some((last, before))) = (quick, step.channels.split_last()) {
+            for time in before.iter().filter_map(|channel| times.channels[channel.index()]) {
+                left_out[time.to as usize] += time.handling;
+            }
+            for message in routes.inputs.get(last.index()) {
+                let to = message.core.index();
+                senders[region.port(to)].0.push(ready(injection, to, message));
+            }
+        }
+        if quick.is_none() {
+            // Chips are served side by side: a spike is the next of the port that its first message enters by.
+            let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
+            let mut ports = region.ports(routes, step);
+            for &(kind, first) in &region.groups {
+                let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
+                for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
+                    let number = &mut spikes[ports.next().expect("a port for each spike")];
+                    *number += 1;
+                    if *number <= skipped {
+                        for message in routes.inputs.get(channel.index()) {
+                            left_out[first + message.core.index() - cores.start as usize] +=
+                                message.handling(table);
+                        }
+                        continue;
                     }
-                    continue;
-                }
-                let now = (u128::from(injection) * *number / u128::from(most)) as u64;
-                for message in routes.inputs.get(channel.index()) {
-                    let to = first + message.core.index() - cores.start as usize;
-                    // Between messages a port keeps the time that has passed.
-                    let (messages, passed) = &mut senders[region.port(to)];
-                    // A copy's spike for another chip may come behind that chip's own.
-                    let until = now.max(*passed);
-                    messages.push(ready(until - std::mem::replace(passed, until), to, message));
+                    let now = (u128::from(injection) * *number / u128::from(most)) as u64;
+                    for message in routes.inputs.get(channel.index()) {
+                        let to = first + message.core.index() - cores.start as usize;
+                        // Between messages a port keeps the time that has passed.
+                        let (messages, passed) = &mut senders[region.port(to)];
+                        // A copy's spike for another chip may come behind that chip's own.
+                        let until = now.max(*passed);
+                        messages.push(ready(until - std::mem::replace(passed, until), to, message));
+                    }
                 }
             }
         }
         senders[region.cores..].iter_mut().for_each(|(_, passed)| *passed = 0);
         senders[..region.cores].iter_mut().for_each(|(_, after)| *after = injection);
         // Visits in slot order, each for the mean time of its core's.
-        let visits: Vec<u64> = step
-            .cores
-            .iter()
-            .map(|core| {
-                times(&[(table.compartment_time, core.visited), (table.compartment_active_time, core.active)]).0
-            })
-            .collect();
-        let mut fired: Vec<_> = step.fired.iter().map(|c| (routes.seats[c.index()], c.index())).collect();
+        visits.clear();
+        visits.extend(step.cores.iter().map(|core| {
+            times(&[(table.compartment_time, core.visited), (table.compartment_active_time, core.active)]).0
+        }));
+        fired.clear();
+        fired.extend(step.fired.iter().map(|c| (routes.seats[c.index()], c.index())));
         fired.sort_unstable();
-        let mut passed = vec![0u64; region.cores];
+        zeros(passed, region.cores);
         for &(kind, first) in &region.groups {
             let Kind { cores, .. } = &routes.kinds[kind].kind;
             let here = |core: CoreId| first + core.index() - cores.start as usize;
@@ -185,7 +213,6 @@ impl<'w> Queue<'w> {
                 senders[at].1 += visits[core as usize] - passed[at];
             }
         }
-        (senders, left_out)
     }
 
     /// Takes what was received by now out of the mesh.
@@ -206,7 +233,7 @@ impl<'w> Queue<'w> {
     /// Sends a message at `now`; returns when its sender was done with it and when its receiver was.
     fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
         let (region, table, to) = (self.region, self.table, message.to as usize);
-        let QueueMemory { occupied, free, touched, done, under_way, path } = &mut *self.memory;
+        let QueueMemory { occupied, free, touched, done, under_way, path, .. } = &mut *self.memory;
         let route = region.route(from, to);
         path.clear();
         path.push((region.first_link(from), false));
@@ -256,7 +283,10 @@ impl<'w> Queue<'w> {
         most: u64,
         skip: bool,
     ) -> (Picoseconds, Picoseconds) {
-        let (senders, mut received) = self.senders(step, injection.0, most, skip);
+        self.prepare(step, injection.0, most, skip);
+        let senders = std::mem::take(&mut self.memory.senders);
+        let mut next = std::mem::take(&mut self.memory.next);
+        let received = &mut self.memory.received;
         let mut alone = 0;
         for (number, (messages, after)) in senders.iter().enumerate() {
             let time = messages.iter().map(|message| message.after).sum::<u64>() + after;
@@ -265,9 +295,8 @@ impl<'w> Queue<'w> {
             }
             messages.iter().for_each(|message| received[message.to as usize] += message.handling);
         }
-        alone = alone.max(received.into_iter().max().unwrap_or(0));
+        alone = alone.max(received.iter().copied().max().unwrap_or(0));
         // Each sender's next message, the earliest first; on a tie the lower sender.
-        let mut next: BinaryHeap<Reverse<(u64, usize, usize)>> = BinaryHeap::new();
         let mut last = 0;
         for (sender, (messages, after)) in senders.iter().enumerate() {
             match messages.first() {
@@ -294,6 +323,7 @@ impl<'w> Queue<'w> {
                 }
             }
         }
+        (self.memory.senders, self.memory.next) = (senders, next);
         self.clear();
         // What was handled before the injection ended is no time of its own.
         let took = last.saturating_sub(injection.0);
@@ -330,15 +360,9 @@ mod tests {
         let routes = routes(&[(7, 3), (3, 2), (0, 0)], &list, &[&[] as &[_]; 30]);
         let mut memory = QueueMemory::default();
         let mut queue = Queue::new(&routes, &routes.regions[0], &sana, &mut memory);
-        for (at, message) in queue
-            .senders(&step(3, &(0..10).collect::<Vec<_>>(), &[]), 0, 10, false)
-            .0
-            .pop()
-            .unwrap()
-            .0
-            .iter()
-            .enumerate()
-        {
+        queue.prepare(&step(3, &(0..10).collect::<Vec<_>>(), &[]), 0, 10, false);
+        let messages = queue.memory.senders[3].0.clone();
+        for (at, message) in messages.iter().enumerate() {
             queue.send(at as u64 * 10, 3, *message);
         }
         assert!(queue.memory.occupied.iter().any(|&part| part > 0) && queue.handling > 0);

@@ -4,12 +4,14 @@
 //! messages, and the regions of chips on which messages meet. Counts are those of all groups.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::OnceLock;
 
 use petgraph::unionfind::UnionFind;
 
 use crate::base::csr::Csr;
 use crate::base::id::{ChannelId, CoreId, Id};
-use crate::cost::model::sum_of_cores;
+use crate::cost::constants::CostTable;
+use crate::cost::model::{route_time, sum_of_cores, times};
 use crate::ir::activity::{CoreCounts, HopCounts, StepActivity};
 use crate::ir::groups::{CoreGroups, Kind};
 use crate::ir::placement::{Mesh, Route, Site};
@@ -44,6 +46,65 @@ pub struct MessageRoutes {
     /// What a spike's messages cross, in all groups: of each channel, then of each compartment. Empty where the program is all
     /// there is, whose steps have it counted.
     pub(super) crossed: Vec<Crossed>,
+    /// What input spikes take under the first preset that asked, where [`InputTimes::new`] finds them simple.
+    pub(super) input_times: OnceLock<Option<InputTimes>>,
+}
+
+/// What the only message of an input spike takes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct InputTime {
+    /// The receiving core.
+    pub(super) to: u32,
+    /// At the receiver.
+    pub(super) handling: u64,
+    /// From the port, through the empty mesh, until it is handled.
+    pub(super) through: u64,
+}
+
+/// What the input spikes of each channel take under a preset.
+#[derive(Debug, Clone)]
+pub(super) struct InputTimes {
+    table: CostTable,
+    /// By channel; `None` where it sends nothing.
+    pub(super) channels: Vec<Option<InputTime>>,
+    /// The longest of them through the mesh.
+    pub(super) longest: u64,
+}
+
+impl InputTimes {
+    /// Of the inputs of one group of cores on one chip, each of which sends one message at most; `None` of others.
+    fn new(routes: &MessageRoutes, table: &CostTable) -> Option<Self> {
+        let ([_], [region]) = (routes.kinds.as_slice(), routes.regions.as_slice()) else { return None };
+        if !region.is_simple() {
+            return None;
+        }
+        let time = |list: &[Message]| match list {
+            [] => Some(None),
+            [message] => {
+                let to = message.core.index();
+                let handling = message.handling(table);
+                let through = route_time(region.entries[to].1, table).0.saturating_add(handling);
+                Some(Some(InputTime { to: to as u32, handling, through }))
+            }
+            _ => None,
+        };
+        let lists = (0..routes.inputs.len()).map(|channel| routes.inputs.get(channel));
+        let channels = lists.map(time).collect::<Option<Vec<_>>>()?;
+        let longest = channels.iter().flatten().map(|time| time.through).max().unwrap_or(0);
+        Some(InputTimes { table: table.clone(), channels, longest })
+    }
+}
+
+impl Message {
+    /// The time that it takes at its receiver.
+    pub(super) fn handling(&self, table: &CostTable) -> u64 {
+        let counts = [
+            (table.axon_in_time, 1),
+            (table.synapse_dense_time, self.events_dense.into()),
+            (table.synapse_sparse_time, self.events_sparse.into()),
+        ];
+        times(&counts).0
+    }
 }
 
 /// A group of the program's cores and how many there are.
@@ -200,7 +261,8 @@ impl MessageRoutes {
         let kinds = kinds.iter().enumerate();
         let kinds = kinds.map(|(number, kind)| KindOfGroup { kind: kind.clone(), groups: of_kind(number) });
         let (kinds, regions) = (kinds.collect(), regions(*program.mesh(), groups));
-        let mut routes = MessageRoutes { kinds, regions: Vec::new(), inputs, spikes, seats, crossed: Vec::new() };
+        let (crossed, input_times) = (Vec::new(), OnceLock::new());
+        let mut routes = MessageRoutes { kinds, regions: Vec::new(), inputs, spikes, seats, crossed, input_times };
         if groups.len() > 1 {
             routes.crossed = routes.crossed(&regions);
         }
@@ -234,6 +296,12 @@ impl MessageRoutes {
             }
         }
         crossed
+    }
+
+    /// What input spikes take under a preset, where that is known without following them.
+    pub(super) fn input_times(&self, table: &CostTable) -> Option<&InputTimes> {
+        let times = self.input_times.get_or_init(|| InputTimes::new(self, table)).as_ref();
+        times.filter(|times| times.table == *table)
     }
 
     /// Whether the program is all there is.
@@ -296,6 +364,11 @@ impl Region {
         let entry = |core| (self.port_of(core), self.route(self.port_of(core), core));
         self.entries = (0..self.cores).map(entry).collect();
         self
+    }
+
+    /// Whether it is one group of cores behind one port.
+    fn is_simple(&self) -> bool {
+        self.groups == [(0, 0)] && self.tiles.len() == self.cores + 1
     }
 
     /// The port through which a core's inputs enter.
@@ -413,6 +486,9 @@ impl Region {
 
     /// Input spikes that enter by the port with most.
     pub(super) fn most_spikes(&self, routes: &MessageRoutes, step: &StepActivity) -> u64 {
+        if routes.kinds.len() == 1 && self.is_simple() {
+            return step.channels.len() as u64;
+        }
         let mut spikes = vec![0; self.tiles.len() - self.cores + 1];
         self.ports(routes, step).for_each(|port| spikes[port] += 1);
         spikes.into_iter().max().unwrap_or(0)
