@@ -20,6 +20,8 @@ const CONFIG: &str = r#"Training(
     loss: SpikeCount(right: 12, wrong: 2),
     optimiser: Adam(rate: 0.03),
     weight_decay: 0.01,
+    l1: 0.0001,
+    dropout: 0.1,
     last_rate: 0.1,
     averaging: 0.9,
     augment: (shift: 2, drop_spike: 0.05, drop_channel: 0.05, jitter: 1, stretch: 0.1, noise: 0.001),

@@ -331,8 +331,8 @@ impl Task {
         let fingerprint = checkpoint::fingerprint(&self.plan, examples);
         let train: Vec<Example> = examples.iter().map(padded).collect();
         let unseen: Vec<Example> = held_out.iter().map(padded).collect();
-        let mut plan = Plan { epochs, ..self.plan.clone() };
-        // It goes on where the training ended.
+        // It goes on where the training ended; what runs forward leaves nothing out.
+        let mut plan = Plan { epochs, dropout: 0.0, ..self.plan.clone() };
         plan.rates.iter_mut().for_each(|rate| *rate *= self.plan.last_rate);
         let mut state = plan.start_from(self.weights());
         let start = self.integers(&state.weights)?;

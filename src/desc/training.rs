@@ -200,6 +200,12 @@ pub struct TrainingFile {
     /// Multiple of the weights added to the gradient (l2), or taken off the weights when `decoupled`.
     #[serde(default)]
     pub weight_decay: f64,
+    /// Added to the gradient with the sign of each weight (l1).
+    #[serde(default)]
+    pub l1: f64,
+    /// Probability with which a unit of a hidden layer is left out of a sample; what is left counts the more.
+    #[serde(default)]
+    pub dropout: f64,
     /// Whether decay is taken off the weights directly.
     #[serde(default)]
     pub decoupled: bool,

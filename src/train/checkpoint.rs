@@ -40,7 +40,8 @@ pub fn fingerprint(plan: &Plan, examples: &[Example]) -> String {
 
 /// A plan as an object whose keys do not depend on names in the source.
 fn described(plan: &Plan) -> Value {
-    let Plan { topology, loss, optimiser, rates, last_rate, batch, epochs, augment, averaging, initial, seed } = plan;
+    let Plan { topology, loss, optimiser, rates, last_rate, batch, epochs, augment, dropout, averaging, initial, seed } =
+        plan;
     let form = match &loss.form {
         Form::SpikeCount => json!(["spike-count"]),
         Form::Weighted { beta, gamma } => json!(["weighted", beta, gamma]),
@@ -51,7 +52,7 @@ fn described(plan: &Plan) -> Value {
         Rule::Adam => "adam",
         Rule::RmsProp => "rmsprop",
     };
-    json!({
+    let mut object = json!({
         "inputs": topology.inputs,
         "layers": topology.layers.iter().map(layer).collect::<Vec<_>>(),
         "loss": {"form": form, "right": loss.right, "wrong": loss.wrong},
@@ -67,7 +68,14 @@ fn described(plan: &Plan) -> Value {
         "averaging": averaging,
         "initial": initial,
         "seed": seed,
-    })
+    });
+    // Checkpoints without these are of trainings without them.
+    for (key, value) in [("l1", optimiser.l1), ("dropout", *dropout)] {
+        if value > 0.0 {
+            object[key] = json!(value);
+        }
+    }
+    object
 }
 
 fn layer(layer: &Layer) -> Value {

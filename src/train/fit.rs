@@ -98,6 +98,8 @@ pub struct Plan {
     pub epochs: u32,
     /// Data augmentation.
     pub augment: AugmentDesc,
+    /// Probability with which a unit of a hidden layer is left out of a sample.
+    pub dropout: f32,
     /// Decay of the exponential moving average of the weights, which is what is deployed. 0: the weights themselves.
     pub averaging: f32,
     /// Initial weights are uniform within this many times `1 / sqrt(fan-in)`, for each layer.
@@ -145,6 +147,7 @@ pub struct Score {
 const INITIAL: u64 = 1 << 32;
 const ORDER: u64 = 2 << 32;
 const VARY: u64 = 3;
+const DROPOUT: u64 = 4;
 
 impl Plan {
     /// The state before the first epoch, with initial weights.
@@ -241,6 +244,20 @@ impl Plan {
         }
     }
 
+    /// Draws which units of hidden layers a sample goes without; the factor of the others keeps the mean (Srivastava et al.: JMLR 2014).
+    fn drop_units(&self, index: u64, epoch: u64, work: &mut Workspace) {
+        work.factors.clear();
+        if self.dropout == 0.0 {
+            return;
+        }
+        let (seed, kept) = (rng::bits(self.seed, DROPOUT, epoch), 1.0 / (1.0 - self.dropout));
+        let hidden = &self.topology.layers[..self.topology.layers.len() - 1];
+        work.factors.extend(hidden.iter().zip(0u64..).map(|(layer, number)| {
+            let drawn = |unit: u64| rng::unit(seed, index, number << 32 | unit) < f64::from(self.dropout);
+            (0..layer.cells.len() as u64).map(|unit| if drawn(unit) { 0.0 } else { kept }).collect()
+        }));
+    }
+
     fn sample<F: Forward>(
         &self,
         (forward, network, deployed): (&F, &F::Network, &Deployed),
@@ -257,6 +274,7 @@ impl Plan {
                 &varied
             }
         };
+        self.drop_units(index, epoch, work);
         forward.run(network, deployed, inputs, work);
         let output = std::mem::take(work.output_mut());
         let loss = self.loss.evaluate(&output, example.label, work.output_error());
@@ -311,4 +329,37 @@ fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
         order.swap(i, rng::below(i as u64 + 1, seed, stream, i as u64) as usize);
     }
     order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::diagnostic::SourceText;
+    use crate::desc::training::TrainingFile;
+    use crate::train::plan::plan;
+
+    #[test]
+    fn dropout_keeps_the_mean_and_is_drawn_by_sample_and_epoch() {
+        let text = "Training(name: \"x\", timestep_ms: 1, inputs: [(name: \"a\", shape: [5])],
+            layers: [(name: \"h\", from: [\"a\"], size: 500), (name: \"o\", from: [\"h\"], size: 3)],
+            neuron: Loihi(tau_u_ms: Same(3), tau_v_ms: Same(5), weight_scale: 16, theta: 10),
+            loss: SpikeCount(right: 6, wrong: 1), optimiser: Adam(rate: 1), dropout: 0.4, batch: 1, epochs: 1, seed: 7)";
+        let source = SourceText::new("x", text);
+        let plan = plan(&TrainingFile::parse(&source).unwrap(), &source).unwrap();
+        let mut work = Workspace::new(&plan.topology);
+        let mut drawn = |sample, epoch| {
+            plan.drop_units(sample, epoch, &mut work);
+            work.factors.clone()
+        };
+        let first = drawn(1, 2);
+        assert_eq!((first.len(), first[0].len()), (1, 500), "outputs are never left out");
+        let dropped = first[0].iter().filter(|factor| **factor == 0.0).count();
+        assert!((150..250).contains(&dropped), "{dropped}");
+        assert!((first[0].iter().sum::<f32>() / 500.0 - 1.0).abs() < 0.15);
+        assert_eq!(drawn(1, 2), first);
+        assert!(drawn(2, 2) != first && drawn(1, 3) != first);
+        let none = Plan { dropout: 0.0, ..plan.clone() };
+        none.drop_units(1, 2, &mut work);
+        assert!(work.factors.is_empty());
+    }
 }

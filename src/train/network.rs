@@ -139,6 +139,8 @@ pub struct Workspace {
     /// Of each layer.
     pub traces: Vec<Trace>,
     errors: Vec<Vec<f32>>,
+    /// What the spikes of each unit of each hidden layer are multiplied by on their way on; empty: 1.
+    pub(super) factors: Vec<Vec<f32>>,
     /// Derivative of the loss by each trained weight.
     pub gradient: Weights,
 }
@@ -192,9 +194,11 @@ impl Topology {
                     Source::Input(input) => (&inputs[input], 0),
                     Source::Layer(earlier) => (&before[earlier].spikes, layer.cells.lag()),
                 };
+                let factors = factors_of(&work.factors, source);
                 for t in lag..steps {
                     let drive = &mut work.drive[t * n..][..n];
                     for (unit, value) in raster.at(t - lag) {
+                        let value = value * factor(factors, unit);
                         for (z, w) in drive.iter_mut().zip(&rows[(offset + unit) * n..][..n]) {
                             *z += value * w;
                         }
@@ -220,6 +224,9 @@ impl Topology {
             let n = layer.cells.len();
             let (earlier_errors, from) = work.errors.split_at_mut(index);
             let error = &mut from[0];
+            if let Some(factors) = work.factors.get(index) {
+                error.chunks_exact_mut(n).for_each(|step| step.iter_mut().zip(factors).for_each(|(e, f)| *e *= f));
+            }
             layer.cells.backward(&work.traces[index], &layer.surrogate, error);
             let gradient = &mut work.gradient[index];
             gradient.fill(0.0);
@@ -229,9 +236,11 @@ impl Topology {
                     Source::Input(input) => (&inputs[input], 0),
                     Source::Layer(earlier) => (&work.traces[earlier].spikes, layer.cells.lag()),
                 };
+                let factors = factors_of(&work.factors, source);
                 for t in lag..steps {
                     let c = &error[t * n..][..n];
                     for (unit, value) in raster.at(t - lag) {
+                        let value = value * factor(factors, unit);
                         for (g, c) in gradient[(offset + unit) * n..][..n].iter_mut().zip(c) {
                             *g += value * c;
                         }
@@ -254,6 +263,18 @@ impl Topology {
             }
         }
     }
+}
+
+/// The factors of a source's spikes; none where all are 1.
+fn factors_of(factors: &[Vec<f32>], source: Source) -> Option<&[f32]> {
+    match source {
+        Source::Input(_) => None,
+        Source::Layer(layer) => factors.get(layer).map(Vec::as_slice),
+    }
+}
+
+fn factor(factors: Option<&[f32]>, unit: usize) -> f32 {
+    factors.map_or(1.0, |factors| factors[unit])
 }
 
 #[cfg(test)]
@@ -302,6 +323,10 @@ mod tests {
                 })
                 .collect();
             let mut work = Workspace::new(topology);
+            if case % 2 == 1 {
+                // As a dropout of two fifths leaves two layers.
+                work.factors = vec![vec![1.5, 0.0, 1.5, 1.5], vec![0.0, 1.5, 1.5]];
+            }
             let loss_of = |weights: &Weights, work: &mut Workspace| {
                 let deployed = topology.deploy(weights, Spiking::Smooth);
                 topology.forward(&deployed, &inputs, Spiking::Smooth, work);

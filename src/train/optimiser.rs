@@ -18,6 +18,8 @@ pub struct Optimiser {
     pub rule: Rule,
     /// Multiple of the weights that is added to the gradient (l2, as in the paper), or taken off the weights directly.
     pub weight_decay: f32,
+    /// What is added to the gradient with the sign of each weight (l1).
+    pub l1: f32,
     /// Whether decay is taken off the weights directly, times the learning rate (Loshchilov, Hutter: ICLR 2019).
     pub decoupled: bool,
 }
@@ -46,7 +48,8 @@ impl Optimiser {
             let rate = rate[layer];
             let (l2, direct) = if self.decoupled { (0.0, rate * self.weight_decay) } else { (self.weight_decay, 0.0) };
             for (((w, g), m), v) in weights.iter_mut().zip(&gradient[layer]).zip(first).zip(second) {
-                let g = g + l2 * *w;
+                let sign = if *w == 0.0 { 0.0 } else { w.signum() };
+                let g = g + l2 * *w + self.l1 * sign;
                 *w -= direct * *w;
                 match self.rule {
                     Rule::Adam => {
@@ -60,6 +63,24 @@ impl Optimiser {
                     }
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn l1_draws_every_weight_but_zero_towards_zero() {
+        for rule in [Rule::Adam, Rule::RmsProp] {
+            let optimiser = Optimiser { rule, weight_decay: 0.0, l1: 0.5, decoupled: false };
+            let mut weights: Weights = vec![vec![2.0, -2.0, 0.0]];
+            let zeros = vec![vec![0.0; 3]];
+            let mut moments = Moments { first: zeros.clone(), second: zeros.clone(), steps: 0 };
+            optimiser.step(&[0.01], &mut weights, &zeros, &mut moments);
+            let [up, down, none] = weights[0][..] else { unreachable!() };
+            assert!(up < 2.0 && down > -2.0 && up == -down && none == 0.0, "{weights:?}");
         }
     }
 }

@@ -101,16 +101,18 @@ pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
     problems.number(file.optimiser.span, "rate", rate, 0.0, 1e3)?;
     let rates = file.layers.iter().map(|layer| (rate * layer.rate) as f32).collect();
     let weight_decay = problems.number(whole, "weight_decay", file.weight_decay, 0.0, 1e3)? as f32;
+    let l1 = problems.number(whole, "l1", file.l1, 0.0, 1e3)? as f32;
     let last = layers[layers.len() - 1].cells.clone();
     Ok(Plan {
         topology: Topology { inputs, layers },
         loss: loss(file.loss.value, &last),
-        optimiser: Optimiser { rule, weight_decay, decoupled: file.decoupled },
+        optimiser: Optimiser { rule, weight_decay, l1, decoupled: file.decoupled },
         rates,
         last_rate: problems.number(whole, "last_rate", file.last_rate, 0.0, 1.0)? as f32,
         batch: problems.number(whole, "batch", f64::from(file.batch), 1.0, 65_536.0)? as usize,
         epochs: file.epochs,
         augment: file.augment,
+        dropout: problems.number(whole, "dropout", file.dropout, 0.0, 0.99)? as f32,
         averaging: problems.number(whole, "averaging", file.averaging, 0.0, 1.0 - 1e-6)? as f32,
         initial: file.layers.iter().map(|layer| layer.initial as f32).collect(),
         seed: file.seed,
