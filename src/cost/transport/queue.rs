@@ -34,7 +34,7 @@ struct Ready {
 const MESSAGE: u64 = 1 << 32;
 
 /// What the queue needs of memory, to be used again. Every number is 0 between two steps, but for those that each step writes anew
-/// ([`Queue::prepare`]).
+/// (`Queue::prepare`).
 #[derive(Debug, Clone, Default)]
 pub struct QueueMemory {
     /// Of each link, in parts of a [`MESSAGE`].
@@ -164,8 +164,7 @@ impl<'w> Queue<'w> {
                     *number += 1;
                     if *number <= skipped {
                         for message in routes.inputs.get(channel.index()) {
-                            left_out[first + message.core.index() - cores.start as usize] +=
-                                message.handling(table);
+                            left_out[first + message.core.index() - cores.start as usize] += message.handling(table);
                         }
                         continue;
                     }
