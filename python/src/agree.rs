@@ -9,7 +9,7 @@ use nsim::agree::ladder::Ladder;
 use nsim::compile::frontend::{analytic, real_and_integers};
 use nsim::compile::{Form, Options, compile};
 use nsim::convert::calibration::{self, RunInput};
-use nsim::convert::copies::USUAL;
+use nsim::convert::copies::{MOST, USUAL};
 use nsim::convert::search::search;
 use nsim::desc::network::Network;
 use nsim::ir::spikes::Sample;
@@ -38,6 +38,17 @@ enum Conversion {
     Analytic,
 }
 
+/// Samples that a search or an attribution may take, as on the command line.
+const MOST_SAMPLES: usize = 100_000;
+
+/// A number from 1 to `most`.
+fn counted(keywords: &Keywords<'_>, name: &str, usual: usize, most: usize) -> PyResult<usize> {
+    match keywords.take(name)?.unwrap_or(usual) {
+        number if (1..=most).contains(&number) => Ok(number),
+        number => Err(usage(format!("{name} is from 1 to {most}, not {number}"))),
+    }
+}
+
 impl Agreement {
     /// Compares a network with its integers on a target.
     pub fn new(
@@ -61,13 +72,14 @@ impl Agreement {
         let conversions = [Conversion::Search, Conversion::Analytic];
         let name = |one| if one == Conversion::Search { "search" } else { "analytic" };
         let conversion = keywords.one_of("conversion", &conversions, name)?.unwrap_or(Conversion::Search);
-        let wanted: usize = keywords.take("calibration_samples")?.unwrap_or(60);
-        let copies: usize = keywords.take("delayed_copies")?.unwrap_or(USUAL);
+        let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
+        let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
         let steps: Option<u32> = keywords.take("steps")?;
-        let most = match keywords.take::<bool>("attribution")? {
-            Some(false) => 0,
-            _ => keywords.take("attribution_samples")?.unwrap_or(100),
-        };
+        if steps == Some(0) {
+            return Err(usage("steps is at least 1".into()));
+        }
+        let attributed = counted(keywords, "attribution_samples", 100, MOST_SAMPLES)?;
+        let most = if keywords.take("attribution")?.unwrap_or(true) { attributed } else { 0 };
         let scene = network.file().scene.as_deref();
         let shown = Shown::new(&written, scene, spikes, keywords)?;
         keywords.none_left()?;
