@@ -7,28 +7,19 @@ use std::time::Instant;
 
 use serde_json::Value;
 
-use crate::base::diagnostic::{Diagnostic, SourceText};
-use crate::base::folds::stratified_folds;
+#[cfg(feature = "ann")]
+use crate::base::diagnostic::Diagnostic;
+use crate::base::diagnostic::SourceText;
 use crate::cli::args::values::SampleRange;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::signals;
-use crate::compile;
-use crate::desc::training::TrainingFile;
-use crate::drive::inputs;
-use crate::drive::{Outcome, digest};
 use crate::error::{Error, Result};
 use crate::io;
-use crate::io::shipped::Origin;
-use crate::ir::quantised::Quantised;
 use crate::report::train::{StudyReport, StudyRun, TrainReport, history_csv};
 use crate::train::checkpoint;
-use crate::train::export;
 use crate::train::fit::{Example, Plan, TrainingState};
-use crate::train::network::Weights;
-use crate::train::plan::plan;
-use crate::train::raster::Raster;
-use crate::train::text::with_field;
+use crate::train::job::{self, Checkpoint, Data, Job, cross_validate, with_fields};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -82,198 +73,64 @@ pub struct Args {
     seeds: SampleRange,
 }
 
-/// A training file, checked.
-struct Job {
-    file: TrainingFile,
-    plan: Plan,
-}
-
-fn job(source: &SourceText, args: &Args) -> Result<Job> {
-    let mut file = TrainingFile::parse(source)?;
-    file.seed = args.seed.unwrap_or(file.seed);
-    file.epochs = args.epochs.unwrap_or(file.epochs);
-    let plan = plan(&file, source)?;
-    Ok(Job { file, plan })
-}
-
-/// The text of the training file with fields replaced.
-fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText> {
-    let mut text = source.text().to_string();
-    for (key, value) in fields {
-        let changed = with_field(&text, key, value);
-        text = changed.ok_or_else(|| Error::Usage(format!("--set {key}: the training file is no Training(..)")))?;
-    }
-    Ok(SourceText::new(source.path(), text))
-}
-
-/// A network with the inputs of the training file, by which sources are read as for `nsim run`.
-fn stand_in(file: &TrainingFile) -> Result<Quantised> {
-    let mut text = String::from("Network(name: \"inputs\", timestep_ms: 1.0, populations: [");
-    for input in &file.inputs {
-        text += &format!("Input(name: {:?}, shape: {:?}),", input.name, input.shape);
-    }
-    text += "Loihi(name: \"stand-in-for-the-layers\", shape: [1], du: 0, dv: 0, vth_mant: 0)], projections: [";
-    for input in &file.inputs {
-        text += &format!(
-            "Random(from: [{:?}], to: \"stand-in-for-the-layers\", fan_out: 1, low: 0, high: 0, seed: 0),",
-            input.name
-        );
-    }
-    text += "], output: \"stand-in-for-the-layers\")";
-    let network = io::model::network(SourceText::new("inputs of the training file", text), Origin::File)?;
-    Ok(compile::front(&network)?.into_quantised())
-}
-
-/// Labelled samples of the given sources, or of those that the training file names.
-fn examples(
-    network: &Quantised,
-    given: &[String],
-    named: &[String],
-    (what, classes): (&str, usize),
-    config: &Path,
-) -> Result<Vec<Example>> {
-    let sources = if given.is_empty() { named } else { given };
-    if sources.is_empty() {
-        return Ok(Vec::new());
-    }
-    let stimulus = inputs::stimulus(network, sources, None, None)?;
-    let mut examples = Vec::with_capacity(stimulus.samples.len());
-    for (index, sample) in stimulus.samples.iter().enumerate() {
-        let wrong = |message: String| Diagnostic::new("train.label", message).in_file(config);
-        let example = Example::from_sample(network, sample)
-            .ok_or_else(|| wrong(format!("{what} sample {index} has no label")))?;
-        if example.label as usize >= classes {
-            return Err(wrong(format!("a sample has label {}, the network {classes} outputs", example.label)).into());
-        }
-        examples.push(example);
-    }
-    Ok(examples)
-}
-
 /// The training samples of a file, and its number of classes.
 ///
 /// # Errors
 /// As those of a training.
 #[cfg(feature = "ann")]
-pub(in crate::cli) fn labelled(file: &TrainingFile, source: &SourceText) -> Result<(Vec<Example>, usize)> {
-    let classes = plan(file, source)?.topology.classes();
-    let samples = examples(&stand_in(file)?, &[], &file.train, ("training", classes), source.path())?;
+pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
+    let samples = job.data(&[], &[])?.train;
     if samples.is_empty() {
-        return Err(Diagnostic::new("train.sources", "it names no samples to train on").in_file(source.path()).into());
+        let message = "it names no samples to train on";
+        return Err(Diagnostic::new("train.sources", message).in_file(job.source.path()).into());
     }
-    Ok((samples, classes))
+    Ok((samples, job.plan.topology.classes()))
 }
 
-/// Training and test samples.
-struct Data {
-    train: Vec<Example>,
-    test: Vec<Example>,
-}
-
-fn data(file: &TrainingFile, classes: usize, args: &Args) -> Result<Data> {
-    let network = stand_in(file)?;
-    let train = examples(&network, &args.train, &file.train, ("training", classes), &args.config)?;
-    let test = examples(&network, &args.test, &file.test, ("test", classes), &args.config)?;
-    if train.is_empty() {
+fn data(job: &Job, args: &Args) -> Result<Data> {
+    let data = job.data(&args.train, &args.test)?;
+    if data.train.is_empty() {
         return Err(Error::Usage("there are no training samples: add --train SOURCE".to_string()));
     }
-    Ok(Data { train, test })
+    Ok(data)
 }
 
 /// Keeps the last finished epoch of a training that a signal ends.
-fn keep(finished: &Mutex<Option<TrainingState>>, path: &Path, print: &str, epochs: u32) -> Option<String> {
+fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs: u32) -> Option<String> {
     let state = finished.lock().ok()?.take()?;
-    Some(match checkpoint::save(path, &state, print) {
+    Some(match checkpoint.save(&state) {
         Ok(()) => format!(
             "{} of {epochs} epochs are kept in {}, and the same command goes on from there",
             state.epoch,
-            path.display()
+            checkpoint.path().display()
         ),
         Err(error) => format!("epoch {} could not be kept: {error}", state.epoch),
     })
 }
 
-/// Trains to the end, from the checkpoint when there is one.
-fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<TrainingState> {
-    let of = kept.map(|path| (path, checkpoint::fingerprint(plan, examples)));
-    let state = of.as_ref().map(|(path, print)| checkpoint::load(path, plan, print)).transpose()?.flatten();
-    let mut state = state.unwrap_or_else(|| plan.start());
+/// Trains with a bar, from the checkpoint when there is one; a signal saves the last epoch in it.
+fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<(TrainingState, f64)> {
+    let kept = kept.map(|path| Checkpoint::new(path, plan, examples));
     let bar = output::progress(context, u64::from(plan.epochs), "epochs");
-    let mut failed = Ok(());
     let finished = Arc::new(Mutex::new(None));
-    let _ending = of.as_ref().map(|(path, print)| {
-        let (finished, path, print, epochs) = (Arc::clone(&finished), path.to_path_buf(), print.clone(), plan.epochs);
-        signals::at_end(move || keep(&finished, &path, &print, epochs))
+    let _ending = kept.clone().map(|kept| {
+        let (finished, epochs) = (Arc::clone(&finished), plan.epochs);
+        signals::at_end(move || keep(&finished, &kept, epochs))
     });
-    plan.run(&mut state, examples, |state| {
+    let done = job::train(plan, examples, kept.as_ref(), |state| {
         bar.set_position(u64::from(state.epoch));
-        if of.is_some()
+        if kept.is_some()
             && let Ok(mut finished) = finished.lock()
         {
             *finished = Some(state.clone());
         }
-        if let Some((path, print)) = &of
-            && (state.epoch.is_multiple_of(10) || state.epoch == plan.epochs)
-        {
-            failed = checkpoint::save(path, state, print);
-        }
-        failed.is_ok()
     });
     bar.finish_and_clear();
-    failed?;
-    Ok(state)
-}
-
-/// Trains on all samples but those of a fold, and scores on them.
-fn cross_validate(plan: &Plan, examples: &[Example], fold: &[usize], context: Context) -> Result<(f64, Weights)> {
-    let part = |tested: bool| {
-        let chosen = (0..examples.len()).filter(|index| fold.contains(index) == tested);
-        chosen.map(|index| examples[index].clone()).collect::<Vec<_>>()
-    };
-    let state = train(plan, &part(false), None, context)?;
-    let weights = plan.result(&state).clone();
-    Ok((plan.score(&weights, &part(true)).accuracy, weights))
-}
-
-/// Folds are drawn from a fixed seed, so that every setting is tried on the same ones.
-const FOLD_SEED: u64 = 0;
-
-/// So many folds of these samples.
-pub(in crate::cli) fn folds_of(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
-    let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
-    stratified_folds(&labels, k as usize, FOLD_SEED)
+    done
 }
 
 fn folds(args: &Args, examples: &[Example]) -> Vec<Vec<usize>> {
-    args.folds.map_or_else(Vec::new, |k| folds_of(examples, k))
-}
-
-/// Output spikes as a run shows them.
-fn outcome(output: &Raster) -> Outcome {
-    Outcome { spikes: output.events().collect(), ..Outcome::default() }
-}
-
-fn weights_path(model: &Path) -> PathBuf {
-    model.with_extension("safetensors")
-}
-
-/// Writes a model file and its weights beside it.
-fn write_model(
-    path: &Path,
-    force: bool,
-    file: &TrainingFile,
-    plan: &Plan,
-    weights: &Weights,
-    comment: &str,
-    provenance: &str,
-) -> Result<()> {
-    let beside = weights_path(path);
-    let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let model = export::model(file, &plan.topology, weights, &name, comment, provenance)?;
-    let mut files = io::write::Batch::new(force);
-    files.add(&beside, |out| out.write_all(&model.weights))?;
-    files.add(path, |out| out.write_all(model.ron.as_bytes()))?;
-    Ok(files.commit()?)
+    args.folds.map_or_else(Vec::new, |k| Job::folds(examples, k))
 }
 
 /// Runs the command.
@@ -291,44 +148,23 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
         return study(args, &source, &fields, folder, context);
     }
     let source = with_fields(&source, &fields)?;
-    let job = job(&source, args)?;
-    let weights = args.output.as_deref().map(weights_path);
+    let job = Job::new(source, args.seed, args.epochs)?;
+    let weights = args.output.as_deref().map(job::weights_path);
     if args.output.as_deref().is_some_and(io::text::is_standard_stream) {
         return Err(Error::Usage("-o -: a trained model has weights, which need a file beside it".to_string()));
     }
     let taken = output::check_files(args.output.iter().chain(&weights).chain(&args.log), None, context)?;
-    let data = data(&job.file, job.plan.topology.classes(), args)?;
-    let begin = Instant::now();
+    let data = data(&job, args)?;
     let state = train(&job.plan, &data.train, args.checkpoint.as_deref(), context)?;
-    let seconds = begin.elapsed().as_secs_f64();
-    let weights = job.plan.result(&state);
-    let score = |examples: &[Example]| job.plan.score(weights, examples).accuracy;
-    let (train_accuracy, test_accuracy) = (score(&data.train), (!data.test.is_empty()).then(|| score(&data.test)));
-    let seen = if data.test.is_empty() { &data.train } else { &data.test };
-    let outcomes: Vec<Outcome> = job.plan.outputs(weights, seen).iter().map(outcome).collect();
-    let mut fold_accuracies = Vec::new();
-    for fold in folds(args, &data.train) {
-        fold_accuracies.push(cross_validate(&job.plan, &data.train, &fold, context)?.0);
-    }
-    let report = TrainReport {
-        name: &job.file.name,
-        epochs: state.epoch,
-        seed: job.plan.seed,
-        seconds,
-        samples: (data.train.len(), data.test.len()),
-        train_accuracy,
-        test_accuracy,
-        folds: &fold_accuracies,
-        model: args.output.as_deref(),
-        loss: state.history.last().map(|row| row.loss),
-        digest: &digest(&outcomes),
-    };
+    let each = |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0);
+    let trained = job.trained(state, &data, &folds(args, &data.train), each)?;
+    let report = TrainReport { job: &job, trained: &trained, model: args.output.as_deref() };
     if let Some(path) = &args.log {
-        io::write::text(path, context.force, &history_csv(&state.history))?;
+        io::write::text(path, context.force, &history_csv(&trained.state.history))?;
     }
     if let Some(path) = &args.output {
-        let (comment, provenance) = (report.provenance(&source, &args.set), report.summary());
-        write_model(path, context.force, &job.file, &job.plan, weights, &comment, &provenance)?;
+        let (comment, provenance) = (report.provenance(&args.set), report.summary());
+        job.write((path, context.force), job.plan.result(&trained.state), &comment, &provenance)?;
     }
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
@@ -383,37 +219,39 @@ fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Pat
             (done > 0).then(|| format!("{done} runs are kept in {folder}, and the same command goes on from there"))
         })
     };
+    let each = |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0);
     for (number, setting) in combinations(fields).iter().enumerate() {
         let source = with_fields(source, setting)?;
-        let Job { file, mut plan } = job(&source, args)?;
+        let mut job = Job::new(source, args.seed, args.epochs)?;
         let data = match &mut read {
             Some(data) => data,
-            none => none.insert(data(&file, plan.topology.classes(), args)?),
+            none => none.insert(data(&job, args)?),
         };
         let folds = folds(args, &data.train);
         let name = setting.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(" ");
         for seed in seeds.clone() {
-            plan.seed = seed as u64;
-            let print = checkpoint::fingerprint(&plan, &data.train);
+            job.plan.seed = seed as u64;
+            let (plan, name_of_file) = (&job.plan, &job.file.name);
+            let print = checkpoint::fingerprint(plan, &data.train);
             let parts = if folds.is_empty() { vec![None] } else { folds.iter().map(Some).collect::<Vec<_>>() };
             for (part, fold) in parts.into_iter().enumerate() {
                 let kind = if fold.is_some() { format!("fold{part}") } else { "test".to_string() };
-                let path = folder.join(format!("{}-{}-{seed}-{kind}.json", file.name, &print[..12]));
+                let path = folder.join(format!("{name_of_file}-{}-{seed}-{kind}.json", &print[..12]));
                 let run = match kept(&path, &print)? {
                     Some(run) => run,
                     None => {
                         let begin = Instant::now();
                         let (accuracy, weights) = match fold {
-                            Some(fold) => cross_validate(&plan, &data.train, fold, context)?,
+                            Some(fold) => cross_validate(plan, &data.train, fold, each)?,
                             None => {
-                                let state = train(&plan, &data.train, None, context)?;
+                                let state = each(plan, &data.train)?;
                                 let weights = plan.result(&state).clone();
                                 (plan.score(&weights, &data.test).accuracy, weights)
                             }
                         };
                         let model = path.with_extension("ron");
                         let said = format!("{name} seed {seed}, {kind}, of a study: accuracy {accuracy:.4}");
-                        write_model(&model, true, &file, &plan, &weights, "", &said)?;
+                        job.write((&model, true), &weights, "", &said)?;
                         let seconds = begin.elapsed().as_secs_f64();
                         let run = StudyRun {
                             setting: name.clone(),
@@ -425,7 +263,7 @@ fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Pat
                         };
                         let mut value = serde_json::json!(run);
                         value["fingerprint"] = print.clone().into();
-                        value["name"] = file.name.clone().into();
+                        value["name"] = name_of_file.clone().into();
                         value["tested"] = fold.cloned().into();
                         io::write::text(&path, true, &format!("{value:#}\n"))?;
                         run

@@ -28,6 +28,7 @@ use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::ChannelId;
 use crate::compile::frontend::analytic::Fit;
 use crate::compile::frontend::exponents::Detail;
+use crate::convert::staged::Measured;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::desc::training::TrainingFile;
 use crate::ir::graph::{Graph, PopulationKind, ProjectionKind};
@@ -116,6 +117,42 @@ impl FineTuned {
         let of =
             |epoch: u32| self.rows.iter().find(|row| row.epoch == epoch).map_or_else(TaskScore::default, |r| r.score);
         (of(0), of(self.kept))
+    }
+}
+
+/// Integers that were trained further.
+#[derive(Debug)]
+pub struct Tuned {
+    /// The epochs and their scores.
+    pub tuned: FineTuned,
+    /// Epochs that were asked for.
+    pub epochs: u32,
+    /// The integers that are kept.
+    pub integers: Ladder,
+    /// Where the training samples came from.
+    pub samples: Vec<String>,
+    /// How near the integers still are to the trained network on samples that no stage saw.
+    pub held_out: Option<Measured>,
+}
+
+impl Tuned {
+    /// For a model's provenance.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
+        let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
+        let (before, after) = self.tuned.scores();
+        let unseen = held_out.map_or_else(String::new, |held| {
+            let change = change(&held.before, &held.after);
+            format!(", {change} on {} held-out samples (as trained {:.4})", held.samples, held.trained)
+        });
+        format!(
+            "fine-tuned for {} with seed {seed} on {samples} training samples of {}, SHA-256 of plan and samples {fingerprint}; epoch \
+             {kept} is kept; accuracy {} on the training samples{unseen}",
+            if self.epochs == 1 { "1 epoch".to_string() } else { format!("{} epochs", self.epochs) },
+            self.samples.join(" "),
+            change(&before, &after),
+        )
     }
 }
 

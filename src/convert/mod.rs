@@ -2,7 +2,9 @@
 
 pub mod calibration;
 pub mod copies;
+pub mod deployed;
 pub mod fine_tune;
+pub mod job;
 pub mod model_file;
 pub mod prepare;
 pub mod resets;

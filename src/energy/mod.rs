@@ -9,4 +9,5 @@ pub mod evaluate;
 pub mod job;
 pub mod options;
 pub mod other_hardware;
+pub mod page;
 pub mod workload;

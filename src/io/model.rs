@@ -42,6 +42,25 @@ fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
     Network::new(file, source, arrays)
 }
 
+/// A model whose arrays are tensors of one safetensors file in memory, by whatever name the model refers to it.
+///
+/// # Errors
+/// `model.syntax`; of tensors, at the place that names them.
+pub fn with_tensors(source: SourceText, bytes: Vec<u8>) -> Result<Network> {
+    let file = NetworkFile::parse(&source)?;
+    let tensors = safetensors::TensorFile::from_bytes(source.path(), bytes)?;
+    let mut arrays = BTreeMap::new();
+    for (reference, span) in array_refs(&file) {
+        let tensor = match reference {
+            ArrayRef::Safetensors(_, key) => tensors.tensor(key),
+            ArrayRef::Npy(_) => Err(Diagnostic::new("io.missing", "it is not among the tensors in memory")),
+        };
+        let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = reference;
+        arrays.insert(reference.clone(), tensor.map_err(|problem| point_at(&source, span, name, problem))?);
+    }
+    Network::new(file, source, arrays)
+}
+
 /// A model that is read once, for many changes of it.
 #[derive(Debug)]
 pub struct Unchanged {

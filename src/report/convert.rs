@@ -4,44 +4,23 @@ use serde_json::{Value, json};
 
 use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of};
 use crate::agree::attribution::Distance;
-use crate::agree::ladder::Ladder;
-use crate::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore};
-use crate::convert::staged::{Converted, LayerLoss, Left, Measured, StageRow};
-
-/// Integers that were trained further.
-#[derive(Debug)]
-pub struct Tuned {
-    /// The epochs and their scores.
-    pub tuned: FineTuned,
-    /// Epochs that were asked for.
-    pub epochs: u32,
-    /// The integers that are kept.
-    pub integers: Ladder,
-    /// Where the training samples came from.
-    pub samples: Vec<String>,
-    /// How near the integers still are to the trained network on samples that no stage saw.
-    pub held_out: Option<Measured>,
-}
+use crate::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
+use crate::convert::job::{Done, Job, sentence};
+use crate::convert::staged::{LayerLoss, Left, Measured, StageRow};
 
 /// Everything that the report says.
 #[derive(Debug)]
 pub struct ConvertReport<'a> {
-    /// The network's name.
-    pub model: &'a str,
-    /// SHA-256 of the model file.
-    pub hash: &'a str,
+    /// What was converted.
+    pub job: &'a Job,
+    /// What came out.
+    pub done: &'a Done,
     /// Where the samples came from.
     pub input: &'a [String],
-    /// What came out.
-    pub converted: &'a Converted,
-    /// How near it is on samples that no stage saw.
-    pub held_out: Option<&'a Measured>,
     /// What fine-tuning made of it.
     pub tuned: Option<&'a Tuned>,
     /// The files that were written.
     pub files: &'a [String],
-    /// Wall-clock seconds of the conversion.
-    pub seconds: f64,
 }
 
 fn rounded(x: f64) -> f64 {
@@ -104,25 +83,6 @@ fn score(score: &TaskScore) -> Value {
 }
 
 impl Tuned {
-    /// For a model's provenance.
-    #[must_use]
-    pub fn sentence(&self) -> String {
-        let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
-        let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
-        let (before, after) = self.tuned.scores();
-        let unseen = held_out.map_or_else(String::new, |held| {
-            let change = change(&held.before, &held.after);
-            format!(", {change} on {} held-out samples (as trained {:.4})", held.samples, held.trained)
-        });
-        format!(
-            "fine-tuned for {} with seed {seed} on {samples} training samples of {}, SHA-256 of plan and samples {fingerprint}; epoch \
-             {kept} is kept; accuracy {} on the training samples{unseen}",
-            count(self.epochs, "epoch"),
-            self.samples.join(" "),
-            change(&before, &after),
-        )
-    }
-
     fn json(&self) -> Value {
         let FineTuned { kept, rows, samples, held_out, seed, fingerprint, .. } = &self.tuned;
         let row = |row: &FineTuneRow| {
@@ -190,19 +150,19 @@ impl ConvertReport<'_> {
         };
         json!({
             "schema": "nsim.convert/1",
-            "model": self.model,
-            "model_sha256": self.hash,
+            "model": self.job.graph.facts().name,
+            "model_sha256": self.job.hash,
             "input": self.input,
-            "samples": self.converted.calibration.samples,
-            "stages": self.converted.stages.iter().map(stage).collect::<Vec<_>>(),
-            "layers": self.converted.layers.iter().map(layer).collect::<Vec<_>>(),
-            "left": self.converted.left.iter().map(left).collect::<Vec<_>>(),
-            "class_agreement": rounded(self.converted.calibration.distance.class_agreement),
-            "calibration": measured(&self.converted.calibration),
-            "held_out": self.held_out.map(measured),
+            "samples": self.done.converted.calibration.samples,
+            "stages": self.done.converted.stages.iter().map(stage).collect::<Vec<_>>(),
+            "layers": self.done.converted.layers.iter().map(layer).collect::<Vec<_>>(),
+            "left": self.done.converted.left.iter().map(left).collect::<Vec<_>>(),
+            "class_agreement": rounded(self.done.converted.calibration.distance.class_agreement),
+            "calibration": measured(&self.done.converted.calibration),
+            "held_out": self.done.held_out.as_ref().map(measured),
             "fine_tune": self.tuned.map(Tuned::json),
             "output": self.files,
-            "seconds": rounded(self.seconds),
+            "seconds": rounded(self.done.seconds),
         })
     }
 
@@ -211,22 +171,26 @@ impl ConvertReport<'_> {
     /// # Errors
     /// Never in practice: the rows are built in memory.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        csv_of(&self.converted.stages, &STAGES)
+        csv_of(&self.done.converted.stages, &STAGES)
     }
 
     /// A section of a document.
     #[must_use]
     pub fn markdown(&self) -> String {
-        let calibration = &self.converted.calibration;
-        let mut out = format!("{}, {}.\n\n", self.model, count(calibration.samples as u64, "calibration sample"));
-        out += &markdown_of(&self.converted.stages, &STAGES);
+        let calibration = &self.done.converted.calibration;
+        let mut out = format!(
+            "{}, {}.\n\n",
+            self.job.graph.facts().name,
+            count(calibration.samples as u64, "calibration sample")
+        );
+        out += &markdown_of(&self.done.converted.stages, &STAGES);
         out += &format!(
             "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on the same samples, \
              {}):\n\n",
-            four(self.converted.left_from.coincidence)
+            four(self.done.converted.left_from.coincidence)
         );
-        out += &markdown_of(&self.converted.left, &LEFT);
-        if let Some(held) = self.held_out {
+        out += &markdown_of(&self.done.converted.left, &LEFT);
+        if let Some(held) = self.done.held_out.as_ref() {
             out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), sentence(held));
         }
         if let Some(tuned) = self.tuned {
@@ -238,17 +202,18 @@ impl ConvertReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let calibration = &self.converted.calibration;
-        let mut out = format!("{}, {}\n\n", self.model, count(calibration.samples as u64, "calibration sample"));
-        out += &format!("{}\n\n", table_of(&self.converted.stages, &STAGES, 2));
-        out += &format!("{}\n\n", table_of(&self.converted.layers, &LAYERS, 1));
-        for layer in &self.converted.layers {
+        let calibration = &self.done.converted.calibration;
+        let mut out =
+            format!("{}, {}\n\n", self.job.graph.facts().name, count(calibration.samples as u64, "calibration sample"));
+        out += &format!("{}\n\n", table_of(&self.done.converted.stages, &STAGES, 2));
+        out += &format!("{}\n\n", table_of(&self.done.converted.layers, &LAYERS, 1));
+        for layer in &self.done.converted.layers {
             if let Some(advice) = &layer.advice {
                 out += &format!("'{}': {advice}\n", layer.name);
             }
         }
-        out += &format!("\nwhat is left to gain\n{}\n\n", table_of(&self.converted.left, &LEFT, 1));
-        if let Some(held) = self.held_out {
+        out += &format!("\nwhat is left to gain\n{}\n\n", table_of(&self.done.converted.left, &LEFT, 1));
+        if let Some(held) = self.done.held_out.as_ref() {
             out += &format!("on {}: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
         }
         if let Some(tuned) = self.tuned {
@@ -259,15 +224,4 @@ impl ConvertReport<'_> {
         }
         out
     }
-}
-
-/// How near, in a sentence.
-#[must_use]
-pub fn sentence(measured: &Measured) -> String {
-    let layers = measured.layers.iter().map(|(name, coincidence, _)| match coincidence {
-        Some(coincidence) => format!("{name} {coincidence:.3}"),
-        None => format!("{name} silent"),
-    });
-    let layers: Vec<String> = layers.collect();
-    format!("classes agree in {:.4}, coincidence {}", measured.distance.class_agreement, layers.join(", "))
 }

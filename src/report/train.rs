@@ -6,34 +6,18 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
 use super::text::{Column, csv_of, right_from};
-use crate::base::diagnostic::SourceText;
 use crate::train::fit::EpochRow;
+use crate::train::job::{Job, Trained};
 
 /// Everything that the report of one training says.
 #[derive(Debug)]
 pub struct TrainReport<'a> {
-    /// The model's name.
-    pub name: &'a str,
-    /// Epochs trained.
-    pub epochs: u32,
-    /// The seed.
-    pub seed: u64,
-    /// Seconds that training took, without reading samples.
-    pub seconds: f64,
-    /// Training and test samples.
-    pub samples: (usize, usize),
-    /// Share of the training samples that is right.
-    pub train_accuracy: f64,
-    /// Share of the test samples that is right.
-    pub test_accuracy: Option<f64>,
-    /// Accuracy on each fold left out.
-    pub folds: &'a [f64],
+    /// The training file.
+    pub job: &'a Job,
+    /// What it came to.
+    pub trained: &'a Trained,
     /// Where the model was written.
     pub model: Option<&'a Path>,
-    /// Mean loss of the last epoch.
-    pub loss: Option<f64>,
-    /// Of the output spikes on the test samples (without any, the training samples), as `nsim run` computes it.
-    pub digest: &'a str,
 }
 
 /// Mean and standard deviation (of the values themselves, not of their mean).
@@ -52,19 +36,20 @@ impl TrainReport<'_> {
     /// `nsim.train/1`.
     #[must_use]
     pub fn json(&self) -> Value {
+        let Trained { state, train_accuracy, test_accuracy, digest, folds, samples, seconds } = self.trained;
         json!({
             "schema": "nsim.train/1",
-            "name": self.name,
-            "epochs": self.epochs,
-            "seed": self.seed,
-            "seconds": rounded(self.seconds),
-            "samples": self.samples.0,
-            "test_samples": self.samples.1,
-            "loss": self.loss.map(rounded),
-            "train_accuracy": rounded(self.train_accuracy),
-            "test_accuracy": self.test_accuracy.map(rounded),
-            "folds": self.folds.iter().copied().map(rounded).collect::<Vec<_>>(),
-            "digest": self.digest,
+            "name": self.job.file.name,
+            "epochs": state.epoch,
+            "seed": self.job.plan.seed,
+            "seconds": rounded(*seconds),
+            "samples": samples.0,
+            "test_samples": samples.1,
+            "loss": state.history.last().map(|row| rounded(row.loss)),
+            "train_accuracy": rounded(*train_accuracy),
+            "test_accuracy": test_accuracy.map(rounded),
+            "folds": folds.iter().copied().map(rounded).collect::<Vec<_>>(),
+            "digest": digest,
             "model": self.model.map(|path| path.display().to_string()),
         })
     }
@@ -74,20 +59,20 @@ impl TrainReport<'_> {
     /// # Errors
     /// Never in practice: the row is built in memory.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let test = self.test_accuracy.map_or(String::new(), |accuracy| accuracy.to_string());
-        Ok(format!(
-            "name,seed,epochs,seconds,train_accuracy,test_accuracy\n{},{},{},{},{},{test}\n",
-            self.name, self.seed, self.epochs, self.seconds, self.train_accuracy
-        ))
+        let Trained { state, train_accuracy, test_accuracy, seconds, .. } = self.trained;
+        let test = test_accuracy.map_or(String::new(), |accuracy| accuracy.to_string());
+        let (name, seed, epochs) = (&self.job.file.name, self.job.plan.seed, state.epoch);
+        let columns = "name,seed,epochs,seconds,train_accuracy,test_accuracy";
+        Ok(format!("{columns}\n{name},{seed},{epochs},{seconds},{train_accuracy},{test}\n"))
     }
 
     /// One line: accuracy on what.
     #[must_use]
     pub fn summary(&self) -> String {
-        let test = self
-            .test_accuracy
-            .map_or(String::new(), |accuracy| format!("; accuracy {accuracy:.4} on {} test samples", self.samples.1));
-        let folds = match self.folds {
+        let Trained { state, train_accuracy, test_accuracy, folds, samples, .. } = self.trained;
+        let test = test_accuracy
+            .map_or(String::new(), |accuracy| format!("; accuracy {accuracy:.4} on {} test samples", samples.1));
+        let folds = match folds.as_slice() {
             [] => String::new(),
             folds => {
                 let each: Vec<String> = folds.iter().map(|fold| format!("{fold:.3}")).collect();
@@ -100,21 +85,22 @@ impl TrainReport<'_> {
             }
         };
         format!(
-            "trained by nsim train, seed {}, {} epochs over {} samples, of which {:.4} are right{test}{folds}",
-            self.seed, self.epochs, self.samples.0, self.train_accuracy
+            "trained by nsim train, seed {}, {} epochs over {} samples, of which {train_accuracy:.4} are right{test}{folds}",
+            self.job.plan.seed, state.epoch, samples.0
         )
     }
 
     /// What the model file says before the network: the summary and the training file.
     #[must_use]
-    pub fn provenance(&self, source: &SourceText, set: &[String]) -> String {
+    pub fn provenance(&self, set: &[String]) -> String {
+        let source = &self.job.source;
         let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let set = set.iter().map(|set| format!(" --set '{set}'")).collect::<String>();
         let summary: String = super::text::wrapped(&self.summary());
         format!(
             "{}\n\n{summary}\nnsim train {file}{set} --seed {}, the training file being:\n\n{}",
-            self.name,
-            self.seed,
+            self.job.file.name,
+            self.job.plan.seed,
             source.text()
         )
     }
@@ -122,8 +108,8 @@ impl TrainReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut out = format!("{}: {}", self.name, super::text::wrapped(&self.summary()));
-        out += &format!("{:.1} s\n", self.seconds);
+        let mut out = format!("{}: {}", self.job.file.name, super::text::wrapped(&self.summary()));
+        out += &format!("{:.1} s\n", self.trained.seconds);
         if let Some(model) = self.model {
             out += &format!("written: {}\n", model.display());
         }

@@ -13,7 +13,7 @@ use std::path::Path;
 use self::args::{answer, deployed_warnings, draw};
 use crate::agree::attribution::attribute;
 use crate::agree::compare::{Counterpart, Deployed, compare, output_layer};
-use crate::agree::ladder::{Ladder, layers};
+use crate::agree::ladder::layers;
 use crate::cli::args::input::select;
 use crate::cli::args::jobs::Refusal;
 use crate::cli::args::values::Switch;
@@ -53,11 +53,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let against = against(args, &graph, &analytic)?;
 
     let wanted = args.calibration_samples as usize;
-    let (fits, found) = args.conversion.fits((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
-    let ladder = match &found {
-        Some(found) => found.conversion.ladder(&graph)?,
-        None => Ladder::new(&graph, &fits)?,
-    };
+    let integers = args.conversion.integers((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
+    let ladder = integers.ladder(&graph)?;
     let target = io::target::load_target(&args.target)?;
     let compiled = match compile(ladder.deployed().clone(), &target, &Options::default()) {
         Ok(compiled) => compiled,
@@ -73,8 +70,14 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(message.to_string()));
     }
     let program = &compiled.program;
-    let deployed =
-        Deployed { graph: &graph, fits: &fits, ladder: &ladder, program, samples: &samples, steps: args.steps };
+    let deployed = Deployed {
+        graph: &graph,
+        fits: &integers.fits,
+        ladder: &ladder,
+        program,
+        samples: &samples,
+        steps: args.steps,
+    };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
     output::warn_all(&deployed_warnings(&compiled, &samples)?);
     let attribution = match attributed {
@@ -99,8 +102,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         same_class: agreement.same_class,
         accuracy: agreement.accuracy,
         layers: &agreement.layers,
-        found: found.as_ref(),
-        fits: &named_fits(&graph, &fits),
+        found: integers.found.as_ref(),
+        fits: &named_fits(&graph, &integers.fits),
         attribution: attribution.as_ref(),
         attribution_samples: samples.len().min(args.attribution_samples as usize),
     };

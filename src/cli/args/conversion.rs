@@ -1,24 +1,15 @@
 //! `--conversion` and `--calibrate`: how a spike response network becomes integers.
 
 use crate::cli::args::input::InputArgs;
+use crate::cli::args::values::one_of;
 use crate::cli::output;
-use crate::compile::frontend::analytic::{self, Fit};
-use crate::convert::calibration::{self, RunInput};
+use crate::convert::calibration::RunInput;
 use crate::convert::copies;
-use crate::convert::search::{self, SearchResult};
+use crate::convert::deployed::{Choice, Conversion, Integers};
 use crate::error::Error;
 use crate::ir::graph::Graph;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
-
-/// How a spike response network becomes integers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Conversion {
-    /// The analytic start, then a search on calibration samples.
-    Search,
-    /// The analytic start alone.
-    Analytic,
-}
 
 /// What a conversion may cost.
 #[derive(Debug, Clone, clap::Args)]
@@ -46,8 +37,8 @@ impl CopiesArgs {
 /// How a spike response network becomes integers, and on which samples it is searched for.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ConversionArgs {
-    /// How a spike response network becomes integers
-    #[arg(help_heading = "Conversion", long, value_enum, default_value = "search")]
+    /// How a spike response network becomes integers: by a search on samples, or by the analytic start alone
+    #[arg(help_heading = "Conversion", long, default_value = "search", value_parser = one_of(&Conversion::ALL, Conversion::name))]
     pub conversion: Conversion,
     /// Samples for the search, as --input takes them [default: the scene with another seed, or the first input samples]
     #[arg(help_heading = "Conversion", long, value_name = "SOURCE")]
@@ -58,34 +49,31 @@ pub struct ConversionArgs {
 }
 
 impl ConversionArgs {
-    /// What stands for each spike response population of a network, and the search that found it, if there was one.
+    /// What stands for each spike response population of a network.
     ///
     /// # Errors
     /// [`Error`] when a source cannot be used.
-    pub fn fits(
+    pub fn integers(
         &self,
-        (graph, network): (&Graph, &Quantised),
+        networks: (&Graph, &Quantised),
         input: &InputArgs,
         scene: Option<&str>,
         samples: &[&Sample],
         wanted: usize,
-    ) -> Result<(Vec<Option<Fit>>, Option<SearchResult>), Error> {
-        if !graph.has_srm() || self.conversion == Conversion::Analytic {
-            return Ok((analytic::starts(graph), None));
-        }
+    ) -> Result<Integers, Error> {
         let run = RunInput { sources: &input.input, seed: input.seed, scene };
-        let stimulus = calibration::stimulus(network, &self.calibrate, run, wanted)?;
-        let calibration: Vec<&Sample> = match &stimulus {
-            Some(stimulus) => stimulus.samples.iter().take(wanted).collect(),
-            None => {
-                tracing::warn!("calibrating on the first samples of the input itself; --calibrate gives others");
-                samples.iter().take(wanted).copied().collect()
-            }
+        let choice = Choice {
+            conversion: self.conversion,
+            calibrate: &self.calibrate,
+            run,
+            wanted,
+            most_copies: self.copies.most(),
         };
-        let _busy = output::busy("searching for integers");
-        let found = search::search(graph, &calibration, self.copies.most(), |population| {
-            tracing::info!("searching '{population}'");
-        })?;
-        Ok((found.conversion.fits.clone(), Some(found)))
+        let _busy = (networks.0.has_srm() && self.conversion == Conversion::Search)
+            .then(|| output::busy("searching for integers"));
+        Integers::find(networks, choice, samples, |population| match population {
+            Some(population) => tracing::info!("searching '{population}'"),
+            None => tracing::warn!("calibrating on the first samples of the input itself; --calibrate gives others"),
+        })
     }
 }

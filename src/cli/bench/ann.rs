@@ -9,13 +9,14 @@ use crate::bench::published::paper::PaperRow;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::train::{folds_of, labelled};
+use crate::cli::train::labelled;
 use crate::desc::training::TrainingFile;
 use crate::error::Error;
 use crate::io;
 use crate::report::bench::paper::PaperReport;
 use crate::train::ann::{AnnKind, AnnResult, AnnSettings, Senses, trained};
 use crate::train::fit::Example;
+use crate::train::job::Job;
 use crate::train::raster::Raster;
 
 const EXAMPLES: &str = "\
@@ -117,11 +118,11 @@ pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
     let kinds = if args.network.is_empty() { AnnKind::ALL.to_vec() } else { args.network.clone() };
     let mut all = Vec::new();
     for config in &args.config {
-        let source = io::text::read_text(config)?;
-        let file = TrainingFile::parse(&source)?;
-        let (examples, classes) = labelled(&file, &source)?;
-        let senses = senses(&file, &examples, classes)?;
-        let folds = folds_of(&examples, args.folds);
+        let job = Job::new(io::text::read_text(config)?, None, None)?;
+        let (examples, classes) = labelled(&job)?;
+        let file = &job.file;
+        let senses = senses(file, &examples, classes)?;
+        let folds = Job::folds(&examples, args.folds);
         let tested = args.tested.unwrap_or(args.folds).min(args.folds) as usize;
         for &kind in &kinds {
             let epochs = u64::from(args.epochs) * tested as u64;
@@ -141,7 +142,7 @@ pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
                 results.push(done.map_err(|error| Error::Fault(format!("candle: {error}")))?);
             }
             bar.finish_and_clear();
-            all.extend(rows(&file, kind, &results, args.folds, args.epochs));
+            all.extend(rows(file, kind, &results, args.folds, args.epochs));
         }
     }
     if let Some(path) = &args.output {

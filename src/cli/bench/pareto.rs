@@ -78,9 +78,9 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();
     let networks = (&graph, &analytic);
-    let (fits, _) = args.conversion.fits(networks, &args.input, scene.as_deref(), &samples, CALIBRATION_SAMPLES)?;
+    let integers = args.conversion.integers(networks, &args.input, scene.as_deref(), &samples, CALIBRATION_SAMPLES)?;
     let target = io::target::load_target(&args.target)?;
-    let subject = Subject::new(&graph, &fits, &target, samples, args.seconds)?;
+    let subject = Subject::new(&graph, &integers.fits, &target, samples, args.seconds)?;
     let variants = Variant::all(graph.has_srm());
     let mut rows = output::with_progress(context, variants.len(), "variants", |done| {
         let measured = variants.into_iter().map(|variant| subject.measure(variant)).inspect(|_| done());

@@ -6,23 +6,16 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use crate::base::diagnostic::Diagnostic;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::cli::process::signals;
-use crate::convert::fine_tune::{BestEpoch, Task};
+use crate::convert::fine_tune::{BestEpoch, Task, Tuned};
+use crate::convert::job::{Done, FineTuning, Job};
 use crate::convert::model_file;
-use crate::convert::staged::Converted;
-use crate::desc::training::TrainingFile;
-use crate::drive::inputs;
 use crate::error::Error;
 use crate::io::shipped;
 use crate::ir::graph::Graph;
-use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
-use crate::report::convert::Tuned;
-use crate::train::fit::Example;
-use crate::train::plan::plan;
 
 /// How integers are trained further.
 #[derive(Debug, Clone, clap::Args)]
@@ -45,51 +38,32 @@ impl FineTuneArgs {
     /// [`Error`] when the training file or a sample cannot be used.
     pub fn tune(
         &self,
-        (graph, integers, converted): (&Graph, &Quantised, &Converted),
+        job: &Job,
+        done: &Done,
         held_out: &[&Sample],
         output: Option<(&Path, &str)>,
         context: Context,
     ) -> Result<Option<Tuned>, Error> {
         let Some(epochs) = self.fine_tune else { return Ok(None) };
-        let named = self.training.as_deref().unwrap_or(&graph.facts().name);
+        let named = self.training.as_deref().unwrap_or(&job.graph.facts().name);
         let (source, _) = shipped::text_of(named, shipped::TRAININGS, "training file", "convert.training")
             .map_err(|error| error.help("--training names the training file of the model"))?;
-        let file = TrainingFile::parse(&source)?;
-        let task = Task::new(graph, (&converted.fits, converted.detail), &file, plan(&file, &source)?)?;
-        let sources = if self.train.is_empty() { &file.train } else { &self.train };
-        if sources.is_empty() {
-            let message = "the training file names no training samples: add --train SOURCE";
-            return Err(Error::Usage(message.to_string()));
-        }
-        let stimulus = inputs::stimulus(integers, sources, None, None)?;
-        let classes = file.layers.last().map_or(0, |layer| layer.size);
-        let labelled =
-            |sample: &Sample| Example::from_sample(integers, sample).filter(|example| example.label < classes);
-        let example = |(index, sample): (usize, &Sample)| {
-            labelled(sample).ok_or_else(|| {
-                let message = format!("training sample {index} has no label of the network's {classes} outputs");
-                Diagnostic::new("train.label", message)
-            })
-        };
-        let examples = stimulus.samples.iter().enumerate().map(example).collect::<Result<Vec<_>, _>>()?;
-        let unseen: Vec<Example> = held_out.iter().filter_map(|sample| labelled(sample)).collect();
-        let task = Arc::new(task);
+        let converted = &done.converted;
+        let tuning = FineTuning::new(job, converted, &source, (&self.train, held_out), epochs)?;
         let best: Arc<Mutex<Option<BestEpoch>>> = Arc::default();
         let _ending = output.map(|(path, provenance)| {
-            let (task, best, graph) = (Arc::clone(&task), Arc::clone(&best), graph.clone());
+            let (task, best, graph) = (Arc::clone(&tuning.task), Arc::clone(&best), job.graph.clone());
             let (path, provenance, force) = (path.to_path_buf(), provenance.to_string(), context.force);
             signals::at_end(move || keep(&task, &best, &graph, &path, &provenance, force))
         });
-        let bar = output::progress(context, Task::work(&examples, &unseen, epochs), "fine-tuning");
-        let tuned = task.run((&examples, &unseen), epochs, &|| bar.inc(1), |epoch| {
+        let bar = output::progress(context, tuning.work(), "fine-tuning");
+        let tuned = tuning.run(converted, held_out, &|| bar.inc(1), |epoch| {
             if let Ok(mut best) = best.lock() {
                 *best = Some(epoch.clone());
             }
         })?;
         bar.finish_and_clear();
-        let integers = task.integers(&tuned.weights)?;
-        let held_out = (!held_out.is_empty()).then(|| converted.compared(&integers, held_out));
-        Ok(Some(Tuned { tuned, epochs, integers, samples: stimulus.origin, held_out }))
+        Ok(Some(tuned))
     }
 }
 

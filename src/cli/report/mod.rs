@@ -5,29 +5,18 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::agree::compare::{Side, compare_networks, machine_trace, output_layer, real_trace};
-use crate::agree::ladder::layers;
-use crate::base::id::CompartmentId;
 use crate::cli::args::saved;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::output;
-use crate::compile::frontend::real_and_integers;
-use crate::compile::{Options, compile};
-use crate::convert::staged::is_real;
 use crate::desc::stimulus::{InputArg, InputSource};
 use crate::energy::evaluate::Evaluated;
+use crate::energy::page::{agreement, compared, sections, trained};
 use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
-use crate::ir::firing_rates::Rates;
-use crate::ir::quantised::{Quantised, Units};
-use crate::ir::source_counts::SourceCounts;
-use crate::neuron;
-use crate::report::agree::AgreeReport;
-use crate::report::page::sample::Watched;
-use crate::report::page::{Origin, Provenance, Sections, fit, html, network, sample};
+use crate::report::page::{Origin, Provenance, Sections, html};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -49,15 +38,6 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE.html")]
     output: PathBuf,
 }
-
-/// Samples of which the trained and the deployed network are compared.
-const COMPARED: usize = 40;
-/// Compartments of a population whose potentials are drawn.
-const WATCHED_OF_EACH: usize = 3;
-/// Compartments whose potentials are drawn.
-const WATCHED: usize = 12;
-/// A network with more synapses is not compared with its trained form.
-const MOST_COMPARED: u64 = 4_000_000;
 
 /// Runs the command.
 ///
@@ -102,55 +82,15 @@ fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
 
 /// The page of a run.
 fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Context) -> Result<Answer, Error> {
-    let Evaluated { energy, run, deployment } = evaluated;
-    let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
-    let samples = workload.samples();
-    let rates = Rates::of_copy(&run.counts, network, run.activity.steps());
-    let mut sections = Sections {
-        results: vec![energy.json()],
-        network: network::json(network),
-        fit: fit::json(compiled, target, &compiled.links_at(&rates)),
-        confusion: sample::confusion(network, &samples, &run.outcomes),
-        ..Sections::default()
-    };
-    if let (Some(first), Some(outcome)) = (samples.first(), run.outcomes.first()) {
-        let (ids, watched) = watched(network, &run.counts);
-        let tables = run.meter.tables()[..1].to_vec();
-        let settings = workload.metered(tables, deployment, args.cost.transport);
-        let timeline = workload.timeline((settings, deployment.cores_powered), first, &ids)?;
-        sections.sample = sample::json(network, &timeline, &watched, first, outcome);
-    }
+    let (target, network) = (workload.target, &workload.compiled.one);
     // What came through a pipe is gone: it is neither compared with itself in real numbers nor hashed.
     let piped = io::text::is_standard_stream(Path::new(&args.cost.job.model));
     let file = (!piped).then(|| io::model::load_model(&args.cost.job.model)).transpose()?;
-    let graph = file.as_ref().map(real_and_integers).transpose()?.map(|(graph, _)| graph);
-    if let Some(graph) = graph.filter(is_real)
-        && network.synapses() <= MOST_COMPARED
-    {
-        let some = &samples[..samples.len().min(COMPARED)];
-        let one = compile(network.clone(), target, &Options::default())?;
-        let (real, machine) = (real_trace(&graph, network.compartments()), machine_trace(network, &one.program)?);
-        let of_both = layers(network);
-        let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
-        let output = output_layer(network);
-        let agreement = output::with_progress(context, some.len(), "samples compared", |done| {
-            compare_networks(sides, &output, some, None, done)
-        })?;
-        let report = AgreeReport {
-            model: &network.parts().name,
-            against: "the trained network",
-            input: &workload.origin,
-            seed: workload.seed,
-            samples: some.len(),
-            same_class: agreement.same_class,
-            accuracy: agreement.accuracy,
-            layers: &agreement.layers,
-            found: None,
-            fits: &[],
-            attribution: None,
-            attribution_samples: 0,
-        };
-        sections.agreement = report.json();
+    let mut sections = sections(workload, evaluated, args.cost.transport)?;
+    if let Some(trained) = file.as_ref().map(|file| trained(workload, file)).transpose()?.flatten() {
+        let compared = compared(workload);
+        sections.agreement =
+            output::with_progress(context, compared, "samples compared", |done| agreement(workload, &trained, done))?;
     }
     let source = file.iter().map(|file| origin("model", &args.cost.job.model, file.source().text().as_bytes()));
     let mut origins: Vec<Origin> = source.collect();
@@ -171,33 +111,6 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Co
     }
     let title = format!("{} on {}", network.parts().name, target.name());
     write(args, &title, &sections, origins, context)
-}
-
-/// The compartments whose potentials are drawn: of the output, then of each population, those that spike most.
-fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Watched>) {
-    let thresholds = neuron::thresholds(network);
-    let (mut ids, mut watched) = (Vec::new(), Vec::new());
-    let output = network.parts().output;
-    let others = network.populations().ids().filter(|&id| id != output);
-    for id in std::iter::once(output).chain(others) {
-        let population = &network.populations()[id];
-        let Units::Compartments { first, .. } = population.units else { continue };
-        let mut numbers: Vec<u32> = (first.0..first.0 + population.shape.len()).collect();
-        numbers.sort_by_key(|&number| std::cmp::Reverse(counts.compartments[CompartmentId(number)]));
-        let most =
-            if id == output { WATCHED_OF_EACH.max(network.parts().classes.len().min(6)) } else { WATCHED_OF_EACH };
-        numbers.truncate(most);
-        numbers.sort_unstable();
-        for number in numbers.into_iter().take(WATCHED.saturating_sub(ids.len())) {
-            ids.push(CompartmentId(number));
-            let index = network.index_shown(id, number - first.0);
-            watched.push(Watched {
-                name: format!("{}[{index}]", population.name),
-                threshold: thresholds[number as usize],
-            });
-        }
-    }
-    (ids, watched)
 }
 
 fn origin(what: &'static str, name: &str, bytes: &[u8]) -> Origin {
