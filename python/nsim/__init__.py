@@ -5,21 +5,38 @@
 >>> print(mapping.run().accuracy, mapping.energy().energy_uj)
 """
 
-from ._nsim import Agreement, Energy, Error, Mapping, Network, Run, __version__, load
+from ._nsim import (
+    Agreement,
+    Conversion,
+    Energy,
+    Error,
+    Mapping,
+    Network,
+    Run,
+    Training,
+    Warning,
+    __version__,
+    load,
+    train,
+)
 from ._sweep import Table, sweep
 from ._tools import from_nir, from_torch
 
 __all__ = [
     "Agreement",
+    "Conversion",
     "Energy",
     "Error",
     "Mapping",
     "Network",
     "Run",
     "Table",
+    "Training",
+    "Warning",
     "__version__",
     "from_nir",
     "from_torch",
     "load",
     "sweep",
+    "train",
 ]

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 Path = Union[str, "PathLike[str]"]
 Array = NDArray[Any]
+Sources = Union[str, Sequence[str], None]
 Spikes = Union[Array, Dictionary[str, Array], str, Sequence[str], None]
 
 __version__: str
@@ -19,6 +20,9 @@ class Error(Exception):
     """FILE:LINE:COLUMN, or FILE."""
     help: Optional[str]
     """What to change."""
+
+class Warning(UserWarning):
+    """What stands out in a run, such as a population that never spikes."""
 
 def load(model: Path) -> Network:
     """Loads a model file or a shipped model."""
@@ -116,6 +120,7 @@ class Network:
         target: Path = "nahuku-32",
         against: Optional[str] = None,
         conversion: str = "search",
+        calibrate: Sources = None,
         calibration_samples: int = 60,
         delayed_copies: Optional[int] = None,
         steps: Optional[int] = None,
@@ -128,6 +133,93 @@ class Network:
         time_first: bool = False,
     ) -> Agreement:
         """Where and why the integers disagree with the network that was trained: `nsim agree`."""
+
+    def convert(
+        self,
+        spikes: Spikes = None,
+        *,
+        target: Path = "nahuku-32",
+        calibrate: Sources = None,
+        calibration_samples: int = 60,
+        delayed_copies: Optional[int] = None,
+        fine_tune: int = 0,
+        training: Optional[Path] = None,
+        train: Sources = None,
+        labels: Optional[Sequence[int]] = None,
+        samples: Optional[tuple[int, int]] = None,
+        repeat: int = 1,
+        seed: Optional[int] = None,
+        time_first: bool = False,
+    ) -> Conversion:
+        """The network in integers, searched for on samples: `nsim convert`."""
+    def report(
+        self,
+        path: Path,
+        spikes: Spikes = None,
+        *,
+        target: Path = "nahuku-32",
+        copies: Optional[int] = None,
+        force: bool = False,
+        **options: Any,
+    ) -> "PathLike[str]":
+        """Writes the page of `nsim report`; the other options are those of `energy`."""
+    def save(self, path: Path, *, force: bool = False) -> list[str]:
+        """Writes a model file, and its arrays beside it."""
+
+class Conversion:
+    @property
+    def network(self) -> Network:
+        """The network in integers."""
+    @property
+    def class_agreement(self) -> Optional[float]:
+        """On samples that were held out; without any, on those that were searched on."""
+    @property
+    def stages(self) -> list[dict[str, Any]]: ...
+    @property
+    def layers(self) -> list[dict[str, Any]]: ...
+    def save(self, path: Path, *, force: bool = False) -> list[str]:
+        """Writes what `nsim convert -o` writes."""
+    def json(self) -> dict[str, Any]:
+        """What `nsim convert --format json` prints."""
+    def _repr_html_(self) -> str: ...
+
+class Training:
+    @property
+    def network(self) -> Network:
+        """The trained network."""
+    @property
+    def train_accuracy(self) -> float: ...
+    @property
+    def test_accuracy(self) -> Optional[float]: ...
+    @property
+    def folds(self) -> list[float]: ...
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the output spikes on the test samples."""
+    @property
+    def history(self) -> list[tuple[int, float, float]]:
+        """(epoch, mean loss, accuracy)."""
+    def csv(self) -> str:
+        """The history as `nsim train --log` writes it."""
+    def save(self, path: Path, *, force: bool = False) -> list["PathLike[str]"]:
+        """Writes what `nsim train -o` writes."""
+    def json(self) -> dict[str, Any]:
+        """What `nsim train --format json` prints."""
+    def _repr_html_(self) -> str: ...
+
+def train(
+    config: Path,
+    *,
+    train: Union[Sources, tuple[Spikes, Sequence[int]]] = None,
+    test: Union[Sources, tuple[Spikes, Sequence[int]]] = None,
+    seed: Optional[int] = None,
+    epochs: Optional[int] = None,
+    set: Optional[dict[str, Any]] = None,
+    folds: Optional[int] = None,
+    checkpoint: Optional[Path] = None,
+    time_first: bool = False,
+) -> Training:
+    """Trains the network of a training file (its path or its text): `nsim train`."""
 
 class Agreement:
     @property
@@ -201,6 +293,21 @@ class Mapping:
         time_first: bool = False,
     ) -> Energy:
         """Runs the samples and prices them."""
+    def bench(
+        self,
+        spikes: Spikes = None,
+        *,
+        seconds: float = 1.0,
+        skip: bool = True,
+        labels: Optional[Sequence[int]] = None,
+        samples: Optional[tuple[int, int]] = None,
+        repeat: int = 1,
+        seed: Optional[int] = None,
+        time_first: bool = False,
+    ) -> dict[str, Any]:
+        """How long a timestep takes to simulate on one thread."""
+    def report(self, path: Path, spikes: Spikes = None, *, force: bool = False, **options: Any) -> "PathLike[str]":
+        """Writes the page of `nsim report`; the other options are those of `energy`."""
 
 class Run:
     @property
@@ -222,6 +329,9 @@ class Run:
         """(sample, step, output) of each output spike, `[spikes, 3]`."""
     @property
     def activity(self) -> dict[str, Any]: ...
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """What stands out: code, population, message."""
     def probe(self, name: str) -> NDArray[np.int32]:
         """What `run(probe=[name])` recorded, `[samples, compartments, T]`."""
     def neurobench(self) -> dict[str, Any]:

@@ -5,23 +5,21 @@
 
 use nsim::agree::attribution::attribute;
 use nsim::agree::compare::{Counterpart, Deployed, compare, output_layer};
-use nsim::agree::ladder::Ladder;
-use nsim::compile::frontend::{analytic, real_and_integers};
+use nsim::compile::frontend::real_and_integers;
 use nsim::compile::{Form, Options, compile};
-use nsim::convert::calibration::{self, RunInput};
+use nsim::convert::calibration::RunInput;
 use nsim::convert::copies::{MOST, USUAL};
-use nsim::convert::search::search;
+use nsim::convert::deployed::{Choice, Conversion, Integers};
 use nsim::desc::network::Network;
-use nsim::ir::spikes::Sample;
 use nsim::report::agree::{AgreeReport, named_fits};
 use pyo3::prelude::*;
 use serde_json::Value;
 
 use crate::error::raised;
-use crate::html::table;
+use crate::html::{columns, table};
 use crate::keywords::{Keywords, usage};
 use crate::run::to_python;
-use crate::spikes::Shown;
+use crate::spikes::{Shown, sources};
 use crate::work::work;
 
 /// Where and why two networks disagree.
@@ -31,18 +29,11 @@ pub struct Agreement {
     text: String,
 }
 
-/// How a spike response network becomes integers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Conversion {
-    Search,
-    Analytic,
-}
-
 /// Samples that a search or an attribution may take, as on the command line.
-const MOST_SAMPLES: usize = 100_000;
+pub const MOST_SAMPLES: usize = 100_000;
 
 /// A number from 1 to `most`.
-fn counted(keywords: &Keywords<'_>, name: &str, usual: usize, most: usize) -> PyResult<usize> {
+pub fn counted(keywords: &Keywords<'_>, name: &str, usual: usize, most: usize) -> PyResult<usize> {
     match keywords.take(name)?.unwrap_or(usual) {
         number if (1..=most).contains(&number) => Ok(number),
         number => Err(usage(format!("{name} is from 1 to {most}, not {number}"))),
@@ -69,9 +60,9 @@ impl Agreement {
             Some("srm") => return Err(usage("against='srm': the network has no spike response neurons".into())),
             Some(other) => return Err(usage(format!("against is one of srm, cuba, golden, not '{other}'"))),
         };
-        let conversions = [Conversion::Search, Conversion::Analytic];
-        let name = |one| if one == Conversion::Search { "search" } else { "analytic" };
-        let conversion = keywords.one_of("conversion", &conversions, name)?.unwrap_or(Conversion::Search);
+        let conversion = keywords.one_of("conversion", &Conversion::ALL, Conversion::name)?;
+        let conversion = conversion.unwrap_or(Conversion::Search);
+        let calibrate = sources(keywords.take("calibrate")?.as_ref())?;
         let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
         let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
         let steps: Option<u32> = keywords.take("steps")?;
@@ -85,28 +76,12 @@ impl Agreement {
         keywords.none_left()?;
         work(py, true, |progress| {
             let samples = shown.samples();
-            let found = match graph.has_srm() && conversion == Conversion::Search {
-                false => None,
-                true => {
-                    let run = RunInput { sources: &shown.stimulus.origin, seed: shown.stimulus.seed, scene };
-                    let others = calibration::stimulus(&written, &[], run, wanted)?;
-                    let chosen: Vec<&Sample> = match &others {
-                        Some(others) => others.samples.iter().take(wanted).collect(),
-                        None => samples.iter().take(wanted).copied().collect(),
-                    };
-                    Some(search(&graph, &chosen, copies, |_| ())?)
-                }
-            };
-            let (fits, ladder) = match &found {
-                Some(found) => (found.conversion.fits.clone(), found.conversion.ladder(&graph)?),
-                None => {
-                    let starts = analytic::starts(&graph);
-                    let ladder = Ladder::new(&graph, &starts)?;
-                    (starts, ladder)
-                }
-            };
+            let run = RunInput { sources: &shown.stimulus.origin, seed: shown.stimulus.seed, scene };
+            let choice = Choice { conversion, calibrate: &calibrate, run, wanted, most_copies: copies };
+            let integers = Integers::find((&graph, &written), choice, &samples, |_| progress())?;
+            let (fits, ladder) = (&integers.fits, integers.ladder(&graph)?);
             let program = &compile(ladder.deployed().clone(), &target, &Options::default())?.program;
-            let deployed = Deployed { graph: &graph, fits: &fits, ladder: &ladder, program, samples: &samples, steps };
+            let deployed = Deployed { graph: &graph, fits, ladder: &ladder, program, samples: &samples, steps };
             let agreement = compare(deployed, &against, progress)?;
             let some = &samples[..samples.len().min(most)];
             let attribution =
@@ -120,8 +95,8 @@ impl Agreement {
                 same_class: agreement.same_class,
                 accuracy: agreement.accuracy,
                 layers: &agreement.layers,
-                found: found.as_ref(),
-                fits: &named_fits(&graph, &fits),
+                found: integers.found.as_ref(),
+                fits: &named_fits(&graph, fits),
                 attribution: attribution.as_ref(),
                 attribution_samples: some.len(),
             };
@@ -167,13 +142,6 @@ impl Agreement {
     /// The layers as a table for notebooks.
     fn _repr_html_(&self) -> String {
         let layers = self.json["layers"].as_array().map_or(&[][..], Vec::as_slice);
-        let keys = layers.first().and_then(Value::as_object);
-        let columns: Vec<&str> = keys.map_or_else(Vec::new, |keys| {
-            keys.iter()
-                .filter(|(_, value)| !value.is_object() && !value.is_array())
-                .map(|(key, _)| key.as_str())
-                .collect()
-        });
-        table(&self.__repr__().replace(['<', '>'], ""), &columns, layers)
+        table(&self.__repr__().replace(['<', '>'], ""), &columns(layers), layers)
     }
 }

@@ -1,17 +1,24 @@
 //! What a mapping costs.
 
+use std::path::PathBuf;
+
 use nsim::cost::Transport;
 use nsim::cost::estimate::Convention;
 use nsim::desc::published::baseline::Mode;
 use nsim::desc::published::workload::Accounting;
-use nsim::energy::evaluate::{CostOptions, Plan, evaluate};
+use nsim::drive::samples::Progress;
+use nsim::energy::evaluate::{CostOptions, Evaluated, Plan, evaluate};
 use nsim::energy::options::{DeploymentArg, HostArg};
+use nsim::energy::page;
 use nsim::energy::workload::Workload;
+use nsim::io::text::sha256;
+use nsim::io::write::{self, check_free};
 use nsim::ir::program::Program;
 use nsim::report::energy::table::EnergyReport;
+use nsim::report::page::{Origin, Provenance, html};
 use pyo3::prelude::*;
 
-use crate::error::raised;
+use crate::error::{raised, warn};
 use crate::html::table;
 use crate::keywords::Keywords;
 use crate::mapping::Mapping;
@@ -55,6 +62,67 @@ pub struct Energy {
     report: EnergyReport,
 }
 
+/// Runs and prices a mapping; `then` takes the result.
+fn priced<T: Send>(
+    py: Python<'_>,
+    (mapping, plan): (&Mapping, &Plan),
+    spikes: Option<&Bound<'_, PyAny>>,
+    keywords: &Keywords<'_>,
+    then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, nsim::Error> + Send,
+) -> PyResult<T> {
+    let shared = mapping.shared();
+    let compiled = shared.compiled();
+    let shown = Shown::new(&compiled.one, shared.scene.as_deref(), spikes, keywords)?;
+    let options = options(py, keywords)?;
+    keywords.none_left()?;
+    let long = is_long(shared, &shown);
+    let (result, warnings) = work(py, long, |progress| {
+        let Shown { stimulus, order } = shown;
+        let workload = Workload::new(compiled, &shared.target, stimulus, order)?;
+        // The processor's rows are of one copy, mapped alone.
+        let alone = match options.baselines.cpu && workload.copies > 1 {
+            true => Some(nsim::compile(compiled.one.clone(), &shared.target, &nsim::Options::default())?),
+            false => None,
+        };
+        let alone: &Program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
+        let evaluated = evaluate(plan, &workload, &options, Some(alone), |(metered, _), watched| {
+            workload.simulate(metered, watched, true, (progress, None))
+        })?;
+        let warnings = evaluated.energy.detail.warnings.clone();
+        Ok((then(&workload, evaluated, (options.transport, progress))?, warnings))
+    })?;
+    if shared.warns() {
+        warn(py, &warnings)?;
+    }
+    Ok(result)
+}
+
+/// Writes the page of a run to a path, with `force` in the place of a file that is there.
+pub fn report(
+    py: Python<'_>,
+    what: (&Mapping, &Plan),
+    spikes: Option<&Bound<'_, PyAny>>,
+    keywords: &Keywords<'_>,
+    (path, force): (PathBuf, bool),
+) -> PyResult<PathBuf> {
+    check_free(&path, force).map_err(|problem| raised(py, problem))?;
+    let network = &what.0.shared().network;
+    let page = priced(py, what, spikes, keywords, |workload, evaluated, (transport, progress)| {
+        let mut sections = page::sections(workload, &evaluated, transport)?;
+        if let Some(trained) = page::trained(workload, network)? {
+            sections.agreement = page::agreement(workload, &trained, progress)?;
+        }
+        let source = network.source();
+        let name = source.path().display().to_string();
+        let origins = vec![Origin { what: "model", name, sha256: sha256(source.text().as_bytes()) }];
+        let title = format!("{} on {}", workload.compiled.one.parts().name, workload.target.name());
+        let command = format!("report, nsim {} for Python", env!("CARGO_PKG_VERSION"));
+        Ok(html(&title, &sections, &Provenance { command, origins }))
+    })?;
+    py.detach(|| write::text(&path, force, &page)).map_err(|problem| raised(py, problem))?;
+    Ok(path)
+}
+
 impl Energy {
     /// Runs and prices a mapping.
     pub fn new(
@@ -64,27 +132,7 @@ impl Energy {
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        let shared = mapping.shared();
-        let compiled = shared.compiled();
-        let shown = Shown::new(&compiled.one, shared.scene.as_deref(), spikes, keywords)?;
-        let options = options(py, keywords)?;
-        keywords.none_left()?;
-        let long = is_long(shared, &shown);
-        let report = work(py, long, |progress| {
-            let Shown { stimulus, order } = shown;
-            let workload = Workload::new(compiled, &shared.target, stimulus, order)?;
-            // The processor's rows are of one copy, mapped alone.
-            let alone = match options.baselines.cpu && workload.copies > 1 {
-                true => Some(nsim::compile(compiled.one.clone(), &shared.target, &nsim::Options::default())?),
-                false => None,
-            };
-            let alone: &Program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
-            let evaluated = evaluate(plan, &workload, &options, Some(alone), |(metered, _), watched| {
-                workload.simulate(metered, watched, true, (progress, None))
-            })?;
-            Ok(evaluated.energy)
-        })?;
-        Ok(Energy { report })
+        priced(py, (mapping, plan), spikes, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
     fn total(&self, figure: &str) -> Option<f64> {

@@ -33,3 +33,9 @@ pub fn table(caption: &str, columns: &[&str], rows: &[Value]) -> String {
     let body: String = rows.iter().map(row).collect();
     format!("<table><caption>{}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>", escaped(caption))
 }
+
+/// The keys of rows that have one value.
+pub fn columns(rows: &[Value]) -> Vec<&str> {
+    let keys = rows.first().and_then(Value::as_object).into_iter().flatten();
+    keys.filter(|(_, value)| !value.is_object() && !value.is_array()).map(|(key, _)| key.as_str()).collect()
+}

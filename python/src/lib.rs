@@ -5,6 +5,8 @@
 //! interpreter's lock.
 
 mod agree;
+mod bench;
+mod convert;
 mod energy;
 mod error;
 mod html;
@@ -16,6 +18,7 @@ mod projections;
 mod run;
 mod spikes;
 mod sweep;
+mod train;
 mod work;
 
 use pyo3::prelude::*;
@@ -23,14 +26,18 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Error", module.py().get_type::<error::Error>())?;
+    module.add("Warning", module.py().get_type::<error::Warning>())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<network::Network>()?;
     module.add_class::<mapping::Mapping>()?;
     module.add_class::<run::Run>()?;
     module.add_class::<energy::Energy>()?;
     module.add_class::<agree::Agreement>()?;
+    module.add_class::<convert::Conversion>()?;
+    module.add_class::<train::Training>()?;
     module.add_function(wrap_pyfunction!(network::load, module)?)?;
     module.add_function(wrap_pyfunction!(network::from_bytes, module)?)?;
+    module.add_function(wrap_pyfunction!(train::train, module)?)?;
     module.add_function(wrap_pyfunction!(sweep::sweep_len, module)?)?;
     module.add_function(wrap_pyfunction!(sweep::sweep_part, module)?)?;
     module.add_function(wrap_pyfunction!(sweep::sweep_merged, module)?)

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim::compile::explore;
 use nsim::compile::{self, CompileError, Compiled, DEFAULT_RATE, Form, Objective, Options, Strategy, shapes};
@@ -20,6 +21,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use self_cell::self_cell;
 
+use crate::bench::bench;
 use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::Keywords;
@@ -105,13 +107,21 @@ pub struct Shared {
     pub scene: Option<String>,
     /// Where it is mapped.
     pub target: Target,
+    /// The network as its file says.
+    pub network: Arc<Network>,
     ready: Ready,
+    warned: AtomicBool,
 }
 
 impl Shared {
     /// The compiled network.
     pub fn compiled(&self) -> &Compiled {
         self.ready.borrow_owner()
+    }
+
+    /// Whether nobody has been warned of what this network does; after the first call somebody has.
+    pub fn warns(&self) -> bool {
+        !self.warned.swap(true, Ordering::Relaxed)
     }
 
     /// The program, laid out for runs of this division.
@@ -126,7 +136,7 @@ pub struct Mapping(Arc<Shared>);
 
 impl Mapping {
     /// Maps a network.
-    pub fn new(py: Python<'_>, model: &str, network: &Network, request: &MappingRequest) -> PyResult<Self> {
+    pub fn new(py: Python<'_>, model: &str, network: &Arc<Network>, request: &MappingRequest) -> PyResult<Self> {
         let made = py.detach(|| {
             let (compiled, target) = request.compiled(network)?;
             let division = Division::new(&compiled.program, 2);
@@ -138,7 +148,15 @@ impl Mapping {
         });
         let (ready, target) = made.map_err(|error: nsim::Error| raised(py, error))?;
         let scene = network.file().scene.clone();
-        Ok(Mapping(Arc::new(Shared { model: model.to_string(), scene, target, ready })))
+        let shared = Shared {
+            model: model.to_string(),
+            scene,
+            target,
+            network: network.clone(),
+            ready,
+            warned: AtomicBool::new(false),
+        };
+        Ok(Mapping(Arc::new(shared)))
     }
 
     /// What runs and energies share.
@@ -238,7 +256,8 @@ impl Mapping {
     /// input populations to such arrays, a source or a list of sources as `--input` takes them, or None for the model's own scene. With
     /// `time_first` arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the samples, `samples` is
     /// (first, end), `seed` that of a scene, `early_exit` 'certain' or a margin in spikes, `probe` a list of POPULATION.spikes, .u, .v
-    /// or .v_register to record.
+    /// or .v_register to record. The first run of a mapping warns of what stands out in it (`nsim.Warning`); `Run.warnings` has what stands
+    /// out in any.
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, early_exit=None, \
@@ -274,6 +293,43 @@ impl Mapping {
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.0.model, &keywords)?;
         Energy::new(py, self, &plan, spikes, &keywords)
+    }
+
+    /// How long a timestep takes to simulate on one thread, measured for about so many `seconds` while the first sample is shown over and over.
+    ///
+    /// Gives a dictionary: `us_per_timestep` (the median of the repeats), `fastest_us`, `spread_us` (between the quartiles), `repeats`, `steps`
+    /// of each, and `spikes_in`, `spikes`, `synaptic_events`, `compartment_updates` of a timestep. With `skip=False` no work is left out.
+    #[pyo3(
+        signature = (spikes=None, **options),
+        text_signature = "($self, spikes=None, *, seconds=1.0, skip=True, labels=None, samples=None, repeat=1, seed=None, time_first=False)"
+    )]
+    fn bench<'py>(
+        &self,
+        py: Python<'py>,
+        spikes: Option<&Bound<'py, PyAny>>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        bench(py, &self.0, spikes, &Keywords::new(options)?)
+    }
+
+    /// Writes a page that shows what the mapping does and costs, to be opened in a browser: `nsim report`.
+    ///
+    /// The keywords are those of `energy`; `force` replaces a file that is there. Gives the path.
+    #[pyo3(
+        signature = (path, spikes=None, *, force=false, **options),
+        text_signature = "($self, path, spikes=None, *, force=False, **options)"
+    )]
+    fn report(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        spikes: Option<&Bound<'_, PyAny>>,
+        force: bool,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<PathBuf> {
+        let keywords = Keywords::new(options)?;
+        let plan = energy::plan(py, &self.0.model, &keywords)?;
+        energy::report(py, (self, &plan), spikes, &keywords, (path, force))
     }
 
     fn __repr__(&self) -> String {

@@ -1,13 +1,17 @@
 //! A model as Python sees it.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use nsim::compile::frontend::real_and_integers;
 use nsim::desc::network::PopulationDesc;
+use nsim::energy::evaluate::Plan;
+use nsim::io::model_builder::ModelBuilder;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::agree::Agreement;
+use crate::convert::Conversion;
 use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::Keywords;
@@ -27,7 +31,7 @@ pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
         Ok(network)
     });
     let network = loaded.map_err(|error: nsim::base::diagnostic::Diagnostic| raised(py, error))?;
-    Ok(Network { model, network, notes: Vec::new() })
+    Ok(Network { model, network: Arc::new(network), notes: Vec::new() })
 }
 
 /// A network from the bytes of a file that another tool wrote.
@@ -47,15 +51,30 @@ pub fn from_bytes(
 #[pyclass(frozen, module = "nsim")]
 pub struct Network {
     model: String,
-    network: nsim::desc::network::Network,
+    network: Arc<nsim::desc::network::Network>,
     notes: Vec<String>,
 }
 
 impl Network {
+    /// The mapping that is priced, and its deployment: with as many copies as in the scenario that ships for the model unless they
+    /// are given.
+    fn priced(
+        &self,
+        py: Python<'_>,
+        target: Option<PathBuf>,
+        copies: Option<u32>,
+        keywords: &Keywords<'_>,
+    ) -> PyResult<(Mapping, Plan)> {
+        let plan = energy::plan(py, &self.model, keywords)?;
+        let mut request = MappingRequest::new(target, &Keywords::new(None)?)?;
+        request.copies = copies.or(plan.copies()).unwrap_or(1);
+        Ok((Mapping::new(py, &self.model, &self.network, &request)?, plan))
+    }
+
     /// A network that has no file.
-    fn checked(py: Python<'_>, network: nsim::desc::network::Network, notes: Vec<String>) -> PyResult<Self> {
+    pub fn checked(py: Python<'_>, network: nsim::desc::network::Network, notes: Vec<String>) -> PyResult<Self> {
         py.detach(|| real_and_integers(&network)).map_err(|problem| raised(py, problem))?;
-        Ok(Network { model: memory::place(&network.file().name), network, notes })
+        Ok(Network { model: memory::place(&network.file().name), network: Arc::new(network), notes })
     }
 }
 
@@ -153,21 +172,40 @@ impl Network {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Energy> {
         let keywords = Keywords::new(options)?;
-        let plan = energy::plan(py, &self.model, &keywords)?;
-        let mut request = MappingRequest::new(target, &Keywords::new(None)?)?;
-        request.copies = copies.or(plan.copies()).unwrap_or(1);
-        let mapping = Mapping::new(py, &self.model, &self.network, &request)?;
+        let (mapping, plan) = self.priced(py, target, copies, &keywords)?;
         Energy::new(py, &mapping, &plan, spikes, &keywords)
+    }
+
+    /// Writes a page that shows what the network does and costs, to be opened in a browser: `nsim report`.
+    ///
+    /// The keywords are those of `energy`; `force` replaces a file that is there. Gives the path.
+    #[pyo3(
+        signature = (path, spikes=None, *, target=None, copies=None, force=false, **options),
+        text_signature = "($self, path, spikes=None, *, target='nahuku-32', copies=None, force=False, **options)"
+    )]
+    fn report(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        spikes: Option<&Bound<'_, PyAny>>,
+        target: Option<PathBuf>,
+        copies: Option<u32>,
+        force: bool,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<PathBuf> {
+        let keywords = Keywords::new(options)?;
+        let (mapping, plan) = self.priced(py, target, copies, &keywords)?;
+        energy::report(py, (&mapping, &plan), spikes, &keywords, (path, force))
     }
 
     /// Where and why the integers on the cores disagree with the network that was trained: `nsim agree`.
     ///
     /// `against` is 'srm', 'cuba' or 'golden', by default what was trained; `conversion` 'search' or 'analytic' is how spike response
-    /// neurons become integers, the search on `calibration_samples` (60) samples; `steps` compares only so many timesteps of each sample;
+    /// neurons become integers, the search on `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only so many timesteps of each sample;
     /// `attribution` finds the causes, on `attribution_samples` (100). `spikes` and its keywords are those of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
-        text_signature = "($self, spikes=None, *, target='nahuku-32', against=None, conversion='search', calibration_samples=60, \
+        text_signature = "($self, spikes=None, *, target='nahuku-32', against=None, conversion='search', calibrate=None, calibration_samples=60, \
                           delayed_copies=None, steps=None, attribution=True, attribution_samples=100, labels=None, samples=None, \
                           repeat=1, seed=None, time_first=False)"
     )]
@@ -180,6 +218,36 @@ impl Network {
     ) -> PyResult<Agreement> {
         let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
         Agreement::new(py, &self.network, &target, spikes, &Keywords::new(options)?)
+    }
+
+    /// The network in integers, searched for on samples: `nsim convert`.
+    ///
+    /// The search takes `calibration_samples` (60) of the sources `calibrate`: by default the scene with another seed, or the first half of
+    /// `spikes`. `fine_tune` then trains for so many epochs as the training file `training` says (by default the one that ships under the
+    /// model's name), on the sources `train`. `spikes`, on which the result is judged, and its keywords are those of `Mapping.run`.
+    #[pyo3(
+        signature = (spikes=None, *, target=None, **options),
+        text_signature = "($self, spikes=None, *, target='nahuku-32', calibrate=None, calibration_samples=60, delayed_copies=None, \
+                          fine_tune=0, training=None, train=None, labels=None, samples=None, repeat=1, seed=None, time_first=False)"
+    )]
+    fn convert(
+        &self,
+        py: Python<'_>,
+        spikes: Option<&Bound<'_, PyAny>>,
+        target: Option<PathBuf>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Conversion> {
+        let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
+        Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?)
+    }
+
+    /// Writes the network as a model file, and its arrays beside it; with `force` in the place of files that are there.
+    ///
+    /// Gives the names of the files.
+    #[pyo3(signature = (path, *, force=false))]
+    fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
+        let written = py.detach(|| ModelBuilder::from_network(&self.network)?.write(&path, force));
+        written.map_err(|problem: nsim::base::diagnostic::Diagnostic| raised(py, problem))
     }
 
     fn __repr__(&self) -> String {

@@ -17,6 +17,7 @@ use nsim::report::run::{RunReport, neurobench_json};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
+use crate::error::warn;
 use crate::html::table;
 use crate::keywords::{Keywords, usage};
 use crate::mapping::Shared;
@@ -105,7 +106,11 @@ impl Run {
             let keep = Keep { output: program.output(), probes, early_exit };
             Ok(simulated(mapping, &shown.samples(), &keep, progress)?)
         })?;
-        Ok(Run { mapping: mapping.clone(), shown, run, early_exit, probes: names })
+        let run = Run { mapping: mapping.clone(), shown, run, early_exit, probes: names };
+        if mapping.warns() {
+            warn(py, &py.detach(|| run.detail().warnings))?;
+        }
+        Ok(run)
     }
 
     fn detail(&self) -> Detail {
@@ -229,6 +234,13 @@ impl Run {
     fn activity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let activity = self.with_report(&Detail::default(), |report| report.json()["activity"].take());
         to_python(py, &activity)
+    }
+
+    /// What stands out in the run, a dictionary each: `code`, `population`, `message`.
+    #[getter]
+    fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let found = py.detach(|| self.detail().warnings);
+        to_python(py, &serde_json::json!(found))
     }
 
     /// Seconds of simulation.

@@ -42,7 +42,7 @@ impl Shown {
         let labels: Option<Vec<u32>> = keywords.take("labels")?;
         let mut shown = match spikes {
             None => named(network, &[], scene, seed)?,
-            Some(spikes) => match sources(spikes)? {
+            Some(spikes) => match texts(spikes)? {
                 Some(sources) => named(network, &sources, scene, seed)?,
                 None => Stimulus {
                     samples: arrays(network, spikes, time_first)?,
@@ -82,8 +82,17 @@ fn named(network: &Quantised, sources: &[String], scene: Option<&str>, seed: Opt
     stimulus(network, sources, scene, seed).map_err(|error| Python::attach(|py| raised(py, error)))
 }
 
+/// Sources as `--input` takes them: one, a list of them, or none.
+pub fn sources(given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<String>> {
+    let Some(given) = given else { return Ok(Vec::new()) };
+    match texts(given)? {
+        Some(sources) => Ok(sources),
+        None => Err(usage("samples are named by a source or a list of sources".into())),
+    }
+}
+
 /// Text, or a list of texts.
-fn sources(spikes: &Bound<'_, PyAny>) -> PyResult<Option<Vec<String>>> {
+fn texts(spikes: &Bound<'_, PyAny>) -> PyResult<Option<Vec<String>>> {
     if spikes.is_instance_of::<PyString>() {
         return Ok(Some(vec![spikes.extract()?]));
     }

@@ -57,6 +57,18 @@ class Sweeps(unittest.TestCase):
         with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
             self.assertEqual(nsim.sweep(self.path, client=client).csv, self.theirs)
 
+    def test_ray(self):
+        try:
+            import ray
+        except ImportError:
+            print("absent: ray, sweeps on it were not tested", file=sys.stderr)
+            self.skipTest("ray is absent")
+        ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
+        try:
+            self.assertEqual(nsim.sweep(self.path, client=ray, parts=3).csv, self.theirs)
+        finally:
+            ray.shutdown()
+
     def test_data_frames(self):
         try:
             import pandas

@@ -1,0 +1,69 @@
+//! How long a timestep of a mapping takes to simulate.
+//!
+//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::bench::measure`] measures, as `nsim bench step` does of
+//! its standard networks.
+
+use std::time::Duration;
+
+use nsim::bench::measure::{Budget, StepTiming, measure};
+use nsim::drive::samples::{Division, laid_out};
+use nsim::machine::{Machine, Settings};
+use pyo3::prelude::*;
+use serde_json::json;
+
+use crate::error::raised;
+use crate::keywords::{Keywords, usage};
+use crate::mapping::Shared;
+use crate::run::to_python;
+use crate::spikes::Shown;
+
+/// The longest measurement.
+const MOST_SECONDS: f64 = 3600.0;
+
+/// Measures steps on one thread.
+pub fn bench<'py>(
+    py: Python<'py>,
+    mapping: &Shared,
+    spikes: Option<&Bound<'_, PyAny>>,
+    keywords: &Keywords<'_>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let compiled = mapping.compiled();
+    let shown = Shown::new(&compiled.one, mapping.scene.as_deref(), spikes, keywords)?;
+    let seconds = keywords.take::<f64>("seconds")?.unwrap_or(1.0);
+    let skip = keywords.take::<bool>("skip")?.unwrap_or(true);
+    keywords.none_left()?;
+    if !(seconds > 0.0 && seconds <= MOST_SECONDS) {
+        return Err(usage(format!("seconds is above 0 and at most {MOST_SECONDS}, not {seconds}")));
+    }
+    let Some(sample) = shown.samples().into_iter().next() else { return Err(usage("there is no sample".into())) };
+    let period = sample.copies(compiled.options.copies, compiled.one.channels());
+    let division = Division { shards: 1, in_turn: true };
+    let timing = py.detach(|| {
+        let own;
+        let image = match mapping.image(division) {
+            Some(image) => image,
+            None => {
+                own = laid_out(&compiled.program, division)?;
+                &own
+            }
+        };
+        let mut machine = Machine::new(image, Settings { skip, per_step: false });
+        Ok(measure(&mut machine, &period, Budget::Time(Duration::from_secs_f64(seconds))))
+    });
+    let timing: StepTiming = timing.map_err(|problem: nsim::base::diagnostic::Diagnostic| raised(py, problem))?;
+    let per_step = |count| timing.per_step(count);
+    to_python(
+        py,
+        &json!({
+            "us_per_timestep": timing.us_per_timestep,
+            "fastest_us": timing.fastest,
+            "spread_us": timing.spread,
+            "repeats": timing.repeats,
+            "steps": timing.steps,
+            "spikes_in": per_step(timing.totals.spikes_in),
+            "spikes": per_step(timing.totals.spikes),
+            "synaptic_events": per_step(timing.totals.synaptic_events),
+            "compartment_updates": per_step(timing.totals.compartment_updates),
+        }),
+    )
+}

@@ -1,0 +1,153 @@
+//! A network in integers, searched for on samples: `nsim convert`.
+//!
+//! Input: a network with real numbers, spikes. Output: a [`Conversion`], whose figures and whose model are those of the command line.
+
+use nsim::convert::calibration::{self, RunInput};
+use nsim::convert::copies::{MOST, USUAL};
+use nsim::convert::job::{FineTuning, Job, Split};
+use nsim::io::model_builder::ModelBuilder;
+use nsim::io::shipped;
+use nsim::report::convert::ConvertReport;
+use pyo3::prelude::*;
+use serde_json::Value;
+use std::path::PathBuf;
+
+use crate::agree::{MOST_SAMPLES, counted};
+use crate::error::raised;
+use crate::html::{columns, table};
+use crate::keywords::{Keywords, usage};
+use crate::memory;
+use crate::network::Network;
+use crate::run::to_python;
+use crate::spikes::{Shown, sources};
+use crate::work::work;
+
+/// The greatest number of epochs of fine-tuning, as on the command line.
+const MOST_EPOCHS: u32 = 100_000;
+
+/// A network that became integers, and how near it is to what was trained.
+#[pyclass(frozen, module = "nsim")]
+pub struct Conversion {
+    json: Value,
+    text: String,
+    model: ModelBuilder,
+    network: Py<Network>,
+}
+
+impl Conversion {
+    /// Converts a network for a target.
+    pub fn new(
+        py: Python<'_>,
+        (name, network): (&str, &nsim::desc::network::Network),
+        target: &str,
+        spikes: Option<&Bound<'_, PyAny>>,
+        keywords: &Keywords<'_>,
+    ) -> PyResult<Self> {
+        let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
+        let job = py.detach(|| Job::new(network, &target)).map_err(|problem| raised(py, problem))?;
+        let calibrate = sources(keywords.take("calibrate")?.as_ref())?;
+        let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
+        let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
+        let epochs = keywords.take::<u32>("fine_tune")?.unwrap_or(0);
+        if epochs > MOST_EPOCHS {
+            return Err(usage(format!("fine_tune is at most {MOST_EPOCHS} epochs, not {epochs}")));
+        }
+        let training = keywords.path("training")?;
+        let train = sources(keywords.take("train")?.as_ref())?;
+        if epochs == 0 && (training.is_some() || !train.is_empty()) {
+            return Err(usage("training and train are for fine_tune=EPOCHS".into()));
+        }
+        let scene = network.file().scene.as_deref();
+        let shown = Shown::new(&job.integers, scene, spikes, keywords)?;
+        keywords.none_left()?;
+        let (json, text, model) = work(py, true, |progress| {
+            let samples = shown.samples();
+            let origin = &shown.stimulus.origin;
+            let run = RunInput { sources: origin, seed: shown.stimulus.seed, scene };
+            let apart = calibration::stimulus(&job.integers, &calibrate, run, wanted)?;
+            let split = Split::new((origin, &samples), apart.as_ref(), wanted);
+            let done = job.convert(&split, copies, |_| progress())?;
+            let tuned = match epochs {
+                0 => None,
+                _ => {
+                    let named = training.as_deref().unwrap_or(&job.graph.facts().name);
+                    let (source, _) = shipped::text_of(named, shipped::TRAININGS, "training file", "convert.training")
+                        .map_err(|error| error.help("training= names the training file of the model"))?;
+                    let (converted, held_out) = (&done.converted, split.held_out.as_slice());
+                    let tuning = FineTuning::new(&job, converted, &source, (&train, held_out), epochs)?;
+                    Some(tuning.run(converted, held_out, &|| progress(), |_| ())?)
+                }
+            };
+            let model = job.model(&done, tuned.as_ref(), &job.provenance(name, &split, &done))?;
+            let report = ConvertReport { job: &job, done: &done, input: origin, tuned: tuned.as_ref(), files: &[] };
+            Ok((report.json(), report.text(), model))
+        })?;
+        let network = Network::built(py, &model)?;
+        Ok(Conversion { json, text, model, network: Py::new(py, network)? })
+    }
+}
+
+#[pymethods]
+impl Conversion {
+    /// The network in integers.
+    #[getter]
+    fn network(&self, py: Python<'_>) -> Py<Network> {
+        self.network.clone_ref(py)
+    }
+
+    /// The share of the held-out samples (of those searched on, where none were held out) that both networks put in the same class.
+    #[getter]
+    fn class_agreement(&self) -> Option<f64> {
+        let held_out = self.json["held_out"]["class_agreement"].as_f64();
+        held_out.or(self.json["class_agreement"].as_f64())
+    }
+
+    /// Stage by stage, a dictionary each: how near the integers are, and what the stage gained.
+    #[getter]
+    fn stages<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.json["stages"])
+    }
+
+    /// Layer by layer, a dictionary each: coincidence, clipped voltages, advice.
+    #[getter]
+    fn layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.json["layers"])
+    }
+
+    /// Writes the model file that `nsim convert -o` writes, and its arrays beside it; with `force` in the place of files that are there.
+    ///
+    /// Gives the names of the files.
+    #[pyo3(signature = (path, *, force=false))]
+    fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
+        py.detach(|| self.model.write(&path, force)).map_err(|problem| raised(py, problem))
+    }
+
+    /// The object that `nsim convert --format json` prints.
+    fn json<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.json)
+    }
+
+    fn __repr__(&self) -> String {
+        let share = self.class_agreement().map_or("unknown".to_string(), |share| format!("{share:.4}"));
+        format!("<nsim.Conversion {}: class agreement {share}>", self.json["model"].as_str().unwrap_or_default())
+    }
+
+    fn __str__(&self) -> String {
+        self.text.clone()
+    }
+
+    /// The stages as a table for notebooks.
+    fn _repr_html_(&self) -> String {
+        let stages = self.json["stages"].as_array().map_or(&[][..], Vec::as_slice);
+        table(&self.__repr__().replace(['<', '>'], ""), &columns(stages), stages)
+    }
+}
+
+impl Network {
+    /// The network that a written model would give.
+    pub fn built(py: Python<'_>, model: &ModelBuilder) -> PyResult<Self> {
+        let place = PathBuf::from(memory::place(&model.name));
+        let network = py.detach(|| model.build(&place)).map_err(|problem| raised(py, problem))?;
+        Network::checked(py, network, Vec::new())
+    }
+}

@@ -1,0 +1,224 @@
+//! Trains networks: `nsim train`.
+//!
+//! Input: a training file, labelled spikes. Output: a [`Training`], whose figures, digest and model are those of the command line. Left
+//! out on purpose: studies, of which each training is a call.
+
+use std::path::PathBuf;
+
+use nsim::base::diagnostic::SourceText;
+use nsim::io::text::read_text;
+use nsim::report::train::{TrainReport, history_csv};
+use nsim::train::fit::{Example, Plan, TrainingState};
+use nsim::train::job::{Checkpoint, Data, Job, Part, Trained, train as trained_to_the_end, with_fields};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::error::raised;
+use crate::html::{columns, table};
+use crate::keywords::{Keywords, usage};
+use crate::memory;
+use crate::network::Network;
+use crate::run::to_python;
+use crate::spikes::{Shown, sources};
+use crate::work::work;
+
+/// Bounds of the command line.
+const MOST_EPOCHS: u32 = 1_000_000;
+const MOST_FOLDS: u32 = 100;
+
+/// A trained network.
+#[pyclass(frozen, module = "nsim")]
+pub struct Training {
+    job: Job,
+    trained: Trained,
+    changed: Vec<String>,
+    network: Py<Network>,
+}
+
+/// Samples that a training takes.
+enum Given {
+    /// By name; those that the training file names when empty.
+    Sources(Vec<String>),
+    /// Arrays with labels.
+    Arrays(Vec<Example>),
+}
+
+/// `(spikes, labels)`, a source, a list of sources, or nothing.
+fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_first: bool) -> PyResult<Given> {
+    let Some(value) = keywords.take::<Bound<'_, PyAny>>(key)? else { return Ok(Given::Sources(Vec::new())) };
+    let pair = value.cast::<PyTuple>().ok().filter(|pair| pair.len() == 2);
+    let Some(pair) = pair.filter(|pair| pair.extract::<(String, String)>().is_err()) else {
+        return sources(Some(&value)).map(Given::Sources);
+    };
+    let options = PyDict::new(py);
+    options.set_item("labels", pair.get_item(1)?)?;
+    options.set_item("time_first", time_first)?;
+    let network = job.inputs().map_err(|problem| raised(py, problem))?;
+    let shown = Shown::new(&network, None, Some(&pair.get_item(0)?), &Keywords::new(Some(&options))?)?;
+    let what = if key == "test" { "test" } else { "training" };
+    let examples = job.examples(&network, &shown.stimulus.samples, what);
+    examples.map(Given::Arrays).map_err(|problem| raised(py, problem))
+}
+
+fn bounded(keywords: &Keywords<'_>, name: &str, least: u32, most: u32) -> PyResult<Option<u32>> {
+    match keywords.take::<u32>(name)? {
+        Some(number) if !(least..=most).contains(&number) => {
+            Err(usage(format!("{name} is from {least} to {most}, not {number}")))
+        }
+        number => Ok(number),
+    }
+}
+
+/// Trains a network with SLAYER: `nsim train`.
+///
+/// `config` is the path or the text of a training file. `train` and `test` are a source or a list of sources as `nsim run --input` takes
+/// them, a pair (spikes, labels) of arrays as `Mapping.run` takes them, or None for what the training file names. `seed` and `epochs` stand
+/// in for the file's, `set` is a dictionary of other fields and values; `folds` also cross-validates; `checkpoint` is a file from
+/// which an interrupted training goes on.
+#[pyfunction]
+#[pyo3(
+    signature = (config, **options),
+    text_signature = "(config, *, train=None, test=None, seed=None, epochs=None, set=None, folds=None, checkpoint=None, time_first=False)"
+)]
+pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>>) -> PyResult<Training> {
+    let keywords = Keywords::new(options)?;
+    let text = config.to_string_lossy();
+    let source = match text.contains("Training(") {
+        true => SourceText::new(memory::place("training"), text.into_owned()),
+        false => read_text(&config).map_err(|problem| raised(py, problem))?,
+    };
+    let mut fields: Vec<(String, String)> = Vec::new();
+    for (key, value) in keywords.take::<Bound<'_, PyDict>>("set")?.into_iter().flatten() {
+        // Python's words for what RON writes in small letters.
+        let value = value.str()?.to_string();
+        let value = if value == "True" || value == "False" { value.to_lowercase() } else { value };
+        fields.push((key.extract()?, value));
+    }
+    let changes: Vec<(&str, &str)> = fields.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect();
+    let seed = keywords.take("seed")?;
+    let epochs = bounded(&keywords, "epochs", 0, MOST_EPOCHS)?;
+    let folds = bounded(&keywords, "folds", 2, MOST_FOLDS)?;
+    let checkpoint: Option<PathBuf> = keywords.take("checkpoint")?;
+    let time_first = keywords.take("time_first")?.unwrap_or(false);
+    let job = with_fields(&source, &changes).and_then(|source| Job::new(source, seed, epochs));
+    let job = job.map_err(|problem| raised(py, problem))?;
+    let (train, test) =
+        (given(py, &job, &keywords, "train", time_first)?, given(py, &job, &keywords, "test", time_first)?);
+    keywords.none_left()?;
+    let changed: Vec<String> = fields.iter().map(|(key, value)| format!("{key}={value}")).collect();
+    let (trained, network) = work(py, true, |progress| {
+        let data = data(&job, train, test)?;
+        let folds = folds.map_or_else(Vec::new, |k| Job::folds(&data.train, k));
+        let to_the_end = |plan: &Plan, examples: &[Example], kept: Option<&Checkpoint>| {
+            trained_to_the_end(plan, examples, kept, |_: &TrainingState| progress())
+        };
+        let kept = checkpoint.map(|path| Checkpoint::new(&path, &job.plan, &data.train));
+        let state = to_the_end(&job.plan, &data.train, kept.as_ref())?;
+        let each = |plan: &Plan, examples: &[Example]| Ok(to_the_end(plan, examples, None)?.0);
+        let trained = job.trained(state, &data, &folds, each)?;
+        let report = TrainReport { job: &job, trained: &trained, model: None };
+        let (comment, provenance) = (report.provenance(&changed), report.summary());
+        let network = job.network(job.plan.result(&trained.state), &comment, &provenance)?;
+        Ok((trained, network))
+    })?;
+    let network = Py::new(py, Network::checked(py, network, Vec::new())?)?;
+    Ok(Training { job, trained, changed, network })
+}
+
+fn data(job: &Job, train: Given, test: Given) -> Result<Data, nsim::Error> {
+    let read = |part, given| match given {
+        Given::Sources(sources) => job.read(part, &sources),
+        Given::Arrays(examples) => Ok(examples),
+    };
+    let data = Data { train: read(Part::Train, train)?, test: read(Part::Test, test)? };
+    if data.train.is_empty() {
+        return Err(nsim::Error::Usage("there are no training samples: give train=".to_string()));
+    }
+    Ok(data)
+}
+
+impl Training {
+    fn report(&self) -> TrainReport<'_> {
+        TrainReport { job: &self.job, trained: &self.trained, model: None }
+    }
+}
+
+#[pymethods]
+impl Training {
+    /// The trained network.
+    #[getter]
+    fn network(&self, py: Python<'_>) -> Py<Network> {
+        self.network.clone_ref(py)
+    }
+
+    /// The share of the training samples that is right.
+    #[getter]
+    fn train_accuracy(&self) -> f64 {
+        self.trained.train_accuracy
+    }
+
+    /// The share of the test samples that is right; None without any.
+    #[getter]
+    fn test_accuracy(&self) -> Option<f64> {
+        self.trained.test_accuracy
+    }
+
+    /// Accuracy on each fold left out of the training samples.
+    #[getter]
+    fn folds(&self) -> Vec<f64> {
+        self.trained.folds.clone()
+    }
+
+    /// Of the output spikes on the test samples (without any, the training samples), as `Run.digest` is.
+    #[getter]
+    fn digest(&self) -> &str {
+        &self.trained.digest
+    }
+
+    /// Epoch by epoch: number, mean loss, accuracy.
+    #[getter]
+    fn history(&self) -> Vec<(u32, f64, f64)> {
+        self.trained.state.history.iter().map(|row| (row.epoch, row.loss, row.accuracy)).collect()
+    }
+
+    /// The history as `nsim train --log` writes it.
+    fn csv(&self) -> String {
+        history_csv(&self.trained.state.history)
+    }
+
+    /// Writes the model file that `nsim train -o` writes, and its weights beside it; with `force` in the place of files that are there.
+    ///
+    /// Gives the names of the files.
+    #[pyo3(signature = (path, *, force=false))]
+    fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<[PathBuf; 2]> {
+        let (comment, provenance) = (self.report().provenance(&self.changed), self.report().summary());
+        let weights = self.job.plan.result(&self.trained.state);
+        let written = py.detach(|| self.job.write((&path, force), weights, &comment, &provenance));
+        written.map_err(|problem| raised(py, problem))
+    }
+
+    /// The object that `nsim train --format json` prints.
+    fn json<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.report().json())
+    }
+
+    fn __repr__(&self) -> String {
+        let (train, test) = (self.trained.train_accuracy, self.trained.test_accuracy);
+        let test = test.map_or(String::new(), |test| format!(", {test:.4} on test samples"));
+        format!(
+            "<nsim.Training {}: {} epochs, accuracy {train:.4}{test}>",
+            self.job.file.name, self.trained.state.epoch
+        )
+    }
+
+    fn __str__(&self) -> String {
+        self.report().text()
+    }
+
+    /// The epochs as a table for notebooks.
+    fn _repr_html_(&self) -> String {
+        let row = |&(epoch, loss, accuracy): &(u32, f64, f64)| serde_json::json!({ "epoch": epoch, "loss": loss, "accuracy": accuracy });
+        let rows: Vec<_> = self.history().iter().map(row).collect();
+        table(&self.__repr__().replace(['<', '>'], ""), &columns(&rows), &rows)
+    }
+}

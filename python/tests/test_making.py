@@ -1,0 +1,217 @@
+"""Networks that Python makes: converted, trained, saved; each as the command line makes it. NSIM names the program that is compared with."""
+
+import json
+import os
+import subprocess
+import tempfile
+import unittest
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import nsim
+
+NSIM = os.environ.get("NSIM", "nsim")
+# The program is started in other folders.
+NSIM = os.path.abspath(NSIM) if os.sep in NSIM else NSIM
+# Wall-clock seconds differ from call to call, and Python names no files.
+APART = {"seconds", "output", "model"}
+
+CONFIG = """Training(
+    name: "small",
+    timestep_ms: 1.0,
+    inputs: [(name: "touch", shape: [12])],
+    layers: [(name: "hidden", from: ["touch"], size: 8), (name: "out", from: ["hidden"], size: 2)],
+    neuron: Loihi(tau_u_ms: Same(5), tau_v_ms: Same(8), weight_scale: 16, theta: 10, refractory: 2, credit: UpToReset),
+    loss: SpikeCount(right: 12, wrong: 2),
+    optimiser: Adam(rate: 0.1),
+    batch: 4,
+    epochs: 12,
+    seed: 3,
+)"""
+
+
+def command(*words, folder=None):
+    done = subprocess.run([NSIM, *words, "--format", "json"], capture_output=True, text=True, cwd=folder)
+    if not done.stdout:
+        raise AssertionError(done.stderr)
+    return json.loads(done.stdout)
+
+
+def without(result, apart=APART):
+    return {key: value for key, value in result.items() if key not in apart}
+
+
+def contents(folder, stem):
+    return [Path(folder, stem + end).read_bytes() for end in (".ron", ".safetensors")]
+
+
+def two_classes(samples=16, steps=40):
+    """Spikes `[samples, 12, T]` and labels: a class fires its own half of the channels more often."""
+    rng = np.random.default_rng(5)
+    labels = np.arange(samples) % 2
+    often = np.where((np.arange(12) >= 6)[None, :] == labels[:, None], 0.4, 0.1)
+    return (rng.random((samples, 12, steps)) < often[:, :, None]).astype(np.uint8), labels.tolist()
+
+
+def small(inputs, threshold, weights):
+    """A network of two outputs in integers."""
+    populations = [
+        {"name": "in", "shape": inputs, "kind": "Input"},
+        {"name": "out", "shape": 2, "du": 4096, "dv": 300, "vth_mant": threshold},
+    ]
+    return nsim.Network("small", populations, [{"from": "in", "to": "out", "weights": weights}], output="out")
+
+
+class Converted(unittest.TestCase):
+    def both(self, line, spikes=None, **options):
+        with tempfile.TemporaryDirectory() as folder:
+            theirs = command("convert", *line, "-o", "a.ron", folder=folder)
+            conversion = nsim.load(line[0]).convert(spikes, **options)
+            conversion.save(os.path.join(folder, "b.ron"))
+            ours, (model, weights) = conversion.json(), contents(folder, "a")
+            self.assertEqual(without(ours), without(theirs))
+            self.assertEqual(contents(folder, "b"), [model.replace(b"a.safetensors", b"b.safetensors"), weights])
+            digest = command("run", "a.ron", "--input", "scene:slip?samples=2", "--engine", "fast", folder=folder)["digest"]
+        self.assertEqual(conversion.network.map().run("scene:slip?samples=2").digest, digest)
+        self.assertIn("<table>", conversion._repr_html_())
+
+    def test_as_the_command_line(self):
+        self.both(["vtsnn-slip-srm", "--samples", "0..3", "--calibration-samples", "4"], samples=(0, 3), calibration_samples=4)
+
+    def test_fine_tuned(self):
+        line = ["vtsnn-slip-srm", "--samples", "0..2", "--calibration-samples", "3", "--fine-tune", "1"]
+        train = "scene:slip?samples=6&seed=1"
+        self.both([*line, "--train", train], samples=(0, 2), calibration_samples=3, fine_tune=1, train=train)
+
+    def test_what_cannot_be_converted(self):
+        for code, call in {
+            "convert.integers": lambda: small(4, 90, np.ones((2, 4))).convert(np.ones((1, 4, 10), np.uint8)),
+            "convert.training": lambda: nsim.load("vtsnn-slip-srm").convert(samples=(0, 1), fine_tune=1, training="none"),
+            "usage": lambda: nsim.load("vtsnn-slip-srm").convert(train="scene:slip"),
+        }.items():
+            with self.assertRaises(nsim.Error) as raised:
+                call()
+            self.assertEqual(raised.exception.code, code)
+
+
+class Trained(unittest.TestCase):
+    def test_as_the_command_line(self):
+        spikes, labels = two_classes()
+        with tempfile.TemporaryDirectory() as folder:
+            np.save(os.path.join(folder, "x.npy"), spikes)
+            np.save(os.path.join(folder, "y.npy"), np.array(labels))
+            with open(os.path.join(folder, "c.ron"), "w") as file:
+                file.write(CONFIG)
+            entries = [f'(files: {{"touch": "{n}.npy"}}, label: {label})' for n, label in enumerate(labels)]
+            for n, sample in enumerate(spikes):
+                np.save(os.path.join(folder, f"{n}.npy"), sample)
+            with open(os.path.join(folder, "set.ron"), "w") as file:
+                file.write(f'DataSet(name: "set", populations: {{"touch": "touch"}}, steps: 40, samples: [{", ".join(entries)}])')
+            line = ["--train", "set.ron", "--test", "set.ron", "--folds", "2", "--set", "batch=8", "--seed", "4"]
+            theirs = command("train", "c.ron", *line, "-o", "a.ron", "--log", "a.csv", folder=folder)
+            pair = (spikes, labels)
+            path = os.path.join(folder, "c.ron")
+            training = nsim.train(path, train=pair, test=pair, folds=2, set={"batch": 8}, seed=4)
+            self.assertEqual(without(training.json()), without(theirs))
+            self.assertEqual(training.csv(), Path(folder, "a.csv").read_text())
+            training.save(os.path.join(folder, "b.ron"))
+            model, weights = contents(folder, "a")
+            self.assertEqual(contents(folder, "b"), [model.replace(b"a.safetensors", b"b.safetensors"), weights])
+            with self.assertRaises(nsim.Error) as raised:
+                training.save(os.path.join(folder, "b.ron"))
+            self.assertTrue(raised.exception.code.startswith("write."), raised.exception.code)
+        # What was trained is what runs.
+        run = training.network.map().run(spikes, labels=labels)
+        self.assertEqual((run.digest, run.accuracy), (training.digest, training.test_accuracy))
+        self.assertGreater(training.train_accuracy, 0.5)
+        self.assertEqual(len(training.history), 12)
+
+    def test_text_time_first_and_checkpoints(self):
+        spikes, labels = two_classes()
+        whole = nsim.train(CONFIG, train=(spikes, labels))
+        turned = np.ascontiguousarray(spikes.transpose(0, 2, 1))
+        self.assertEqual(nsim.train(CONFIG, train=(turned, labels), time_first=True).digest, whole.digest)
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "state.safetensors")
+            nsim.train(CONFIG, train=(spikes, labels), checkpoint=path)
+            again = nsim.train(CONFIG, train=(spikes, labels), checkpoint=path)
+        self.assertEqual((again.digest, again.history), (whole.digest, whole.history))
+
+    def test_what_cannot_be_trained(self):
+        spikes, labels = two_classes(4)
+        for code, call in {
+            "train.label": lambda: nsim.train(CONFIG, train=(spikes, [0, 1, 2, 3])),
+            "usage": lambda: nsim.train(CONFIG),
+            "input.shape": lambda: nsim.train(CONFIG, train=(spikes[:, :5], labels)),
+            "train.syntax": lambda: nsim.train(CONFIG.replace("batch", "batches"), train=(spikes, labels)),
+        }.items():
+            with self.assertRaises(nsim.Error) as raised:
+                call()
+            self.assertEqual(raised.exception.code, code)
+        with self.assertRaises(nsim.Error):
+            nsim.train(CONFIG, train=(spikes, labels), folds=1)
+        with self.assertRaises(TypeError):
+            nsim.train(CONFIG, train=(spikes, labels), epoch=3)
+
+
+class Kept(unittest.TestCase):
+    def test_a_network_is_saved(self):
+        network = small(12, 90, np.arange(-12, 12).reshape(2, 12) * 2)
+        spikes, _ = two_classes()
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "small.ron")
+            files = network.save(path)
+            self.assertEqual([os.path.exists(file) for file in files], [True] * len(files))
+            self.assertEqual(nsim.load(path).map().run(spikes).digest, network.map().run(spikes).digest)
+
+    def test_a_page(self):
+        with tempfile.TemporaryDirectory() as folder:
+            ours, theirs = (os.path.join(folder, name) for name in ("a.html", "b.html"))
+            nsim.load("vtsnn-slip-srm").report(ours, samples=(0, 2), baselines=["rtx-2080-ti"])
+            line = ["report", "vtsnn-slip-srm", "--samples", "0..2", "--baseline", "rtx-2080-ti", "-o", theirs]
+            subprocess.run([NSIM, *line], check=True, capture_output=True)
+            pages = [Path(path).read_text(encoding="utf-8") for path in (ours, theirs)]
+            self.assertIn("coincidence", pages[0])
+            # They differ in the command alone, and in how the model is named.
+            differing = [pair for pair in zip(*(page.splitlines() for page in pages)) if pair[0] != pair[1]]
+            self.assertLessEqual(len(differing), 2)
+            with self.assertRaises(nsim.Error):
+                nsim.load("vtsnn-slip").map().report(ours)
+            nsim.load("vtsnn-slip").map().report(ours, samples=(0, 1), force=True)
+
+
+class Warned(unittest.TestCase):
+    def mapping(self, threshold):
+        return small(4, threshold, np.full((2, 4), 10)).map()
+
+    def test_the_first_run_warns(self):
+        spikes = np.ones((1, 4, 10), np.uint8)
+        mapping = self.mapping(100_000)
+        with self.assertWarnsRegex(nsim.Warning, "'out': the output never spikes"):
+            run = mapping.run(spikes)
+        self.assertEqual([warning["code"] for warning in run.warnings], ["silent-output"])
+        self.assertEqual(run.json()["warnings"], run.warnings)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            mapping.run(spikes)
+            self.mapping(3).run(spikes)
+
+    def test_energies_warn_too(self):
+        with self.assertWarns(nsim.Warning):
+            self.mapping(100_000).energy(np.ones((1, 4, 10), np.uint8))
+
+
+class Timed(unittest.TestCase):
+    def test_steps_are_counted(self):
+        timed = nsim.load("vtsnn-slip").map(copies=2).bench(seconds=0.05)
+        self.assertGreater(timed["us_per_timestep"], 0)
+        self.assertLessEqual(timed["fastest_us"], timed["us_per_timestep"])
+        self.assertGreater(timed["synaptic_events"], 0)
+        with self.assertRaises(nsim.Error):
+            nsim.load("vtsnn-slip").map().bench(seconds=0)
+
+
+if __name__ == "__main__":
+    unittest.main()
