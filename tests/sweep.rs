@@ -3,10 +3,28 @@
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
+mod common;
+
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::time::Duration;
 
+use common::random;
+use nsim::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
+use nsim::compile::reuse::{is_mapped_alike, with_neurons_of};
+use nsim::compile::{Options, compile, compile_saved};
+use nsim::desc::neurons::NeuronKind;
+use nsim::desc::resource::Resource;
+use nsim::drive::Outcome;
+use nsim::drive::priced::{Metered, SampleRun};
+use nsim::io::target::load_target;
+use nsim::ir::activity::Overflow;
+use nsim::ir::graph::PerCompartment;
+use nsim::ir::placement::Mesh;
+use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::spikes::Sample;
+use nsim::sweep::last_layers::{Record, last_populations};
 use serde_json::Value;
 
 fn nsim(folder: &Path, line: &str) -> Command {
@@ -196,4 +214,83 @@ fn what_no_variant_can_be_run_with_ends_the_sweep() {
         let error: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(error["code"], code, "{text}: {error}");
     }
+}
+
+/// The network with other neurons in the populations whose spikes go nowhere, which are alike where they were.
+fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
+    let last: Vec<_> = last_populations(network).collect();
+    let mut parts = network.parts().clone();
+    for (id, population) in parts.populations.ids().zip(parts.populations.clone().iter()) {
+        let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
+        if !last.contains(&id) {
+            continue;
+        }
+        let other = |index| {
+            let old = neurons.get(index);
+            let turned = |field: i64, by: i64, size: i64| (field + by * variant) % size;
+            let vth = ThresholdMantissa::new(turned(old.vth.get().into(), 37, 1 << 17)).unwrap();
+            let bias = BiasMantissa::new(turned(i64::from(old.bias_mant.get()) + 4096, 11, 8192) - 4096).unwrap();
+            let decay = |field: Decay, by| Decay::new(turned(field.get().into(), by, 4097)).unwrap();
+            match old.kind {
+                NeuronKind::If => Neuron { vth, bias_mant: bias, ..old },
+                _ => Neuron { vth, bias_mant: bias, du: decay(old.du, 97), dv: decay(old.dv, 1201), ..old },
+            }
+        };
+        let each = PerCompartment::Each((0..population.shape.len()).map(other).collect());
+        parts.populations[id].units = Units::Compartments { first: *first, neurons: each, start_step: *start_step };
+    }
+    Quantised::new(parts).unwrap()
+}
+
+/// Random networks on random cores of a chip: what follows from a record is what a whole run gives.
+#[test]
+fn variants_of_last_populations_follow_from_one_run() {
+    let target = load_target("loihi1-chip").unwrap();
+    // Cores hold any mix of parameters.
+    let mut limits = target.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
+        (1024, 1024, 1 << 16);
+    limits[Resource::SynapseFormats] = 64;
+    let target = target.with_limits(limits);
+    let (mut followed, mut fired) = (0, 0);
+    for seed in 0..400 {
+        let network = if seed % 4 == 0 { random::convolutional(seed) } else { random::network(seed) };
+        let mapping = random::mapping(&network, &Mesh::for_target(&target), seed);
+        let compiled = match network.compartments() {
+            0..=1024 => compile_saved(network.clone(), &target, &Options::default(), &mapping),
+            _ => compile(network.clone(), &target, &Options::default()),
+        };
+        let compiled = Arc::new(compiled.unwrap_or_else(|error| panic!("{seed}: {error}")));
+        let samples = [random::sample(&network, seed), random::sample(&network, seed + 1_000)];
+        let samples: Vec<&Sample> = samples.iter().collect();
+        let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
+        let metered = Metered::new(&compiled);
+        let settings = |metered: &Metered<'_>| metered.offline(&target).unwrap().0;
+        let (ran, record) = Record::run(&compiled, &metered, settings(&metered), run.clone()).unwrap();
+        let whole = metered.run(settings(&metered), run.clone()).unwrap();
+        assert_eq!((ran.outcomes, ran.activity), (whole.outcomes, whole.activity), "seed {seed}");
+        assert_eq!(ran.meter.lanes(), whole.meter.lanes(), "seed {seed}");
+        let Some(record) = record else { continue };
+        for variant in 0..4 {
+            let other = with_other_last_neurons(&network, variant);
+            if !is_mapped_alike(&compiled.one, &other) {
+                continue;
+            }
+            let compiled = with_neurons_of(&compiled, other.clone(), &target).unwrap();
+            let metered = Metered::new(&compiled);
+            let whole = metered.run(settings(&metered), run.clone()).unwrap();
+            let ran = record.follow(&other, &samples);
+            // A record follows neither what left its field nor steps in which nothing happened.
+            let known =
+                |outcome: &Outcome| Outcome { overflow: Overflow::default(), skipped_steps: 0, ..outcome.clone() };
+            let outcomes: Vec<Outcome> = whole.outcomes.iter().map(known).collect();
+            assert_eq!(ran.outcomes, outcomes, "seed {seed}, variant {variant}");
+            assert_eq!(ran.activity, whole.activity, "seed {seed}, variant {variant}");
+            assert_eq!(ran.meter.lanes(), whole.meter.lanes(), "seed {seed}, variant {variant}");
+            assert_eq!(ran.meter.hops(), whole.meter.hops(), "seed {seed}, variant {variant}");
+            followed += 1;
+            fired += outcomes.iter().map(|outcome| outcome.totals.spikes).sum::<u64>();
+        }
+    }
+    assert!(followed > 300 && fired > 10_000, "{followed} variants, {fired} spikes");
 }

@@ -78,6 +78,15 @@ pub struct StepPrice {
     pub paced: bool,
 }
 
+/// What one step adds to a meter of sums under one preset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StepCost {
+    energy: Femtojoules,
+    time: StepTime,
+    hops: HopCounts,
+    slowest: usize,
+}
+
 /// How the energy of a step is distributed over a run, in fJ of one copy.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Distribution {
@@ -131,6 +140,12 @@ impl MeterSettings {
     }
 }
 
+/// The core that takes longest in a step: of several the first, so that each step has one.
+fn slowest(step: &StepActivity, table: &CostTable) -> usize {
+    let by_time = step.cores.iter().enumerate().map(|(core, counts)| (core_time(counts, table), core));
+    by_time.reduce(|most, next| if next.0 > most.0 { next } else { most }).map_or(0, |(_, core)| core)
+}
+
 impl StepMeter {
     /// A meter for these presets.
     #[must_use]
@@ -165,10 +180,8 @@ impl StepMeter {
         if let (Some(table), Some(time)) = (tables.first(), step_times.first()) {
             self.last_time = *time;
             self.slowest.resize(step.cores.len(), 0);
-            let by_time = step.cores.iter().enumerate().map(|(core, counts)| (core_time(counts, table), core));
-            // Of cores that take as long the first counts, so that each step has one.
-            if let Some((_, core)) = by_time.reduce(|most, next| if next.0 > most.0 { next } else { most }) {
-                self.slowest[core] += u64::from(times);
+            if let Some(steps) = self.slowest.get_mut(slowest(step, table)) {
+                *steps += u64::from(times);
             }
         }
         for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
@@ -191,6 +204,38 @@ impl StepMeter {
                 self.next = end;
             }
         }
+    }
+
+    /// What a step costs under the first preset, to be added as often as steps like it happen.
+    ///
+    /// # Panics
+    /// When the meter has no preset: a mistake of the caller.
+    pub fn cost(&mut self, step: &StepActivity) -> StepCost {
+        let MeterSettings { tables, timing, routes, .. } = &*self.settings;
+        let table = &tables[0];
+        let time = routes.step_times(step, tables, *timing, &mut self.memory)[0];
+        let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
+        StepCost { energy: energy_of_counts(sum, hops, 1, table, 0).total(), time, hops, slowest: slowest(step, table) }
+    }
+
+    /// Adds a step by what it costs, as [`Self::add`] adds it by what it did, of a sample that is not decided before.
+    ///
+    /// # Panics
+    /// When the meter is not of sums under one preset alone: a mistake of the caller.
+    pub fn add_cost(&mut self, cost: &StepCost) {
+        let MeterSettings { timestep, distribution: None, by_step: None, .. } = &*self.settings else {
+            panic!("a meter of sums alone")
+        };
+        let [lane] = self.lanes.as_mut_slice() else { panic!("a meter of one preset") };
+        let StepCost { energy, time, hops, slowest } = *cost;
+        self.hops += hops;
+        self.last_time = time;
+        if self.slowest.len() <= slowest {
+            self.slowest.resize(slowest + 1, 0);
+        }
+        self.slowest[slowest] += 1;
+        lane.whole.add(energy, &time, *timestep, 1);
+        lane.until_decided.add(energy, &time, *timestep, 1);
     }
 
     /// Adds what another meter saw, of other samples.
@@ -296,18 +341,42 @@ pub(crate) mod tests {
         tiles_used: u64,
         distribution: Option<(usize, StepPrice)>,
     ) -> StepMeter {
+        meter_of(tables, tiles_used, distribution, Some(0))
+    }
+
+    fn meter_of(
+        tables: Vec<CostTable>,
+        tiles_used: u64,
+        distribution: Option<(usize, StepPrice)>,
+        by_step: Option<usize>,
+    ) -> StepMeter {
         let metered = MeterSettings {
             tables,
             timing: Timing { tiles_used, ..timing(Transport::Analytic) },
             routes: Arc::new(no_routes()),
             timestep: Picoseconds(1_000_000_000),
             distribution,
-            by_step: Some(0),
+            by_step,
         };
         StepMeter::new(metered)
     }
 
     proptest! {
+        #[test]
+        fn steps_by_their_cost_are_steps_by_what_they_did(steps in proptest::collection::vec(any_step(3), 1..10)) {
+            let one = || meter_of(vec![table("davies2018")], 3, None, None);
+            let (mut whole, mut by_cost) = (one(), one());
+            for step in &steps {
+                whole.add(step, 1, false);
+                let cost = by_cost.cost(step);
+                by_cost.add_cost(&cost);
+            }
+            by_cost.slowest.resize(3, 0);
+            prop_assert_eq!(whole.lanes(), by_cost.lanes());
+            prop_assert_eq!((whole.hops(), whole.slowest_steps()), (by_cost.hops(), by_cost.slowest_steps()));
+            prop_assert_eq!(whole.last_time(), by_cost.last_time());
+        }
+
         #[test]
         fn meters_of_parts_merge_to_the_meter_of_the_whole(
             steps in proptest::collection::vec(any_step(2), 0..10), cut in 0..10usize,

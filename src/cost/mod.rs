@@ -22,5 +22,5 @@ pub mod transport;
 pub use constants::CostTable;
 pub use deployment::Deployment;
 pub use host::Host;
-pub use meter::{MeterSettings, StepMeter, StepPrice};
+pub use meter::{MeterSettings, StepCost, StepMeter, StepPrice};
 pub use transport::{MessageRoutes, Timing, Transport};
