@@ -86,19 +86,13 @@ impl Agreement {
             let some = &samples[..samples.len().min(most)];
             let attribution =
                 (against.is_real() && most > 0).then(|| attribute(&ladder, &output_layer(ladder.deployed()), some));
+            let seen = (shown.stimulus.origin.as_slice(), shown.stimulus.seed, samples.len());
             let report = AgreeReport {
-                model: &graph.facts().name,
-                against: against.name(),
-                input: &shown.stimulus.origin,
-                seed: shown.stimulus.seed,
-                samples: samples.len(),
-                same_class: agreement.same_class,
-                accuracy: agreement.accuracy,
-                layers: &agreement.layers,
                 found: integers.found.as_ref(),
                 fits: &named_fits(&graph, fits),
                 attribution: attribution.as_ref(),
                 attribution_samples: some.len(),
+                ..AgreeReport::of_two((&graph.facts().name, against.name()), seen, &agreement)
             };
             Ok(Agreement { json: report.json(), text: report.text() })
         })

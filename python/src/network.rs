@@ -180,7 +180,7 @@ impl Network {
     ///
     /// The keywords are those of `energy`; `force` replaces a file that is there. Gives the path.
     #[pyo3(
-        signature = (path, spikes=None, *, target=None, copies=None, force=false, **options),
+        signature = (path, spikes=None, *, target=None, copies=None, **options),
         text_signature = "($self, path, spikes=None, *, target='nahuku-32', copies=None, force=False, **options)"
     )]
     fn report(
@@ -190,10 +190,10 @@ impl Network {
         spikes: Option<&Bound<'_, PyAny>>,
         target: Option<PathBuf>,
         copies: Option<u32>,
-        force: bool,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<PathBuf> {
         let keywords = Keywords::new(options)?;
+        let force = keywords.take("force")?.unwrap_or(false);
         let (mapping, plan) = self.priced(py, target, copies, &keywords)?;
         energy::report(py, (&mapping, &plan), spikes, &keywords, (path, force))
     }

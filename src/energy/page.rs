@@ -89,20 +89,8 @@ pub fn agreement(workload: &Workload<'_>, trained: &Graph, progress: Progress<'_
     let of_both = layers(network);
     let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
     let agreement = compare_networks(sides, &output_layer(network), some, None, progress)?;
-    let report = AgreeReport {
-        model: &network.parts().name,
-        against: "the trained network",
-        input: &workload.origin,
-        seed: workload.seed,
-        samples: some.len(),
-        same_class: agreement.same_class,
-        accuracy: agreement.accuracy,
-        layers: &agreement.layers,
-        found: None,
-        fits: &[],
-        attribution: None,
-        attribution_samples: 0,
-    };
+    let shown = (workload.origin.as_slice(), workload.seed, some.len());
+    let report = AgreeReport::of_two((&network.parts().name, "the trained network"), shown, &agreement);
     Ok(report.json())
 }
 

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of, wrapped};
 use crate::agree::attribution::{Attribution, LayerLoss, Share};
 use crate::agree::causes::Cause;
-use crate::agree::compare::LayerRow;
+use crate::agree::compare::{Agreement, LayerRow};
 use crate::compile::frontend::analytic::Fit;
 use crate::convert::search::{ConversionScore, SearchResult};
 use crate::ir::graph::Graph;
@@ -39,6 +39,31 @@ pub struct AgreeReport<'a> {
     pub attribution: Option<&'a Attribution>,
     /// Samples that it is of.
     pub attribution_samples: usize,
+}
+
+impl<'a> AgreeReport<'a> {
+    /// Of two networks and nothing more: no search, no causes.
+    #[must_use]
+    pub fn of_two(
+        (model, against): (&'a str, &'static str),
+        (input, seed, samples): (&'a [String], Option<u64>, usize),
+        agreement: &'a Agreement,
+    ) -> Self {
+        AgreeReport {
+            model,
+            against,
+            input,
+            seed,
+            samples,
+            same_class: agreement.same_class,
+            accuracy: agreement.accuracy,
+            layers: &agreement.layers,
+            found: None,
+            fits: &[],
+            attribution: None,
+            attribution_samples: 0,
+        }
+    }
 }
 
 /// What stands for each spike response population, by its name.

@@ -5,8 +5,8 @@
 //! counts, energy and time are those of a whole run, digit for digit: what arrives does not depend on who receives it, and a step costs
 //! the same whenever the same compartments of the last populations move and fire in it, so that it is priced once for each such set.
 //!
-//! Left out on purpose: several copies, payloads, more than [`MOST_LAST`] compartments in last populations, runs of more steps than
-//! [`MOST_BYTES`] hold. Their variants are run whole.
+//! Left out on purpose: several copies, payloads, more than 64 compartments in last populations, runs of more steps than 4 MiB hold.
+//! Their variants are run whole.
 
 use std::sync::{Arc, Mutex};
 

@@ -93,19 +93,13 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         output::write_picture(path, &svg, context)?;
     }
     draw(args, &graph.facts().name, &agreement.layers, context)?;
+    let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
     let report = AgreeReport {
-        model: &graph.facts().name,
-        against: against.name(),
-        input: &stimulus.origin,
-        seed: stimulus.seed,
-        samples: samples.len(),
-        same_class: agreement.same_class,
-        accuracy: agreement.accuracy,
-        layers: &agreement.layers,
         found: integers.found.as_ref(),
         fits: &named_fits(&graph, &integers.fits),
         attribution: attribution.as_ref(),
         attribution_samples: samples.len().min(args.attribution_samples as usize),
+        ..AgreeReport::of_two((&graph.facts().name, against.name()), shown, &agreement)
     };
     if let (Some(path), Some(attribution)) = (&args.update, &attribution) {
         let name = &graph.facts().name;

@@ -136,20 +136,8 @@ pub(super) fn with_one(
     };
     let Some((agreement, _)) = all.pop() else { return Ok(Answer::No) };
     draw(args, &graph.facts().name, &agreement.layers, context)?;
-    let report = AgreeReport {
-        model: &graph.facts().name,
-        against: "another model",
-        input: &stimulus.origin,
-        seed: stimulus.seed,
-        samples: samples.len(),
-        same_class: agreement.same_class,
-        accuracy: agreement.accuracy,
-        layers: &agreement.layers,
-        found: None,
-        fits: &[],
-        attribution: None,
-        attribution_samples: 0,
-    };
+    let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
+    let report = AgreeReport::of_two((&graph.facts().name, "another model"), shown, &agreement);
     if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     }
