@@ -4,10 +4,15 @@
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
+use std::collections::BTreeSet;
+use std::process::Command;
+
+use nsim::base::diagnostic::SourceText;
 use nsim::compile;
 use nsim::desc::stimulus::SceneArg;
-use nsim::drive::{Outcome, digest};
-use nsim::io::model::load_model;
+use nsim::drive::{Outcome, digest, inputs};
+use nsim::io::model::{load_model, network};
+use nsim::io::shipped::Origin;
 use nsim::ir::quantised::Quantised;
 use nsim::scene;
 
@@ -39,4 +44,45 @@ fn scenes_are_the_same_at_any_number_of_threads_and_as_recorded() {
     }
     let other = made(&network, "slip?samples=5&seed=12", 2);
     assert!(other != recorded[0].1);
+}
+
+/// A network with these inputs, which is only shown spikes.
+fn with_inputs(inputs: &str) -> Quantised {
+    let text = format!(
+        "Network(name: \"n\", timestep_ms: 1.0, populations: [{inputs},
+            Loihi(name: \"out\", shape: [1], du: 4096, dv: 4096, vth_mant: 100)],
+         projections: [Random(from: [\"vision\"], to: \"out\", fan_out: 1, low: 0, high: 0, seed: 0)], output: \"out\")"
+    );
+    let network = network(SourceText::new("n.ron", text), Origin::File).unwrap();
+    compile::front(&network).unwrap().into_quantised()
+}
+
+#[test]
+fn planes_of_polarity_hold_what_is_seen_without_them() {
+    let merged = with_inputs("Input(name: \"vision\", shape: [1, 63, 50])");
+    let planes = with_inputs("Input(name: \"vision\", shape: [2, 63, 50])");
+    for scene in ["slip?samples=3&seed=4", "container?samples=3&seed=4&s_min=1"] {
+        let argument = SceneArg::parse(scene).unwrap();
+        let [merged, planes] = [&merged, &planes].map(|network| scene::stimulus(network, &argument).unwrap().samples);
+        let (mut falls, mut rises) = (0, 0);
+        for (merged, planes) in merged.iter().zip(&planes) {
+            for step in 0..merged.steps() {
+                let both: BTreeSet<u32> = planes.at(step).iter().map(|channel| channel.0 % 3150).collect();
+                assert!(both.into_iter().eq(merged.at(step).iter().map(|channel| channel.0)), "{scene}, step {step}");
+                falls += planes.at(step).iter().filter(|channel| channel.0 < 3150).count();
+                rises += planes.at(step).iter().filter(|channel| channel.0 >= 3150).count();
+            }
+        }
+        assert!(falls > 1_000 && rises > 1_000, "{scene}: {falls} falls, {rises} rises");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_nsim"));
+    command.args("scene slip --samples 3 --seed 4 --polarity -o".split(' ')).arg(folder.path());
+    assert!(command.output().unwrap().status.success());
+    let sources = [folder.path().join("dataset.ron").display().to_string()];
+    // What is written is what is made: the data set holds touch, too.
+    let network = with_inputs("Input(name: \"tactile\", shape: [156]), Input(name: \"vision\", shape: [2, 63, 50])");
+    let written = inputs::stimulus(&network, &sources, None, None).unwrap().samples;
+    let made = scene::stimulus(&network, &SceneArg::parse("slip?samples=3&seed=4").unwrap()).unwrap().samples;
+    assert_eq!(written, made);
 }

@@ -26,6 +26,7 @@ EXAMPLES:
   nsim scene slip --samples 1000 --seed 7 -o scenes     recordings as .npy, and scenes/dataset.ron
   nsim scene 'slip?grip_n=1.5..2.5&pixel_noise_hz=1'    other parameters, which docs/scenes.md lists
   nsim scene container --samples 100 --format json
+  nsim scene slip --samples 1000 --polarity -o planes   the same with vision as 2 x 63 x 50: falls, then rises
   nsim scene slip --plot slip.svg                       a picture of one sample
   nsim run --input scenes/dataset.ron";
 
@@ -44,6 +45,9 @@ pub struct Args {
     /// Folder for the recordings and their dataset.ron
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
+    /// Write vision with a plane of pixels for each polarity, 2 x 63 x 50 [default: one for both]
+    #[arg(long, requires = "output")]
+    pub polarity: bool,
     /// Draw the spikes of one sample: taxels and pixels over time, with the onset
     #[arg(long, value_name = "FILE.svg|png|pdf")]
     pub plot: Option<PathBuf>,
@@ -78,7 +82,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let make = |sample: u32| {
         let recording = scene.recording(sample);
         let files = match &folder {
-            Some(folder) => store(folder, sample, &recording)?,
+            Some(folder) => store(folder, sample, &recording, args.polarity)?,
             None => [String::new(), String::new()],
         };
         let [touch, vision] = files.map(Spanned::from);
@@ -111,6 +115,13 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
+/// A camera's spikes by polarity, each on the channel of its unit.
+fn by_polarity(planes: Vec<(u32, u32)>) -> Vec<(String, Vec<(u32, u32)>)> {
+    let (falls, rises): (Vec<_>, Vec<_>) = planes.into_iter().partition(|&(_, channel)| channel < VISION.1);
+    let rises = rises.into_iter().map(|(step, channel)| (step, channel - VISION.1)).collect();
+    vec![("pixel, brighter".to_string(), rises), ("pixel, darker".to_string(), falls)]
+}
+
 /// A sample as a picture.
 fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Raster {
     let recording = scene.recording(sample);
@@ -132,7 +143,7 @@ fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Raster {
                 label: "pooled pixel".to_string(),
                 channels: VISION.1,
                 share: 0.55,
-                kinds: vec![("pixel".to_string(), recording.vision)],
+                kinds: by_polarity(recording.vision_planes),
             },
         ],
     }
@@ -173,18 +184,27 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
     }
 }
 
-/// Writes a sample's arrays, `[78, 2, T]` and `[63, 50, T]` of bytes, and says where they are.
-fn store(folder: &write::Folder, sample: u32, recording: &Recording) -> Result<[String; 2], Diagnostic> {
-    let taxels = 2 * touch::TAXELS as u64;
-    let shapes = [[taxels, 2], [camera::POOLED_HEIGHT as u64, camera::POOLED_WIDTH as u64]];
+/// Writes a sample's arrays of bytes, `[78, 2, T]` and `[63, 50, T]` or, by polarity, `[2, 63, 50, T]`, and says where they are.
+fn store(
+    folder: &write::Folder,
+    sample: u32,
+    recording: &Recording,
+    by_polarity: bool,
+) -> Result<[String; 2], Diagnostic> {
+    let units = [camera::POOLED_HEIGHT as u64, camera::POOLED_WIDTH as u64];
+    let (planes, vision) = match by_polarity {
+        true => (vec![2], &recording.vision_planes),
+        false => (Vec::new(), &recording.vision),
+    };
+    let shapes = [vec![2 * touch::TAXELS as u64, 2], [planes, units.to_vec()].concat()];
     let mut names = [TOUCH.0, VISION.0].map(|name| format!("{name}/sample_{sample}_label_{}.npy", recording.label));
-    for ((name, shape), events) in names.iter_mut().zip(shapes).zip([&recording.touch, &recording.vision]) {
+    for ((name, shape), events) in names.iter_mut().zip(shapes).zip([&recording.touch, vision]) {
         let steps = recording.steps as usize;
-        let mut bytes = vec![0; (shape[0] * shape[1]) as usize * steps];
+        let mut bytes = vec![0; shape.iter().product::<u64>() as usize * steps];
         for &(step, channel) in events {
             bytes[channel as usize * steps + step as usize] = 1;
         }
-        let shape = [shape[0], shape[1], steps as u64];
+        let shape = [shape, vec![steps as u64]].concat();
         folder.member(name, |out| npy::write_bytes(out, &shape, &bytes))?;
     }
     Ok(names)

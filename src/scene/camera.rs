@@ -4,7 +4,8 @@
 //! pooled channels that spike in a tick. A pixel sends an event when its brightness differs from that at its last
 //! event by the contrast threshold (Lichtsteiner, Posch and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal
 //! contrast vision sensor", IEEE JSSC 2008), then rests for its refractory time; noise events come on top. A pooled unit
-//! sums the events of its 16 pixels, both polarities, within a tick and spikes from the first on.
+//! sums the events of its 16 pixels within a tick and spikes from the first on: of both polarities together, or in a plane for each,
+//! as the recordings of Taunyazov et al. 2020 have them. A noise event is of either polarity.
 //!
 //! Window, pooling and the order of the channels are VT-SNN's: 200 columns x 250 rows, 4 x 4 to 50 columns x 63 rows (the
 //! last row of units sees two rows of pixels), channel = row of units x 50 + column.
@@ -21,7 +22,7 @@ pub const POOL: usize = 4;
 pub const POOLED_WIDTH: usize = WIDTH.div_ceil(POOL);
 /// Rows of pooled units.
 pub const POOLED_HEIGHT: usize = HEIGHT.div_ceil(POOL);
-/// Pooled units: the channels of the vision population.
+/// Pooled units: the channels of the vision population, and of each plane of one with both polarities.
 pub const POOLED: usize = POOLED_WIDTH * POOLED_HEIGHT;
 
 /// The pooled unit of a pixel.
@@ -29,6 +30,22 @@ pub const POOLED: usize = POOLED_WIDTH * POOLED_HEIGHT;
 #[must_use]
 pub fn pooled(x: usize, y: usize) -> usize {
     y / POOL * POOLED_WIDTH + x / POOL
+}
+
+/// The polarities of which a pooled unit spikes in a tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Polarities {
+    /// Some pixel became darker.
+    pub falls: bool,
+    /// Some pixel became brighter.
+    pub rises: bool,
+}
+
+impl Polarities {
+    /// The numbers of the planes: 0 for falls, 1 for rises.
+    pub fn planes(self) -> impl Iterator<Item = u32> {
+        [self.falls, self.rises].into_iter().zip(0..).filter(|(spikes, _)| *spikes).map(|(_, plane)| plane)
+    }
 }
 
 /// How pixels respond.
@@ -71,7 +88,8 @@ pub struct Camera {
     state: Vec<Pixel>,
     /// Pixels whose change exceeds what they have sent.
     behind: Vec<u32>,
-    spiking: Vec<u64>,
+    /// By polarity, falls first.
+    spiking: [Vec<u64>; 2],
     step: u16,
 }
 
@@ -86,19 +104,19 @@ impl Camera {
             sensor,
             state: vec![pixel; WIDTH * HEIGHT],
             behind: Vec::new(),
-            spiking: vec![0; POOLED.div_ceil(64)],
+            spiking: [vec![0; POOLED.div_ceil(64)], vec![0; POOLED.div_ceil(64)]],
             step: 0,
         }
     }
 
     /// One tick: looks at the pixels that `changed` names (any number of times each), where the view was `at_rest` and
-    /// is `now`; calls `spike` for each pooled unit that spikes, ascending.
+    /// is `now`; calls `spike` for each pooled unit that spikes, ascending, with the polarities of which it does.
     pub fn step(
         &mut self,
         changed: &[u32],
         at_rest: impl Fn(usize, usize) -> f32,
         now: impl Fn(usize, usize) -> f32,
-        mut spike: impl FnMut(u32),
+        mut spike: impl FnMut(u32, Polarities),
     ) {
         let rest = self.pixels.refractory_ms.div_ceil(self.pixels.tick_ms);
         let behind = std::mem::take(&mut self.behind);
@@ -123,7 +141,7 @@ impl Camera {
                 state.reference += if change > 0.0 { state.threshold } else { -state.threshold };
                 state.free_at = self.step + rest;
                 let unit = pooled(x, y);
-                self.spiking[unit / 64] |= 1 << (unit % 64);
+                self.spiking[usize::from(change > 0.0)][unit / 64] |= 1 << (unit % 64);
             }
             // A remaining difference is checked again when the refractory time is over.
             if (level - state.reference).abs() >= state.threshold {
@@ -139,14 +157,20 @@ impl Camera {
             if self.step >= state.free_at {
                 state.free_at = self.step + rest;
                 let unit = pooled(pixel as usize % WIDTH, pixel as usize / WIDTH);
-                self.spiking[unit / 64] |= 1 << (unit % 64);
+                let rises = self.draws.unit(Purpose::PixelNoisePolarity, k, u32::from(self.step)) < 0.5;
+                self.spiking[usize::from(rises)][unit / 64] |= 1 << (unit % 64);
             }
         }
-        for (word, bits) in self.spiking.iter_mut().enumerate() {
-            while *bits != 0 {
-                spike(word as u32 * 64 + bits.trailing_zeros());
-                *bits &= *bits - 1;
+        let [falls, rises] = &mut self.spiking;
+        for (word, (falls, rises)) in falls.iter_mut().zip(rises).enumerate() {
+            let mut either = *falls | *rises;
+            while either != 0 {
+                let bit = either.trailing_zeros();
+                let polarities = Polarities { falls: *falls >> bit & 1 == 1, rises: *rises >> bit & 1 == 1 };
+                spike(word as u32 * 64 + bit, polarities);
+                either &= either - 1;
             }
+            (*falls, *rises) = (0, 0);
         }
         self.step += 1;
     }
@@ -187,7 +211,7 @@ mod tests {
             let level = if step < 3 { 1.0 } else { 1.7 };
             // Named twice: looked at twice, which changes nothing.
             let changed = if step == 3 { vec![pixel, pixel] } else { Vec::new() };
-            camera.step(&changed, |_, _| 1.0, |_, _| level, |unit| spikes.push((step, unit)));
+            camera.step(&changed, |_, _| 1.0, |_, _| level, |unit, _| spikes.push((step, unit)));
         }
         let unit = pooled(21, 13) as u32;
         assert_eq!(spikes, [(3, unit), (5, unit), (7, unit)]);
@@ -198,8 +222,12 @@ mod tests {
         let mut camera = camera(&STILL);
         let block: Vec<u32> = (0..4).flat_map(|y| (0..4).map(move |x| (y * WIDTH + x) as u32)).collect();
         let mut spikes = Vec::new();
-        camera.step(&block, |_, _| 0.0, |x, _| if x % 2 == 0 { 0.3 } else { -0.3 }, |unit| spikes.push(unit));
-        assert_eq!(spikes, [0]);
+        let mut see = |unit, polarities: Polarities| spikes.push((unit, polarities.planes().collect::<Vec<_>>()));
+        camera.step(&block, |_, _| 0.0, |x, _| if x % 2 == 0 { 0.3 } else { -0.3 }, &mut see);
+        // Refractory for a step; then all return.
+        camera.step(&[], |_, _| 0.0, |_, _| 0.0, &mut see);
+        camera.step(&block, |_, _| 0.0, |x, _| if x % 2 == 0 { 0.3 } else { 0.0 }, &mut see);
+        assert_eq!(spikes, [(0, vec![0, 1]), (0, vec![1])]);
     }
 
     #[test]
@@ -207,7 +235,7 @@ mod tests {
         let mut camera = camera(&Pixels { noise_hz: 0.5, ..STILL });
         let mut spikes = 0;
         for _ in 0..400 {
-            camera.step(&[], |_, _| 0.0, |_, _| 0.0, |_| spikes += 1);
+            camera.step(&[], |_, _| 0.0, |_, _| 0.0, |_, _| spikes += 1);
         }
         // 50,000 pixels x 0.5 Hz x 0.4 s = 10,000 events; at 25 a step some share a unit.
         assert!((9_600..10_050).contains(&spikes), "{spikes}");

@@ -16,7 +16,7 @@ use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{MOST_SAMPLES, Recording};
+use super::recording::{MOST_SAMPLES, Recording, Seen};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
 use super::wire::{self, Wire};
 use crate::base::diagnostic::Result;
@@ -311,12 +311,14 @@ impl Containers {
                 (decoded.into_iter().map(|(ms, channel)| (ms / TICK_MS, channel)).collect(), wire)
             }
         };
+        let Seen { units, planes } = self.vision(&course, &moments, draws);
         Recording {
             steps: STEPS,
             label,
             onset_ms: Some(1e3 * course.contact_s),
             touch: binned(&touch, self.s_min),
-            vision: binned(&self.vision(&course, &moments, draws), self.s_min),
+            vision: binned(&units, self.s_min),
+            vision_planes: binned(&planes, self.s_min),
             wire,
         }
     }
@@ -377,14 +379,14 @@ impl Containers {
         events
     }
 
-    /// (tick, channel) of the pooled camera's spikes.
-    fn vision(&self, course: &Course, moments: &[Moment], draws: Draws) -> Vec<(u32, u32)> {
+    /// The pooled camera's spikes, by tick.
+    fn vision(&self, course: &Course, moments: &[Moment], draws: Draws) -> Seen {
         let offset = draws.between(Purpose::Grasp, 20, self.grasp_mm);
         let picture = |moment: &Moment| Picture::new(course, moment, offset);
         let rest = picture(&moments[0]);
         let mut camera = Camera::new(&self.pixels, draws, Draws::new(0, 0));
         let (mut near, mut shown) = (Vec::new(), rest);
-        let mut events = Vec::new();
+        let mut seen = Seen::default();
         for (tick, moment) in moments.iter().enumerate() {
             let now = picture(moment);
             near.clear();
@@ -393,9 +395,10 @@ impl Containers {
                 shown = now;
             }
             let view = shown;
-            camera.step(&near, |x, y| rest.at(x, y), |x, y| view.at(x, y), |unit| events.push((tick as u32, unit)));
+            let see = |unit, polarities| seen.add(tick as u32, unit, polarities);
+            camera.step(&near, |x, y| rest.at(x, y), |x, y| view.at(x, y), see);
         }
-        events
+        seen
     }
 }
 
@@ -598,6 +601,7 @@ mod tests {
             let contact = (recording.onset_ms.unwrap() / f64::from(BIN_MS)) as u32;
             assert!(recording.touch.iter().all(|&(bin, channel)| bin < STEPS && channel < 156 && bin + 1 >= contact));
             assert!(recording.vision.iter().all(|&(bin, channel)| bin < STEPS && channel < 3150));
+            assert!(recording.vision_planes.iter().all(|&(bin, channel)| bin < STEPS && channel < 6300));
             assert!(recording.touch.len() > 200 && recording.vision.len() > 2000);
         }
     }

@@ -32,6 +32,8 @@ pub enum Purpose {
     Look,
     /// Pulses and noise of the taxels' common wire.
     Wire,
+    /// Polarity of the camera's noise events.
+    PixelNoisePolarity,
 }
 
 /// Draws of one sample.

@@ -17,7 +17,7 @@ pub mod wire;
 
 use rayon::prelude::*;
 
-pub use self::recording::{MOST_SAMPLES, Recording, TOUCH, VISION};
+pub use self::recording::{MOST_SAMPLES, Recording, TOUCH, VISION, VISION_PLANES};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::ChannelId;
 use crate::desc::stimulus::SceneArg;
@@ -141,15 +141,19 @@ impl Recorded {
 fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
     let name = scene.name();
     // First channel of touch and of vision, where the network has them.
-    let mut first = [None, None];
+    let senses = [TOUCH, VISION, VISION_PLANES];
+    let mut first = [None; 3];
     for (_, population) in network.inputs() {
         let units = population.shape.len();
-        let Some(sense) = [TOUCH, VISION].iter().position(|sense| *sense == (population.name.as_str(), units)) else {
+        let Some(sense) = senses.iter().position(|sense| *sense == (population.name.as_str(), units)) else {
             let message = format!(
                 "scene {name} has nothing for input population '{}' with its {units} channels",
                 population.name
             );
-            let help = format!("it is recorded for '{}' ({}) and '{}' ({})", TOUCH.0, TOUCH.1, VISION.0, VISION.1);
+            let help = format!(
+                "it is recorded for '{}' ({}) and '{}' ({}, or {} with a plane for each polarity)",
+                TOUCH.0, TOUCH.1, VISION.0, VISION.1, VISION_PLANES.1
+            );
             return Err(Diagnostic::new("scene.population", message).help(help));
         };
         first[sense] = population.first_channel().map(|channel| channel.0);
@@ -159,7 +163,8 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
         .map(|sample| {
             let recording = scene.recording(sample);
             let mut events = Vec::with_capacity(recording.touch.len() + recording.vision.len());
-            for (first, sense) in first.iter().zip([&recording.touch, &recording.vision]) {
+            let recorded = [&recording.touch, &recording.vision, &recording.vision_planes];
+            for (first, sense) in first.iter().zip(recorded) {
                 if let &Some(first) = first {
                     events.extend(sense.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));
                 }

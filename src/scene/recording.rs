@@ -1,6 +1,6 @@
 //! What a scene records: one sample of touch and vision.
 
-use super::camera::POOLED;
+use super::camera::{POOLED, Polarities};
 use super::touch::TAXELS;
 use super::wire::Carried;
 
@@ -20,6 +20,8 @@ pub struct Recording {
     pub touch: Vec<(u32, u32)>,
     /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.
     pub vision: Vec<(u32, u32)>,
+    /// The same with a plane for each polarity; channel = 3,150 polarity + row 50 + column, polarity 1 for a rise.
+    pub vision_planes: Vec<(u32, u32)>,
     /// What the taxels' common wire did to the events of touch, when there is one.
     pub wire: Option<Carried>,
 }
@@ -28,3 +30,22 @@ pub struct Recording {
 pub const TOUCH: (&str, u32) = ("tactile", 4 * TAXELS as u32);
 /// The population that vision is for, and its channels.
 pub const VISION: (&str, u32) = ("vision", POOLED as u32);
+/// The same with a plane of channels for each polarity.
+pub const VISION_PLANES: (&str, u32) = ("vision", 2 * POOLED as u32);
+
+/// What a camera sent, of both polarities together and in planes.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Seen {
+    /// (step, unit), ascending within a step.
+    pub units: Vec<(u32, u32)>,
+    /// (step, channel of its plane).
+    pub planes: Vec<(u32, u32)>,
+}
+
+impl Seen {
+    /// Adds a unit's spike in a step.
+    pub fn add(&mut self, step: u32, unit: u32, polarities: Polarities) {
+        self.units.push((step, unit));
+        self.planes.extend(polarities.planes().map(|plane| (step, plane * VISION.1 + unit)));
+    }
+}

@@ -15,7 +15,7 @@ use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::{Grasp, GraspState, Motion, follow};
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{MOST_SAMPLES, Recording};
+use super::recording::{MOST_SAMPLES, Recording, Seen};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
 use super::wire::{self, Wire};
 use crate::base::diagnostic::Result;
@@ -135,12 +135,15 @@ impl Slip {
         let vibration = Vibration::draw(self, draws);
         let sensed = touch(self, &grasp, &motion, vibration, draws);
         let (touch, wire) = Wire::between(self.wire, sensed, STEPS, draws);
+        let Seen { units, mut planes } = vision(self, &grasp, &motion, vibration, draws);
+        planes.sort_unstable();
         Recording {
             steps: STEPS,
             label: u32::from(motion.onset_ms.is_some()),
             onset_ms: motion.onset_ms,
             touch,
-            vision: vision(self, &grasp, &motion, vibration, draws),
+            vision: units,
+            vision_planes: planes,
             wire,
         }
     }
@@ -454,7 +457,7 @@ fn line(from: (f32, f32), to: (f32, f32), reach: f32, near: &mut Vec<u32>) {
     }
 }
 
-fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> Vec<(u32, u32)> {
+fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> Seen {
     let (look, x, y) = Look::draw(draws, slip.edge_px);
     let tilt = draws.between(Purpose::Look, 2, (-0.02, 0.02));
     let bottom = y + look.top + look.brick.1 * BRICKS.1 as f32;
@@ -475,7 +478,7 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
     let mut camera = Camera::new(&slip.pixels, draws, Draws::new(0, 0));
     let lamps = draws.between(Purpose::Look, 3, (0.0, TAU));
     let (mut near, mut shown) = (Vec::new(), rest);
-    let mut events = Vec::new();
+    let mut seen = Seen::default();
     for (step, state) in states.iter().enumerate() {
         let now = pose(state, step as f64);
         let turned = (now.sin - shown.sin).abs() * 93.0 + (now.y - shown.y).abs();
@@ -504,14 +507,16 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
             &near,
             |x, y| look.at(&rest, x, y),
             |x, y| look.at(&view, x, y) + flicker,
-            |unit| events.push((step as u32, unit)),
+            |unit, polarities| seen.add(step as u32, unit, polarities),
         );
     }
-    events
+    seen
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     fn parse(text: &str) -> Result<Slip> {
@@ -549,6 +554,11 @@ mod tests {
                 assert!(recording.touch.iter().all(|&(step, channel)| step < STEPS && channel < 156));
                 assert!(recording.vision.windows(2).all(|pair| pair[0] < pair[1]));
                 assert!(recording.vision.iter().all(|&(step, channel)| step < STEPS && channel < 3150));
+                let planes = &recording.vision_planes;
+                assert!(planes.windows(2).all(|pair| pair[0] < pair[1]) && planes.len() > recording.vision.len());
+                let either: BTreeSet<(u32, u32)> =
+                    planes.iter().map(|&(step, channel)| (step, channel % 3150)).collect();
+                assert!(either.into_iter().eq(recording.vision.iter().copied()), "a unit spikes of either polarity");
                 touch += recording.touch.len();
                 vision += recording.vision.len();
             }
