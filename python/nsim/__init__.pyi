@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 Path = Union[str, "PathLike[str]"]
 Array = NDArray[Any]
 Sources = Union[str, Sequence[str], None]
-Spikes = Union[Array, Dictionary[str, Array], str, Sequence[str], None]
+Spikes = Union[Array, Events, Dictionary[str, Union[Array, Events]], str, Sequence[str], None]
 
 __version__: str
 
@@ -23,6 +23,12 @@ class Error(Exception):
 
 class Warning(UserWarning):
     """What stands out in a run, such as a population that never spikes."""
+
+class Events:
+    """Spikes as rows (sample, step, channel)."""
+
+    def __init__(self, events: Array, *, steps: int, samples: Optional[int] = None) -> None: ...
+    def __len__(self) -> int: ...
 
 def load(model: Path) -> Network:
     """Loads a model file or a shipped model."""
@@ -179,6 +185,8 @@ class Conversion:
     def layers(self) -> list[dict[str, Any]]: ...
     def save(self, path: Path, *, force: bool = False) -> list[str]:
         """Writes what `nsim convert -o` writes."""
+    def table(self) -> Any:
+        """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
         """What `nsim convert --format json` prints."""
     def _repr_html_(self) -> str: ...
@@ -203,6 +211,8 @@ class Training:
         """The history as `nsim train --log` writes it."""
     def save(self, path: Path, *, force: bool = False) -> list["PathLike[str]"]:
         """Writes what `nsim train -o` writes."""
+    def table(self) -> Any:
+        """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
         """What `nsim train --format json` prints."""
     def _repr_html_(self) -> str: ...
@@ -228,6 +238,8 @@ class Agreement:
     def layers(self) -> list[dict[str, Any]]: ...
     @property
     def attribution(self) -> list[dict[str, Any]]: ...
+    def table(self) -> Any:
+        """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
         """What `nsim agree --format json` prints."""
     def _repr_html_(self) -> str: ...
@@ -338,6 +350,8 @@ class Run:
         """The metrics of NeuroBench's harness, a sample."""
     @property
     def wall_s(self) -> float: ...
+    def table(self) -> Any:
+        """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
         """What `nsim run --format json` prints."""
     def _repr_html_(self) -> str: ...
@@ -352,6 +366,8 @@ class Energy:
         """Of a timestep."""
     @property
     def rows(self) -> list[dict[str, Any]]: ...
+    def table(self) -> Any:
+        """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
         """What `nsim energy --format json` prints."""
     def _repr_html_(self) -> str: ...

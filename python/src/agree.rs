@@ -16,7 +16,7 @@ use pyo3::prelude::*;
 use serde_json::Value;
 
 use crate::error::raised;
-use crate::html::{columns, table};
+use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::run::to_python;
 use crate::spikes::{Shown, sources};
@@ -117,6 +117,11 @@ impl Agreement {
     #[getter]
     fn attribution<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.json["attribution"])
+    }
+
+    /// The layers as a data frame of pandas, or of polars where only that is installed.
+    fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        frame(py, &self.json["layers"])
     }
 
     /// The object that `nsim agree --format json` prints.

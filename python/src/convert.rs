@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 use crate::agree::{MOST_SAMPLES, counted};
 use crate::error::raised;
-use crate::html::{columns, table};
+use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::memory;
 use crate::network::Network;
@@ -120,6 +120,11 @@ impl Conversion {
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
         py.detach(|| self.model.write(&path, force)).map_err(|problem| raised(py, problem))
+    }
+
+    /// The stages as a data frame of pandas, or of polars where only that is installed.
+    fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        frame(py, &self.json["stages"])
     }
 
     /// The object that `nsim convert --format json` prints.

@@ -19,7 +19,7 @@ use nsim::report::page::{Origin, Provenance, html};
 use pyo3::prelude::*;
 
 use crate::error::{raised, warn};
-use crate::html::table;
+use crate::html::{frame, table};
 use crate::keywords::Keywords;
 use crate::mapping::Mapping;
 use crate::run::{is_long, rule, to_python};
@@ -158,6 +158,11 @@ impl Energy {
     #[getter]
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.report.json()["rows"])
+    }
+
+    /// The rows of the table as a data frame of pandas, or of polars where only that is installed.
+    fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        frame(py, &self.report.json()["rows"])
     }
 
     /// The object that `nsim energy --format json` prints.

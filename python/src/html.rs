@@ -1,9 +1,12 @@
-//! Tables for notebooks.
+//! Tables for notebooks, and data frames.
 //!
 //! Input: rows as the reports' JSON has them, and which columns to show. Output: one HTML table. Text is escaped: names come from users'
 //! files.
 
+use pyo3::prelude::*;
 use serde_json::Value;
+
+use crate::run::to_python;
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
@@ -32,6 +35,12 @@ pub fn table(caption: &str, columns: &[&str], rows: &[Value]) -> String {
     };
     let body: String = rows.iter().map(row).collect();
     format!("<table><caption>{}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>", escaped(caption))
+}
+
+/// Rows as a data frame of pandas, or of polars where only that is installed.
+pub fn frame<'py>(py: Python<'py>, rows: &Value) -> PyResult<Bound<'py, PyAny>> {
+    let library = py.import("pandas").or_else(|_| py.import("polars"))?;
+    library.call_method1("DataFrame", (to_python(py, rows)?,))
 }
 
 /// The keys of rows that have one value.

@@ -9,6 +9,7 @@ mod bench;
 mod convert;
 mod energy;
 mod error;
+mod events;
 mod html;
 mod keywords;
 mod mapping;
@@ -32,6 +33,7 @@ fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<mapping::Mapping>()?;
     module.add_class::<run::Run>()?;
     module.add_class::<energy::Energy>()?;
+    module.add_class::<events::Events>()?;
     module.add_class::<agree::Agreement>()?;
     module.add_class::<convert::Conversion>()?;
     module.add_class::<train::Training>()?;

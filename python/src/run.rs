@@ -18,7 +18,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
 use crate::error::warn;
-use crate::html::table;
+use crate::html::{frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::mapping::Shared;
 use crate::spikes::Shown;
@@ -247,6 +247,11 @@ impl Run {
     #[getter]
     fn wall_s(&self) -> f64 {
         self.run.wall_s
+    }
+
+    /// Populations, a row each, as a data frame of pandas, or of polars where only that is installed.
+    fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        frame(py, &self.with_report(&self.detail(), |report| report.json())["populations"])
     }
 
     /// The object that `nsim run --format json` prints.

@@ -1,4 +1,4 @@
-//! Spikes from Python: NumPy arrays, sources as `--input` takes them, or the model's own scene.
+//! Spikes from Python: NumPy arrays, events, sources as `--input` takes them, or the model's own scene.
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a dictionary from populations to arrays,
 //! text, or nothing. A number other than zero is a spike. Output: samples and the order in which they run. Contiguous arrays of `uint8`
@@ -16,6 +16,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
 use crate::error::raised;
+use crate::events::Events;
 use crate::keywords::{Keywords, usage};
 
 /// Numbers of an array that are looked at together.
@@ -124,8 +125,11 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
     joined(&inputs, sources).map_err(|error| raised(spikes.py(), error))
 }
 
-/// The samples of an array for a population.
+/// The samples of an array, or of events, for a population.
 fn recordings(array: &Bound<'_, PyAny>, population: &Population, time_first: bool) -> PyResult<Vec<PopulationSpikes>> {
+    if let Ok(events) = array.cast::<Events>() {
+        return events.get().recordings(population).map_err(|problem| raised(array.py(), problem));
+    }
     let read = match array.cast::<PyArrayDyn<u8>>() {
         Ok(array) => read(array.readonly().as_array(), |number| number != 0, population, time_first),
         Err(_) => {

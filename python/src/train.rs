@@ -12,9 +12,10 @@ use nsim::train::fit::{Example, Plan, TrainingState};
 use nsim::train::job::{Checkpoint, Data, Job, Part, Trained, train as trained_to_the_end, with_fields};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
+use serde_json::{Value, json};
 
 use crate::error::raised;
-use crate::html::{columns, table};
+use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::memory;
 use crate::network::Network;
@@ -138,6 +139,12 @@ fn data(job: &Job, train: Given, test: Given) -> Result<Data, nsim::Error> {
 }
 
 impl Training {
+    /// The history, an object for each epoch.
+    fn epochs(&self) -> Vec<Value> {
+        let history = self.trained.state.history.iter();
+        history.map(|row| json!({ "epoch": row.epoch, "loss": row.loss, "accuracy": row.accuracy })).collect()
+    }
+
     fn report(&self) -> TrainReport<'_> {
         TrainReport { job: &self.job, trained: &self.trained, model: None }
     }
@@ -195,6 +202,11 @@ impl Training {
         let weights = self.job.plan.result(&self.trained.state);
         let written = py.detach(|| self.job.write((&path, force), weights, &comment, &provenance));
         written.map_err(|problem| raised(py, problem))
+    }
+
+    /// The epochs as a data frame of pandas, or of polars where only that is installed.
+    fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        frame(py, &Value::Array(self.epochs()))
     }
 
     /// The object that `nsim train --format json` prints.

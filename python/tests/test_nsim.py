@@ -129,6 +129,46 @@ class Arrays(unittest.TestCase):
         self.assertEqual(first.counts[0].tolist(), self.mapping.run(spikes).counts[0].tolist())
         self.assertEqual(self.mapping.run(spikes, samples=(0, 1)).digest, first.digest)
 
+    def test_events_mean_what_arrays_mean(self):
+        rng = np.random.default_rng(3)
+        spikes = (rng.random((4, 78, 50)) < 0.1).astype(np.uint8)
+        want = self.mapping.run(spikes, labels=[0, 1, 2, 3])
+        sample, channel, step = np.nonzero(spikes)
+        events = np.stack([sample, step, channel], axis=1)
+        shuffled = rng.permutation(events)
+        for rows in [events, shuffled, shuffled.astype(np.uint16), np.concatenate([events, events[:5]])]:
+            run = self.mapping.run(nsim.Events(rows, steps=50), labels=[0, 1, 2, 3])
+            self.assertEqual((run.digest, run.activity), (want.digest, want.activity))
+        self.assertEqual(len(self.mapping.run(nsim.Events(events, samples=6, steps=50))), 6)
+        both = recorded(nsim.load("vtsnn-slip"))
+        as_events = {}
+        for name, array in both.items():
+            sample, channel, step = np.nonzero(array.reshape(len(array), -1, array.shape[-1]))
+            as_events[name] = nsim.Events(np.stack([sample, step, channel], axis=1), samples=len(array), steps=array.shape[-1])
+        slip = nsim.load("vtsnn-slip").map()
+        self.assertEqual(slip.run(as_events).digest, slip.run(both).digest)
+        for code, make in {
+            "usage": lambda: nsim.Events(events[:, :2], steps=50),
+            "input.shape": lambda: nsim.Events(events, steps=10),
+        }.items():
+            with self.assertRaises(nsim.Error) as caught:
+                make()
+            self.assertEqual(caught.exception.code, code)
+        with self.assertRaises(nsim.Error) as caught:
+            self.mapping.run(nsim.Events([[0, 0, 78]], steps=50))
+        self.assertIn("event 0: channel 78 is not below 78", str(caught.exception))
+
+    def test_data_frames(self):
+        try:
+            import pandas
+        except ImportError:
+            self.skipTest("pandas is absent")
+        spikes = np.ones((2, 78, 40), np.uint8)
+        run, energy = self.mapping.run(spikes), self.mapping.energy(spikes)
+        self.assertIsInstance(run.table(), pandas.DataFrame)
+        self.assertEqual(list(run.table()["spikes"]), [row["spikes"] for row in run.json()["populations"]])
+        self.assertEqual(list(energy.table()["unit"]), [row["unit"] for row in energy.rows])
+
     def test_labels_and_spikes(self):
         run = self.mapping.run(np.ones((2, 78, 40), np.uint8), labels=[0, 1])
         self.assertEqual((run.labels, len(run)), ([0, 1], 2))
