@@ -245,7 +245,11 @@ impl Record {
         run: SampleRun<'_>,
     ) -> Result<(Ran, Option<Record>), Error> {
         let samples = run.samples;
-        let last = last_of(compiled).filter(|last| bytes(compiled, last.len(), samples) <= MOST_BYTES);
+        // Of a sample without steps nothing is kept.
+        let kept = |last: &Vec<Last>| {
+            bytes(compiled, last.len(), samples) <= MOST_BYTES && samples.iter().all(|sample| sample.steps() > 0)
+        };
+        let last = last_of(compiled).filter(kept);
         let Some(last) = last else {
             let Run { outcomes, activity, meter, .. } = metered.run(settings, run)?;
             return Ok((Ran { outcomes, activity, meter }, None));

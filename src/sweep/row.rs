@@ -349,21 +349,14 @@ impl Place<'_> {
     fn run(&self, mapped: &Mapped) -> Result<(Ran, Option<Record>), Error> {
         let compiled = self.compiled(mapped)?;
         let metered = Metered::new(&compiled);
-        let settings = self.settings(&metered, &mapped.network);
-        if self.samples.iter().any(|sample| sample.steps() == 0) {
-            return Ok((self.whole(&metered, settings)?, None));
-        }
-        Record::run(&compiled, &metered, settings, self.of_samples())
+        Record::run(&compiled, &metered, self.settings(&metered, &mapped.network), self.of_samples())
     }
 
     /// Runs a network from which no other follows.
     fn run_whole(&self, mapped: &Mapped) -> Result<Ran, Error> {
         let compiled = self.compiled(mapped)?;
         let metered = Metered::new(&compiled);
-        self.whole(&metered, self.settings(&metered, &mapped.network))
-    }
-
-    fn whole(&self, metered: &Metered<'_>, settings: MeterSettings) -> Result<Ran, Error> {
+        let settings = self.settings(&metered, &mapped.network);
         let Run { outcomes, activity, meter, .. } = metered.run(settings, self.of_samples())?;
         let copies = u64::from(metered.copies_run());
         let of_one = |outcome: Outcome| {
