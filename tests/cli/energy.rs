@@ -1,0 +1,100 @@
+//! `nsim energy`: copies, other hardware, rates.
+
+use serde_json::Value;
+
+use crate::{MODEL, has_keys, nsim, object, said, write};
+
+#[test]
+fn other_hardware_stands_beside_the_chip_with_its_source() {
+    let energy = object(&["energy", "--samples", "0..1", "--copies", "1", "--cpu-watts", "5,20"], 0);
+    let rows = energy["rows"].as_array().unwrap();
+    let named: Vec<(&str, &str, &str)> = rows
+        .iter()
+        .map(|row| {
+            let text = |key: &str| row[key].as_str().unwrap();
+            (text("hardware"), text("source"), text("power_source"))
+        })
+        .collect();
+    assert_eq!(
+        named[3..],
+        [
+            ("RTX 2080 Ti", "published", "published"),
+            ("CPU, dense f32", "measured", "stated"),
+            ("CPU, event-driven", "measured", "stated"),
+        ]
+    );
+    for row in &rows[4..] {
+        assert_eq!((&row["static_mw"], &row["total_mw"]), (&5_000.0.into(), &20_000.0.into()));
+        assert!(row["latency_us"].as_f64().unwrap() > 0.0);
+    }
+    has_keys(&energy, &["ratios", "per_sample", "per_decision", "packing", "transport", "time_us_per_timestep"]);
+    assert_eq!(energy["ratios"].as_array().unwrap().len(), 3);
+    assert_eq!(energy["per_sample"].as_array().unwrap().len(), 4);
+    // Another network has no published row, but a modelled one.
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let small =
+        object(&["energy", &model, "--input", "scene:noise?samples=1&steps=20", "--baseline", "rtx-2080-ti"], 0);
+    assert_eq!(small["rows"][3]["source"], "modelled");
+    assert_eq!(object(&["energy", "--baseline", "abacus"], 3)["code"], "baseline.unknown");
+    assert_eq!(said(&["energy", "--cpu-watts", "20,5"]).0, 2);
+}
+
+#[test]
+fn a_model_without_a_scenario_has_one_copy_everywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let energy = ["energy", &model, "--input", "scene:noise?samples=1&steps=20", "--baseline"];
+    assert_eq!(object(&["map", &model], 0)["copies"], 1);
+    assert_eq!(object(&energy, 0)["copies"], 1);
+    let (code, _, stderr) = said(&[&energy[..], &["--deployment", "paper"]].concat());
+    assert!(code == 2 && stderr.contains("no scenario ships"), "{stderr}");
+    // A scenario of one's own gives its copies and its numbers of cores.
+    let own = "Scenario(name: \"s\", model: \"small\", target: \"nahuku-32\", copies: 2, convention: physical, work: \"w\",
+        source: \"s\", notes: \"\", deployment: (cores_used: 7, cores_powered: 9, tiles_used: 4, chips_used: 2, x86_cores: 3))";
+    let own = write(folder.path(), "own.ron", own);
+    let report = object(&[&energy[..], &["--deployment", &own]].concat(), 0);
+    assert_eq!((&report["copies"], &report["cores_powered"], &report["x86_cores"]), (&2.into(), &9.into(), &3.into()));
+    assert_eq!(object(&["inspect", &own], 0)["kind"], "scenario");
+}
+
+#[test]
+fn energy_is_of_as_many_copies_as_a_mapping_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let saved = folder.path().join("mapping.ron").display().to_string();
+    assert_eq!(said(&["map", "--copies", "2", "-o", &saved]).0, 0);
+    let energy = ["energy", "--samples", "0..1", "--mapping"];
+    assert_eq!(object(&[&energy[..], &[&saved]].concat(), 0)["copies"], 2);
+    // A pipe can be read but once.
+    let piped = nsim(&[&energy[..], &["-", "--format", "json"]].concat()).pipe_stdin(&saved).unwrap().output().unwrap();
+    assert_eq!(serde_json::from_slice::<Value>(&piped.stdout).unwrap()["copies"], 2);
+    let other = object(&[&energy[..], &[&saved, "--copies", "3"]].concat(), 3);
+    assert_eq!((&other["code"], &other["file"]), (&"mapping.copies".into(), &saved.as_str().into()));
+    // What a mapping was made with is the file's to say.
+    assert_eq!(said(&["map", "--mapping", &saved, "--strategy", "greedy"]).0, 2);
+    assert_eq!(said(&["map", "--copies", "2", "--strategy", "greedy", "-o", &saved, "--force"]).0, 0);
+    assert_eq!(object(&["map", "--mapping", &saved], 0)["strategy"], "greedy");
+}
+
+#[test]
+fn map_and_energy_expect_the_same_of_a_mapping_at_the_same_rates() {
+    let folder = tempfile::tempdir().unwrap();
+    let saved = folder.path().join("mapping.ron").display().to_string();
+    let small = write(folder.path(), "small.ron", MODEL);
+    let noise = "scene:noise?samples=3&steps=50&seed=4&rate=0.1";
+    let jobs =
+        [("vtsnn-slip", "scene:noise?samples=2&steps=150&rate=0.02", "32"), (&small, noise, "1"), (&small, noise, "7")];
+    for (model, input, copies) in jobs {
+        let map = ["map", model, "--copies", copies, "--profile", input];
+        let mapped = object(&[&map[..], &["-o", &saved, "--force"]].concat(), 0);
+        let loaded = object(&["map", model, "--mapping", &saved, "--profile", input], 0);
+        let energy = object(&["energy", model, "--mapping", &saved, "--input", input], 0);
+        assert_eq!(energy["copies"], mapped["copies"], "{model}");
+        for key in ["energy_uj", "chip_energy_uj", "step_us", "static_mw", "cores", "cores_powered"] {
+            let [made, kept, run] = [&mapped, &loaded, &energy].map(|object| &object["expected"][key]);
+            assert!(made.as_f64().is_some_and(|figure| figure > 0.0), "{model} {copies} {key}: {made}");
+            assert_eq!((made, made), (kept, run), "{model} {copies} {key}");
+        }
+        assert_eq!(mapped["expected"]["cores_powered"], energy["cores_powered"]);
+    }
+}

@@ -1,0 +1,60 @@
+//! The command line end to end: exit status, result objects, files, determinism.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+mod agreement;
+mod energy;
+mod errors;
+mod mapping;
+mod results;
+mod runs;
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::path::Path;
+
+fn nsim(arguments: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("nsim").unwrap();
+    command.args(arguments);
+    command
+}
+
+/// Runs and returns exit status, stdout and stderr.
+fn said(arguments: &[&str]) -> (i32, String, String) {
+    let output = nsim(arguments).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+}
+
+/// The result object of a command that should end with this status.
+fn object(arguments: &[&str], status: i32) -> Value {
+    let (code, stdout, stderr) = said(&[arguments, &["--format", "json"]].concat());
+    assert_eq!(code, status, "{arguments:?}: {stderr}");
+    serde_json::from_str(&stdout).unwrap_or_else(|e| panic!("{arguments:?}: {e}: {stdout}"))
+}
+
+fn has_keys(object: &Value, keys: &[&str]) {
+    for key in keys {
+        assert!(object.get(key).is_some(), "no key {key} in {}", object["schema"]);
+    }
+}
+
+const MODEL: &str = "Network(name: \"small\", timestep_ms: 1.0,
+  populations: [Input(name: \"in\", shape: [3]), Loihi(name: \"hidden\", shape: [4], du: 1024, dv: 128, vth_mant: 10),
+    Loihi(name: \"out\", shape: [2], du: 1024, dv: 128, vth_mant: 10)],
+  projections: [Dense(from: [\"in\"], to: \"hidden\", weights: [[20, 0, 4], [2, 30, 6], [0, 8, 40], [12, -6, 2]]),
+    Dense(from: [\"hidden\"], to: \"out\", weights: [[30, 0, 20, 2], [0, 40, -10, 8]])],
+  output: \"out\", classes: [\"left\", \"right\"])";
+
+fn write(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+const SRM: &str = "Network(name: \"srm\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [6]),
+    Srm(name: \"hidden\", shape: [5], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10),
+    Srm(name: \"out\", shape: [2], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10)],
+  projections: [Dense(from: [\"in\"], to: \"hidden\", weights: Uniform(low: -1, high: 4, seed: 1)),
+    Dense(from: [\"hidden\"], to: \"out\", weights: Uniform(low: -2, high: 4, seed: 2))], output: \"out\")";

@@ -1,0 +1,119 @@
+//! `nsim run`: sources of spikes, settings that change nothing, seeds.
+
+use serde_json::Value;
+
+use crate::{MODEL, nsim, object, said, write};
+
+/// Bytes on stdin are an array or an event list by what they are; a file may have a name like a population's argument.
+#[test]
+fn spikes_come_through_a_pipe_and_from_oddly_named_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "small.ron", MODEL);
+    let events = "0,0\n1,1\n3,2\n";
+    let mut array = Vec::new();
+    nsim::io::npy::write(&mut array, &[3, 4], [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1]).unwrap();
+    let piped = |bytes: &[u8]| -> Value {
+        let mut command = nsim(&["run", &model, "--input", "-", "--format", "json"]);
+        let output = command.write_stdin(bytes).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let (of_events, of_array) = (piped(events.as_bytes()), piped(&array));
+    assert_eq!((&of_events["digest"], &of_events["activity"]), (&of_array["digest"], &of_array["activity"]));
+    assert_eq!(of_array["activity"]["spikes_in"], 3);
+    write(folder.path(), "day=1 it's.csv", events);
+    let mut command = nsim(&["run", "small.ron", "--input", "day=1 it's.csv", "--format", "json"]);
+    let output = command.current_dir(folder.path()).output().unwrap();
+    let odd: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(odd["digest"], of_array["digest"]);
+}
+
+#[test]
+fn both_classes_occur_over_the_shipped_scene() {
+    let run = object(&["run"], 0);
+    let classes: Vec<u64> = run["predicted"].as_array().unwrap().iter().filter_map(Value::as_u64).collect();
+    assert!(classes.contains(&0) && classes.contains(&1), "{classes:?}");
+    let counts = run["output_counts"].as_array().unwrap();
+    assert!((0..2).all(|output| counts.iter().any(|sample| sample[output].as_u64() > Some(0))));
+}
+
+#[test]
+fn threads_skipping_and_engines_change_no_result() {
+    let of = |more: &[&str]| object(&[&["run", "container-tactile", "--samples", "0..4"], more].concat(), 0);
+    let one = of(&["--threads", "1"]);
+    assert!(one["activity"]["spikes"].as_u64().unwrap() > 0);
+    for more in [&["--threads", "2"][..], &["--threads", "8"], &["--skip", "off"]] {
+        let other = of(more);
+        assert_eq!(
+            (&one["digest"], &one["activity"], &one["output_counts"]),
+            (&other["digest"], &other["activity"], &other["output_counts"])
+        );
+    }
+    let golden = of(&["--engine", "golden"]);
+    assert_eq!(one["digest"], golden["digest"]);
+    for key in ["spikes_in", "spikes", "synaptic_events", "compartment_updates", "active_updates"] {
+        assert_eq!(one["activity"][key], golden["activity"][key], "{key}");
+    }
+}
+
+#[test]
+fn repeats_count_and_remember_nothing() {
+    let run = object(&["run", "--samples", "0..2", "--repeat", "3"], 0);
+    let once = object(&["run", "--samples", "0..2"], 0);
+    assert_eq!((&run["samples"], &run["timesteps"]), (&6.into(), &900.into()));
+    let counts = |run: &Value| run["output_counts"].as_array().unwrap().clone();
+    assert_eq!(counts(&run)[2..4], counts(&once)[..]);
+    assert_eq!(run["activity"]["spikes"].as_u64(), once["activity"]["spikes"].as_u64().map(|spikes| 3 * spikes));
+}
+
+#[test]
+fn a_seed_makes_another_scene_and_is_told() {
+    let (one, two) =
+        (object(&["run", "--samples", "0..1"], 0), object(&["run", "--samples", "0..1", "--seed", "2"], 0));
+    assert_ne!(one["activity"]["spikes_in"], two["activity"]["spikes_in"]);
+    assert_eq!(two["seed"], 2);
+}
+
+#[test]
+fn an_overflow_is_warned_of_with_its_first_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = MODEL.replace("[[20, 0, 4]", "[[254, 0, 4]").replace(
+        "projections: [Dense(from: [\"in\"], to: \"hidden\",",
+        "projections: [Dense(from: [\"in\"], to: \"hidden\", weight_exp: 7,",
+    );
+    let model = write(folder.path(), "loud.ron", &text);
+    let spikes = write(folder.path(), "spikes.csv", "timestep,channel\n2,0\n2,1\n2,2\n");
+    let arguments = ["run", &model, "--input", &spikes];
+    let run = object(&arguments, 0);
+    assert_eq!(
+        run["overflow"]["first"],
+        serde_json::json!({"population": "hidden", "compartment": 0, "sample": 0, "step": 2})
+    );
+    assert!(said(&arguments).2.contains("first at compartment 0, sample 0, step 2"));
+}
+
+#[test]
+fn folds_of_a_data_set_are_sources() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "m.ron", MODEL);
+    for sample in 0..3 {
+        write(folder.path(), &format!("{sample}.csv"), &format!("# steps: 5\n0,{sample}\n1,0\n"));
+    }
+    let samples: String = (0..3).map(|i| format!("(files: {{\"in\": \"{i}.csv\"}}),")).collect();
+    let lists = "splits: [(train: \"train_80_20_1.txt\", test: \"test_80_20_1.txt\")]";
+    let set = format!("DataSet(name: \"d\", populations: {{\"in\": \"in\"}}, samples: [{samples}], {lists})");
+    let set = write(folder.path(), "d.ron", &set);
+    write(folder.path(), "train_80_20_1.txt", "2 1\n0 0\n");
+    write(folder.path(), "test_80_20_1.txt", "1 1\n");
+    let labels = |part: &str| object(&["run", &model, "--input", &format!("{set}{part}")], 0)["labels"].clone();
+    assert_eq!(labels("?train=1"), serde_json::json!([1, 0]));
+    assert_eq!(labels("?test=1"), serde_json::json!([1]));
+    assert_eq!(labels(""), serde_json::json!([0, 1, 1]));
+    for part in ["?test=2", "?test=0", "?fold=1"] {
+        let error = object(&["run", &model, "--input", &format!("{set}{part}")], 3);
+        assert_eq!(error["code"], "input.option", "{part}");
+    }
+    write(folder.path(), "test_80_20_1.txt", "1 1\n2 0\n");
+    let (code, _, stderr) = said(&["run", &model, "--input", &format!("{set}?test=1")]);
+    assert!(code == 3 && stderr.contains("test_80_20_1.txt:2:1") && stderr.contains("trained on"), "{stderr}");
+}
