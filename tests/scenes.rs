@@ -48,10 +48,11 @@ fn scenes_are_the_same_at_any_number_of_threads_and_as_recorded() {
 
 /// A network with these inputs, which is only shown spikes.
 fn with_inputs(inputs: &str) -> Quantised {
+    let from = if inputs.contains("vision") { "vision" } else { "tactile" };
     let text = format!(
         "Network(name: \"n\", timestep_ms: 1.0, populations: [{inputs},
             Loihi(name: \"out\", shape: [1], du: 4096, dv: 4096, vth_mant: 100)],
-         projections: [Random(from: [\"vision\"], to: \"out\", fan_out: 1, low: 0, high: 0, seed: 0)], output: \"out\")"
+         projections: [Random(from: [{from:?}], to: \"out\", fan_out: 1, low: 0, high: 0, seed: 0)], output: \"out\")"
     );
     let network = network(SourceText::new("n.ron", text), Origin::File).unwrap();
     compile::front(&network).unwrap().into_quantised()
@@ -85,4 +86,22 @@ fn planes_of_polarity_hold_what_is_seen_without_them() {
     let written = inputs::stimulus(&network, &sources, None, None).unwrap().samples;
     let made = scene::stimulus(&network, &SceneArg::parse("slip?samples=3&seed=4").unwrap()).unwrap().samples;
     assert_eq!(written, made);
+}
+
+#[test]
+fn what_one_sense_sees_is_its_part_of_what_both_see() {
+    let (touch, sight) = ("Input(name: \"tactile\", shape: [156])", "Input(name: \"vision\", shape: [1, 63, 50])");
+    let both = with_inputs(&format!("{touch}, {sight}"));
+    for task in ["slip?samples=3&seed=5&shear=0.32&edge_px=2", "container?samples=2&seed=5"] {
+        let argument = SceneArg::parse(task).unwrap();
+        let together = scene::stimulus(&both, &argument).unwrap().samples;
+        for alone in [touch, sight] {
+            let network = with_inputs(alone);
+            let parts: Option<Vec<_>> =
+                together.iter().map(|sample| inputs::seen_by(&network, &both, sample)).collect();
+            assert_eq!(parts.unwrap(), scene::stimulus(&network, &argument).unwrap().samples, "{task}: {alone}");
+        }
+        let other = with_inputs("Input(name: \"tactile\", shape: [78])");
+        assert_eq!(inputs::seen_by(&other, &both, &together[0]), None);
+    }
 }

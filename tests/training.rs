@@ -138,3 +138,40 @@ fn a_study_is_taken_up_where_it_was_left() {
     let second = nsim(folder, &[&study[..], &grid].concat());
     assert_eq!(first, second);
 }
+
+#[test]
+fn cells_of_the_paper_are_trained_anew_and_taken_up_where_they_were_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let small = ["--cell", "slip-tactile", "--scenes", "12", "--folds", "2", "--epochs", "2"];
+    let command = [&["bench", "paper", "--train", "runs"][..], &small].concat();
+    let first = nsim(folder, &[&command[..], &["-o", "rows.json"]].concat());
+    // A result, a model and its weights for each fold, loss and kind of neurons.
+    assert_eq!(std::fs::read_dir(folder.join("runs")).unwrap().count(), 3 * 2 * 2 * 2);
+    assert_eq!(nsim(folder, &command), first);
+    assert_eq!(nsim(folder, &["bench", "paper", "--stored", "--results", "rows.json"]), first);
+
+    let rows = first["rows"].as_array().unwrap();
+    let cell = |table: &str, loss: &str, quantity: &str| {
+        let is = |row: &&Value| {
+            let keys =
+                [("table", table), ("task", "slip"), ("modality", "tactile"), ("loss", loss), ("quantity", quantity)];
+            keys.iter().all(|(key, value)| row[*key] == *value)
+        };
+        rows.iter().find(is).unwrap_or_else(|| panic!("{table} {loss} {quantity}"))
+    };
+    let note = cell("accuracy", "count", "accuracy")["note"].as_str().unwrap();
+    assert!(note.contains("2 of 2 folds, 2 epochs"), "{note}");
+    assert_eq!(cell("srm", "weighted", "accuracy")["published"], 0.91);
+    // What a study says of the same folds.
+    let config = concat!(env!("CARGO_MANIFEST_DIR"), "/models/train/paper/slip-tactile.ron");
+    let scenes = "scene:slip?samples=12&seed=1&shear=0.32&edge_px=2";
+    let study =
+        ["train", config, "--train", scenes, "--epochs", "2", "--study", "other", "--seeds", "1..2", "--folds", "2"];
+    let study = nsim(folder, &study);
+    let folds: Vec<&Value> =
+        study["settings"][0]["runs"].as_array().unwrap().iter().map(|run| &run["accuracy"]).collect();
+    let kept = cell("accuracy", "count", "accuracy")["folds"].as_array().unwrap();
+    let close = |a: &Value, b: &Value| (a.as_f64().unwrap() - b.as_f64().unwrap()).abs() < 1e-6;
+    assert!(kept.iter().zip(&folds).all(|(a, b)| close(a, b)) && kept.len() == 2, "{kept:?} {folds:?}");
+}

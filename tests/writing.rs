@@ -29,7 +29,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 51] = [
+const WRITING: [Case; 52] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -88,7 +88,12 @@ const WRITING: [Case; 51] = [
         "b",
     ),
     case("run i/GEN.ron --mapping i/GEN-map.ron --input i/labels.ron --probe o.spikes -o p --format json", "a", "b"),
-    case("bench paper --results i/GEN-rows.json --markdown t.md", "one", "two"),
+    case("bench paper --stored --results i/GEN-rows.json --markdown t.md", "one", "two"),
+    case(
+        "bench paper --train runs --cell slip-GEN --neurons loihi --scenes 4 --folds 2 --epochs 0 -o r.json",
+        "tactile",
+        "vision",
+    ),
     Case { arguments: "bench published --plot GEN.svg --preset GEN.ron", generations: ["one", "two"], slow: true },
 ];
 

@@ -10,4 +10,5 @@ pub mod id;
 pub(crate) mod names;
 pub mod rng;
 pub mod shared;
+pub mod stats;
 pub mod units;

@@ -3,9 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
-
-use serde_json::Value;
 
 #[cfg(feature = "ann")]
 use crate::base::diagnostic::Diagnostic;
@@ -16,10 +13,10 @@ use crate::cli::output;
 use crate::cli::process::signals;
 use crate::error::{Error, Result};
 use crate::io;
-use crate::report::train::{StudyReport, StudyRun, TrainReport, history_csv};
-use crate::train::checkpoint;
+use crate::report::train::{StudyReport, TrainReport, history_csv};
 use crate::train::fit::{Example, Plan, TrainingState};
-use crate::train::job::{self, Checkpoint, Data, Job, cross_validate, with_fields};
+use crate::train::job::{self, Checkpoint, Data, Job, with_fields};
+use crate::train::study::{Finished, Study, StudyRun};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -109,7 +106,12 @@ fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs
 }
 
 /// Trains with a bar, from the checkpoint when there is one; a signal saves the last epoch in it.
-fn train(plan: &Plan, examples: &[Example], kept: Option<&Path>, context: Context) -> Result<(TrainingState, f64)> {
+pub(in crate::cli) fn train(
+    plan: &Plan,
+    examples: &[Example],
+    kept: Option<&Path>,
+    context: Context,
+) -> Result<(TrainingState, f64)> {
     let kept = kept.map(|path| Checkpoint::new(path, plan, examples));
     let bar = output::progress(context, u64::from(plan.epochs), "epochs");
     let finished = Arc::new(Mutex::new(None));
@@ -172,45 +174,11 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     Ok(Answer::Yes)
 }
 
-/// Every combination of the values that fields are given.
-fn combinations<'a>(fields: &[(&'a str, &'a str)]) -> Vec<Vec<(&'a str, &'a str)>> {
-    let mut keys: Vec<&str> = Vec::new();
-    for (key, _) in fields {
-        if !keys.contains(key) {
-            keys.push(key);
-        }
-    }
-    let mut all = vec![Vec::new()];
-    for key in keys {
-        let values: Vec<_> = fields.iter().filter(|field| field.0 == key).collect();
-        let with = |combination: &Vec<_>| {
-            values.iter().map(|&&value| combination.iter().copied().chain([value]).collect()).collect::<Vec<Vec<_>>>()
-        };
-        all = all.iter().flat_map(with).collect();
-    }
-    all
-}
-
-/// The most bytes of a run of a study.
-const MOST_RUN: u64 = 1 << 26;
-
-/// A run of a study from its file, when it is there, whole and of the same training.
-fn kept(path: &Path, print: &str) -> Result<Option<StudyRun>> {
-    let bytes = match io::text::read_bytes(path, MOST_RUN) {
-        Err(absent) if absent.code == "io.missing" => return Ok(None),
-        read => read?,
-    };
-    let value = serde_json::from_slice(&bytes).ok().filter(|value: &Value| value["fingerprint"] == print);
-    Ok(value.and_then(|value| serde_json::from_value(value).ok()))
-}
-
 fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Path, context: Context) -> Result<Answer> {
     let seeds = args.seeds.0.clone();
     if seeds.end > seeds.start.saturating_add(1000) {
         return Err(Error::Usage("--seeds: at most 1000 seeds".to_string()));
     }
-    let mut runs = Vec::new();
-    let mut read: Option<Data> = None;
     let done = Arc::new(AtomicUsize::new(0));
     let _ending = {
         let (done, folder) = (Arc::clone(&done), folder.display().to_string());
@@ -220,61 +188,17 @@ fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Pat
         })
     };
     let each = |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0);
-    for (number, setting) in combinations(fields).iter().enumerate() {
-        let source = with_fields(source, setting)?;
-        let mut job = Job::new(source, args.seed, args.epochs)?;
-        let data = match &mut read {
-            Some(data) => data,
-            none => none.insert(data(&job, args)?),
-        };
-        let folds = folds(args, &data.train);
-        let name = setting.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(" ");
-        for seed in seeds.clone() {
-            job.plan.seed = seed as u64;
-            let (plan, name_of_file) = (&job.plan, &job.file.name);
-            let print = checkpoint::fingerprint(plan, &data.train);
-            let parts = if folds.is_empty() { vec![None] } else { folds.iter().map(Some).collect::<Vec<_>>() };
-            for (part, fold) in parts.into_iter().enumerate() {
-                let kind = if fold.is_some() { format!("fold{part}") } else { "test".to_string() };
-                let path = folder.join(format!("{name_of_file}-{}-{seed}-{kind}.json", &print[..12]));
-                let run = match kept(&path, &print)? {
-                    Some(run) => run,
-                    None => {
-                        let begin = Instant::now();
-                        let (accuracy, weights) = match fold {
-                            Some(fold) => cross_validate(plan, &data.train, fold, each)?,
-                            None => {
-                                let state = each(plan, &data.train)?;
-                                let weights = plan.result(&state).clone();
-                                (plan.score(&weights, &data.test).accuracy, weights)
-                            }
-                        };
-                        let model = path.with_extension("ron");
-                        let said = format!("{name} seed {seed}, {kind}, of a study: accuracy {accuracy:.4}");
-                        job.write((&model, true), &weights, "", &said)?;
-                        let seconds = begin.elapsed().as_secs_f64();
-                        let run = StudyRun {
-                            setting: name.clone(),
-                            number,
-                            seed: seed as u64,
-                            fold: fold.map(|_| part as u32),
-                            accuracy,
-                            seconds,
-                        };
-                        let mut value = serde_json::json!(run);
-                        value["fingerprint"] = print.clone().into();
-                        value["name"] = name_of_file.clone().into();
-                        value["tested"] = fold.cloned().into();
-                        io::write::text(&path, true, &format!("{value:#}\n"))?;
-                        run
-                    }
-                };
-                tracing::info!("{name} seed {seed} {kind}: {:.4}", run.accuracy);
-                runs.push(StudyRun { number, ..run });
-                done.store(runs.len(), Ordering::SeqCst);
-            }
-        }
-    }
+    let study = Study { source, fields, epochs: args.epochs, seeds, folds: args.folds, folder };
+    let finished = study.run(
+        |job| data(job, args),
+        each,
+        |Finished { run, .. }| {
+            let kind = run.fold.map_or("test".to_string(), |fold| format!("fold{fold}"));
+            tracing::info!("{} seed {} {kind}: {:.4}", run.setting, run.seed, run.accuracy);
+            done.fetch_add(1, Ordering::SeqCst);
+        },
+    )?;
+    let runs: Vec<StudyRun> = finished.into_iter().map(|finished| finished.run).collect();
     let report = StudyReport { name: &args.config.display().to_string(), runs: &runs };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)

@@ -179,6 +179,32 @@ fn unknown(name: &str, inputs: &[&Population]) -> Error {
         .into()
 }
 
+/// What a network with some of the input populations of another sees of a sample of that one; `None` where the other has no input population
+/// of a name and size.
+#[must_use]
+pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Option<Sample> {
+    let mut moved = Vec::new();
+    for (_, population) in network.inputs() {
+        let (_, same) = other.inputs().find(|(_, same)| same.name == population.name)?;
+        let units = population.shape.len();
+        if same.shape.len() != units {
+            return None;
+        }
+        moved.push((same.first_channel()?.0, population.first_channel()?.0, units));
+    }
+    let mut events = Vec::new();
+    for step in 0..sample.steps() {
+        for channel in sample.at(step) {
+            let unit = |&(from, to, units): &(u32, u32, u32)| {
+                let unit = channel.0.checked_sub(from).filter(|&unit| unit < units)?;
+                Some((step, ChannelId(to + unit)))
+            };
+            events.extend(moved.iter().find_map(unit));
+        }
+    }
+    Sample::new(sample.steps(), &events, sample.label()).ok()
+}
+
 /// One sample of all input populations, in their order, from one of each.
 ///
 /// # Errors

@@ -63,6 +63,16 @@ pub const TRAININGS: &[Shipped] = shipped!(
     "vtsnn-slip",
     "vtsnn-slip-srm",
 );
+/// The training files of the tables of the paper, by task and senses.
+pub const CELLS: &[Shipped] = shipped!(
+    "models/train/paper":
+    "slip-tactile",
+    "slip-vision",
+    "slip-both",
+    "container-tactile",
+    "container-vision",
+    "container-both",
+);
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
     shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");

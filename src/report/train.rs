@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
 use super::text::{Column, csv_of, right_from};
+use crate::base::stats::mean_sd;
 use crate::train::fit::EpochRow;
 use crate::train::job::{Job, Trained};
+use crate::train::study::StudyRun;
 
 /// Everything that the report of one training says.
 #[derive(Debug)]
@@ -18,14 +19,6 @@ pub struct TrainReport<'a> {
     pub trained: &'a Trained,
     /// Where the model was written.
     pub model: Option<&'a Path>,
-}
-
-/// Mean and standard deviation (of the values themselves, not of their mean).
-#[must_use]
-pub fn mean_sd(values: &[f64]) -> (f64, f64) {
-    let n = values.len().max(1) as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    (mean, (values.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n).sqrt())
 }
 
 fn rounded(x: f64) -> f64 {
@@ -122,30 +115,6 @@ impl TrainReport<'_> {
 pub fn history_csv(history: &[EpochRow]) -> String {
     let rows = history.iter().map(|row| format!("{},{},{}\n", row.epoch, row.loss, row.accuracy));
     std::iter::once("epoch,loss,accuracy\n".to_string()).chain(rows).collect()
-}
-
-/// One training of a study, as kept in its folder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct StudyRun {
-    /// The fields that were set.
-    pub setting: String,
-    /// Number of the combination of fields.
-    #[serde(skip)]
-    pub number: usize,
-    /// The seed.
-    pub seed: u64,
-    /// The fold that was left out and tested on; none: the test samples.
-    pub fold: Option<u32>,
-    /// Share of the tested samples that is right.
-    pub accuracy: f64,
-    /// Seconds that it took.
-    #[serde(serialize_with = "six_digits")]
-    pub seconds: f64,
-}
-
-/// Serialises to six digits after the point.
-fn six_digits<S: Serializer>(x: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_f64(rounded(*x))
 }
 
 /// Everything that the report of a study says.

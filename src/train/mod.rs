@@ -19,4 +19,5 @@ pub mod network;
 pub mod optimiser;
 pub mod plan;
 pub mod raster;
+pub mod study;
 pub mod surrogate;

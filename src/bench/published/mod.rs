@@ -6,6 +6,7 @@
 //! Left out on purpose: sums and products of figures of a table (total power, energy-delay product), which would count what is
 //! already counted again.
 
+pub mod cells;
 pub mod network;
 pub mod paper;
 pub mod predict;

@@ -14,7 +14,7 @@ const STORED: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/paper_result
 /// One figure of a table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PaperRow {
-    /// `accuracy`, `ann`, `early`, `offline` or `realtime`.
+    /// `accuracy`, `srm`, `ann`, `early`, `offline` or `realtime`.
     pub table: String,
     /// `slip` or `container`.
     pub task: String,
@@ -34,6 +34,18 @@ pub struct PaperRow {
     /// Standard deviation of what was measured, over the folds.
     #[serde(default)]
     pub deviation: Option<f64>,
+    /// Ends of the interval that holds the share behind what was measured in 95 of 100 cases, over all samples tested.
+    #[serde(default)]
+    pub low: Option<f64>,
+    /// See `low`.
+    #[serde(default)]
+    pub high: Option<f64>,
+    /// What was measured, fold by fold.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub folds: Vec<f64>,
+    /// What the shipped network of the first fold came to when it was run now.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shipped: Option<f64>,
     /// Standard deviation that the paper prints.
     #[serde(default)]
     pub published_deviation: Option<f64>,
@@ -54,6 +66,13 @@ struct Stored {
 pub fn parse(name: &str, text: &str) -> Result<Vec<PaperRow>> {
     let stored: std::result::Result<Stored, _> = serde_json::from_str(text);
     stored.map(|stored| stored.rows).map_err(|error| Diagnostic::new("paper.results", format!("{name}: {error}")))
+}
+
+/// A file of rows, one a line, that [`parse`] reads.
+#[must_use]
+pub fn stored(provenance: &serde_json::Value, rows: &[PaperRow]) -> String {
+    let lines: Vec<String> = rows.iter().map(|row| serde_json::json!(row).to_string()).collect();
+    format!("{{\n\"provenance\": {provenance:#},\n\"rows\": [\n{}\n]\n}}\n", lines.join(",\n"))
 }
 
 /// Printed and stored figures, joined.
@@ -100,7 +119,7 @@ fn joined(printed: Vec<PaperRow>, mut measured: Vec<PaperRow>) -> Vec<PaperRow> 
 }
 
 /// The tables, in the order in which they are shown.
-pub const TABLES: [&str; 5] = ["accuracy", "ann", "early", "offline", "realtime"];
+pub const TABLES: [&str; 6] = ["accuracy", "srm", "ann", "early", "offline", "realtime"];
 const MODALITIES: [&str; 3] = ["tactile", "vision", "both"];
 
 /// A printed figure with its deviation.
@@ -143,7 +162,9 @@ const HARDWARE: [(&str, &str, f64); 16] = [
     ("realtime", "gpu_latency_us", 1045.6),
 ];
 
-fn blank(table: &str, task: &str, modality: &str, quantity: &str) -> PaperRow {
+/// A row without figures.
+#[must_use]
+pub fn blank(table: &str, task: &str, modality: &str, quantity: &str) -> PaperRow {
     PaperRow {
         table: table.to_string(),
         task: task.to_string(),
@@ -153,6 +174,10 @@ fn blank(table: &str, task: &str, modality: &str, quantity: &str) -> PaperRow {
         published: None,
         measured: None,
         deviation: None,
+        low: None,
+        high: None,
+        folds: Vec::new(),
+        shipped: None,
         published_deviation: None,
         note: String::new(),
     }
@@ -168,7 +193,9 @@ fn printed() -> Vec<PaperRow> {
     };
     for (task, loss, figures) in ACCURACIES {
         for (modality, figure) in MODALITIES.iter().zip(figures) {
-            rows.push(PaperRow { loss: Some(loss.to_string()), ..accuracy("accuracy", task, modality, figure) });
+            for table in ["accuracy", "srm"] {
+                rows.push(PaperRow { loss: Some(loss.to_string()), ..accuracy(table, task, modality, figure) });
+            }
         }
     }
     for (task, network, figures) in COMPARED {

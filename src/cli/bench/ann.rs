@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use crate::bench::Environment;
-use crate::bench::published::paper::PaperRow;
+use crate::bench::published::paper::{PaperRow, blank, stored};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -90,16 +90,10 @@ fn rows(file: &TrainingFile, kind: AnnKind, results: &[AnnResult], folds: u32, e
     let square = results.iter().map(|result| (result.accuracy - mean).powi(2)).sum::<f64>();
     let first = results.first();
     let row = |quantity: &str, measured: Option<f64>, deviation| PaperRow {
-        table: "ann".to_string(),
-        task: task_of(file),
-        modality: modality.clone(),
-        loss: None,
-        quantity: quantity.to_string(),
-        published: None,
         measured,
         deviation,
-        published_deviation: None,
         note: note.clone(),
+        ..blank("ann", &task_of(file), &modality, quantity)
     };
     vec![
         row("accuracy", Some(mean), (tested > 1).then(|| (square / (tested - 1) as f64).sqrt())),
@@ -147,15 +141,12 @@ pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
     }
     if let Some(path) = &args.output {
         let names: Vec<String> = args.config.iter().map(|path| path.display().to_string()).collect();
-        let stored = json!({
-            "provenance": {
-                "command": "nsim bench ann", "training": names, "epochs": args.epochs, "folds": args.folds,
-                "tested": args.tested.unwrap_or(args.folds), "seed": args.seed, "batch": BATCH, "rate": RATE,
-                "optimiser": "Adam", "crate": "candle-core 0.9", "environment": Environment::here().to_string(),
-            },
-            "rows": all,
+        let provenance = json!({
+            "command": "nsim bench ann", "training": names, "epochs": args.epochs, "folds": args.folds,
+            "tested": args.tested.unwrap_or(args.folds), "seed": args.seed, "batch": BATCH, "rate": RATE,
+            "optimiser": "Adam", "crate": "candle-core 0.9", "environment": Environment::here().to_string(),
         });
-        io::write::text(path, context.force, &format!("{stored:#}\n"))?;
+        io::write::text(path, context.force, &stored(&provenance, &all))?;
     }
     if !taken {
         let report = PaperReport { rows: &all };

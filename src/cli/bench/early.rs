@@ -11,6 +11,7 @@ use crate::cli::output;
 use crate::cost::estimate::{Case, spent_by_step_uj};
 use crate::cost::{CostTable, Deployment, MeterSettings, Transport};
 use crate::desc::published::baseline::Mode;
+use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
 use crate::report::bench::early::EarlyReport;
@@ -78,22 +79,31 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
             Error::Usage(format!("the study tested sample {sample}, which the input does not have"))
         })?;
     }
+    timed(&workload, args.realtime, context).map(Some)
+}
+
+/// Accuracy and energy after each step of a mapped network on its samples.
+///
+/// # Errors
+/// [`Error`] for samples of several lengths or without labels.
+pub(super) fn timed(workload: &Workload<'_>, realtime: bool, context: Context) -> Result<Trial, Error> {
     let table = CostTable::new(&workload.target.constants()[0])?;
-    let deployment = Deployment::from_placement("packed", &workload.compiled.placement, workload.target.chip(), copies);
+    let (placement, chip) = (&workload.compiled.placement, workload.target.chip());
+    let deployment = Deployment::from_placement("packed", placement, chip, workload.copies);
     let metered = workload.metered(vec![table], &deployment, Transport::default());
-    let run = simulate(&workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
+    let run = simulate(workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
         return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));
     };
     let timestep_ms = workload.compiled.one.parts().timestep_ms;
     let spent = spent_by_step_uj(&Case {
-        mode: if args.realtime { Mode::Realtime } else { Mode::Offline },
+        mode: if realtime { Mode::Realtime } else { Mode::Offline },
         steps_per_sample: Some(steps),
         ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
     });
     let (samples, outcomes) = (workload.samples(), &run.outcomes);
     let steps = steps as usize;
-    Ok(Some(Trial::new(TrialRun { samples: &samples, outcomes, steps, timestep_ms, spent_uj: &spent })?))
+    Trial::new(TrialRun { samples: &samples, outcomes, steps, timestep_ms, spent_uj: &spent })
 }
 
 /// Runs the command.

@@ -1,20 +1,45 @@
 //! `nsim bench paper`: the tables of the paper on visual and tactile sensing beside what was measured here.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use crate::bench::published::paper;
+use serde_json::json;
+
+use crate::base::diagnostic::SourceText;
+use crate::base::id::Id;
+use crate::bench::Environment;
+use crate::bench::early::{Trial, TrialRun};
+use crate::bench::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
+use crate::bench::published::paper::{self, PaperRow};
+use crate::cli::args::jobs::{self, Job, JobArgs, Prepared, Wanted};
+use crate::cli::args::values::one_of;
+use crate::cli::bench::early::timed;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::train::train;
+use crate::drive::Keep;
+use crate::drive::inputs::{seen_by, stimulus};
+use crate::drive::samples::reference;
+use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
+use crate::io::shipped::{MODELS, Shipped};
+use crate::ir::quantised::Quantised;
+use crate::ir::spikes::{Sample, Stimulus};
+use crate::reference::{Model, Options};
 use crate::report::bench::paper::PaperReport;
+use crate::train::fit::{Example, Plan};
+use crate::train::job::{Data, Job as Training};
+use crate::train::study::Study;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim bench paper                          every table, printed figures beside stored results
+  nsim bench paper                          every table; the shipped networks are run, a fold of each cell
+  nsim bench paper --stored                 stored results alone
   nsim bench paper --format csv > rows.csv  a row a figure
   nsim bench paper --markdown tables.md     as sections of a document
-  nsim bench paper --results mine.json      with rows of one's own instead of those stored";
+  nsim bench paper --train runs -o my.json  train every fold of every cell anew; the same command goes on where it was broken off
+  nsim bench paper --train runs --cell slip-tactile --folds 5 --epochs 20
+  nsim bench paper --results my.json        with rows of one's own instead of those stored";
 
 /// The tables of Taunyazov et al. 2020 on classification, early decisions and hardware: each figure as printed beside what
 /// trainings with nsim came to, and what those rest on
@@ -27,20 +52,226 @@ pub struct PaperArgs {
     /// Write the tables as Markdown
     #[arg(long, value_name = "FILE.md")]
     markdown: Option<PathBuf>,
+    /// Run no network: stored results alone
+    #[arg(long, conflicts_with = "train")]
+    stored: bool,
+    /// Train the folds of the cells, keep them in this folder, and run each network on simulated cores
+    #[arg(long, value_name = "DIR")]
+    train: Option<PathBuf>,
+    /// Only these cells [default: all]
+    #[arg(long, value_name = "TASK-SENSES", num_args = 1.., value_parser = one_of(&NAMES, |name| name))]
+    cell: Vec<&'static str>,
+    /// Only these neurons [default: both]
+    #[arg(long, value_name = "NEURONS", num_args = 1.., requires = "train", value_parser = one_of(&Neurons::ALL, Neurons::name))]
+    neurons: Vec<Neurons>,
+    /// Stratified folds of the scenes
+    #[arg(long, value_name = "K", requires = "train", default_value_t = FOLDS, value_parser = clap::value_parser!(u32).range(2..=100))]
+    folds: u32,
+    /// Epochs, instead of those of the training files
+    #[arg(long, value_name = "N", requires = "train", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    epochs: Option<u32>,
+    /// Scenes of each task, instead of 1000
+    #[arg(long, value_name = "N", requires = "train", value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    scenes: Option<u32>,
+    /// Write the rows of the trained cells for --results
+    #[arg(short, long, value_name = "FILE.json", requires = "train")]
+    output: Option<PathBuf>,
+}
+
+/// Names of the cells.
+const NAMES: [&str; 6] =
+    ["slip-tactile", "slip-vision", "slip-both", "container-tactile", "container-vision", "container-both"];
+/// Folds of the paper.
+const FOLDS: u32 = 5;
+/// Copies of a network on the target, as in the paper's power measurement.
+const COPIES: u32 = 32;
+
+/// The scenes of a task as the network of both senses sees them, made once for all its cells.
+struct Scenes {
+    task: &'static str,
+    network: Quantised,
+    stimulus: Stimulus,
+}
+
+impl Scenes {
+    fn new(cell: Cell, scenes: Option<u32>) -> Result<Self, Error> {
+        let both = cells().find(|other| other.task == cell.task && other.modality == "both").unwrap_or(cell);
+        let job = Training::new(SourceText::new(both.training.path, both.training.text), None, None)?;
+        let network = job.inputs()?;
+        let sources: Vec<String> = job.file.train.iter().map(|source| with_scenes(source, scenes)).collect();
+        let stimulus = stimulus(&network, &sources, None, None)?;
+        Ok(Scenes { task: cell.task, network, stimulus })
+    }
+
+    /// What a network with some of the senses sees.
+    fn seen_by(&self, network: &Quantised) -> Result<Vec<Sample>, Error> {
+        let seen = self.stimulus.samples.iter().map(|sample| seen_by(network, &self.network, sample));
+        let unlike = || Error::Fault(format!("a network of the task {} has other inputs than its scenes", self.task));
+        seen.collect::<Option<_>>().ok_or_else(unlike)
+    }
+}
+
+/// A source with so many scenes.
+fn with_scenes(source: &str, scenes: Option<u32>) -> String {
+    match (scenes, source.split_once("samples=")) {
+        (Some(scenes), Some((before, after))) => {
+            let rest = after.trim_start_matches(|digit: char| digit.is_ascii_digit());
+            format!("{before}samples={scenes}{rest}")
+        }
+        _ => source.to_string(),
+    }
+}
+
+/// What a network does with samples: on simulated cores, or in real numbers where its neurons are no chip's.
+fn trial(
+    model: &str,
+    samples: Vec<Sample>,
+    (neurons, copies): (Neurons, u32),
+    context: Context,
+) -> Result<Trial, Error> {
+    let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
+    let job = match jobs::prepare(&JobArgs::for_model(model), wanted, copies)? {
+        Prepared::Ready(job) => job,
+        Prepared::DoesNotFit(_) => {
+            return Err(Error::Usage(format!("{model}: {copies} copies do not fit the default target: see nsim map")));
+        }
+    };
+    if let (Some((compiled, target)), Neurons::Loihi) = (job.mapped(), neurons) {
+        let order = (0..samples.len()).collect();
+        let stimulus = Stimulus { samples, origin: Vec::new(), seed: None };
+        return timed(&Workload::new(compiled, target, stimulus, order)?, false, context);
+    }
+    let Job::Real(graph, quantised, _) = &job else {
+        return Err(Error::Fault(format!("{model}: it was not made ready for real numbers")));
+    };
+    let samples: Vec<&Sample> = samples.iter().collect();
+    let output_population = &quantised.populations()[quantised.parts().output];
+    let first = output_population.first_compartment().unwrap_or_else(|| Id::new(0));
+    let keep = Keep { output: (first, output_population.shape.len()), probes: Vec::new(), early_exit: None };
+    let (model, units) =
+        (Model::<f64>::new(graph, Options::default()), (quantised.channels(), quantised.compartments()));
+    let outcomes = output::with_progress(context, samples.len(), "samples", |progress| {
+        reference(&model, units, &samples, &keep, progress).0.outcomes
+    });
+    let steps = samples.iter().map(|sample| sample.steps() as usize).max().unwrap_or(0);
+    let (timestep_ms, spent_uj) = (quantised.parts().timestep_ms, vec![0.0; steps]);
+    Trial::new(TrialRun { samples: &samples, outcomes: &outcomes, steps, timestep_ms, spent_uj: &spent_uj })
+}
+
+fn chosen(samples: &[Sample], numbers: &[usize]) -> Vec<Sample> {
+    numbers.iter().map(|&number| samples[number].clone()).collect()
+}
+
+/// The cells that are asked for, with the scenes of their tasks.
+fn each_cell(args: &PaperArgs, mut each: impl FnMut(Cell, &Scenes) -> Result<(), Error>) -> Result<(), Error> {
+    let mut scenes: Option<Scenes> = None;
+    for cell in cells().filter(|cell| args.cell.is_empty() || args.cell.contains(&cell.name())) {
+        let scenes = match scenes.take().filter(|scenes| scenes.task == cell.task) {
+            Some(kept) => scenes.insert(kept),
+            None => scenes.insert(Scenes::new(cell, args.scenes)?),
+        };
+        each(cell, scenes)?;
+    }
+    Ok(())
+}
+
+/// Trains the folds that the folder does not have, and runs every fold's network on the scenes that it was not trained on.
+fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<PaperRow>, Error> {
+    let mut rows = Vec::new();
+    each_cell(args, |cell, scenes| {
+        let source = SourceText::new(cell.training.path, cell.training.text);
+        let job = Training::new(source, None, args.epochs)?;
+        let network = job.inputs()?;
+        let samples = scenes.seen_by(&network)?;
+        let examples = job.examples(&network, &samples, "training")?;
+        let chosen_neurons =
+            Neurons::ALL.into_iter().filter(|kind| args.neurons.is_empty() || args.neurons.contains(kind));
+        for neurons in chosen_neurons {
+            let neuron = neurons.field(&job.file);
+            for (loss, value) in LOSSES.iter().zip(cell.losses(&job.file)?) {
+                let mut fields = vec![("loss", value.as_str())];
+                fields.extend(neuron.as_deref().map(|neuron| ("neuron", neuron)));
+                let (seed, folds) = (job.file.seed as usize, Some(args.folds));
+                let seeds = seed..seed + 1;
+                let study = Study { source: &job.source, fields: &fields, epochs: args.epochs, seeds, folds, folder };
+                let finished = study.run(
+                    |_| Ok(Data { train: examples.clone(), test: Vec::new() }),
+                    |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0),
+                    |finished| tracing::info!("{} {loss}: {:.4}", cell.name(), finished.run.accuracy),
+                )?;
+                let mut trials = Vec::with_capacity(finished.len());
+                for fold in &finished {
+                    let tested = chosen(&samples, fold.tested.as_deref().unwrap_or_default());
+                    let model = fold.model.display().to_string();
+                    let trial = trial(&model, tested, (neurons, COPIES), context)?;
+                    let (trained, run) = (fold.run.accuracy, trial.accuracy.last().copied().unwrap_or(0.0));
+                    // Integers are the same in training and on cores; real numbers have fewer digits in training.
+                    if neurons == Neurons::Loihi && (trained - run).abs() > 1e-9 {
+                        return Err(Error::Fault(format!("{model}: accuracy {trained} in training, {run} on cores")));
+                    }
+                    trials.push(trial);
+                }
+                let (folds, epochs, copies) = (args.folds, job.plan.epochs, COPIES);
+                rows.extend(Tested { cell, loss, neurons, folds, epochs, copies, trials: &trials }.rows());
+            }
+        }
+        Ok(())
+    })?;
+    Ok(rows)
+}
+
+/// Runs the shipped network of each cell on the scenes that its training left out, and puts what came out beside what is stored.
+fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Result<(), Error> {
+    each_cell(args, |cell, scenes| {
+        for loss in LOSSES {
+            let model = cell.model(loss);
+            if Shipped::find(MODELS, &model).is_none() {
+                continue;
+            }
+            let network = crate::compile::front(&io::model::load_model(&model)?)?.into_quantised();
+            let samples = scenes.seen_by(&network)?;
+            let labels: Vec<u32> = samples.iter().filter_map(Sample::label).collect();
+            let folds = Training::folds_by_label(&labels, FOLDS);
+            let trial = trial(&model, chosen(&samples, &folds[0]), (Neurons::Loihi, 1), context)?;
+            let is_cell = |row: &&mut PaperRow| {
+                row.table == "accuracy"
+                    && row.task == cell.task
+                    && row.modality == cell.modality
+                    && row.loss.as_deref() == Some(loss)
+            };
+            if let Some(row) = rows.iter_mut().find(is_cell) {
+                row.shipped = trial.accuracy.last().map(|share| (share * 1e6).round() / 1e6);
+            }
+        }
+        Ok(())
+    })
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// [`Error`] when a file of results cannot be read, or the document cannot be written.
+/// [`Error`] when a file of results cannot be read, a training cannot be kept, or the document cannot be written.
 pub fn run(args: &PaperArgs, context: Context) -> Result<Answer, Error> {
-    let taken = output::check_files(&args.markdown, None, context)?;
+    let taken = output::check_files(args.markdown.iter().chain(&args.output), None, context)?;
     let mut given = Vec::new();
+    if let Some(folder) = &args.train {
+        given = trained(args, folder, context)?;
+        if let Some(path) = &args.output {
+            let provenance = json!({
+                "command": "nsim bench paper --train", "training": "models/train/paper", "folds": args.folds,
+                "environment": Environment::here().to_string(),
+            });
+            io::write::text(path, context.force, &paper::stored(&provenance, &given))?;
+        }
+    }
     for path in &args.results {
         let source = io::text::read_text(path)?;
         given.extend(paper::parse(&path.display().to_string(), source.text())?);
     }
-    let rows = paper::rows(given)?;
+    let mut rows = paper::rows(given)?;
+    if !args.stored && args.train.is_none() {
+        run_shipped(args, &mut rows, context)?;
+    }
     let report = PaperReport { rows: &rows };
     if let Some(path) = &args.markdown {
         io::write::text(path, context.force, &report.markdown())?;
@@ -49,4 +280,17 @@ pub fn run(args: &PaperArgs, context: Context) -> Result<Answer, Error> {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     }
     Ok(Answer::Yes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_those_of_the_cells_and_sources_take_another_number_of_scenes() {
+        assert_eq!(cells().map(|cell| cell.name()).collect::<Vec<_>>(), NAMES);
+        let source = "scene:slip?samples=1000&seed=1&shear=0.32";
+        assert_eq!(with_scenes(source, Some(20)), "scene:slip?samples=20&seed=1&shear=0.32");
+        assert_eq!((with_scenes(source, None), with_scenes("a", Some(2))), (source.to_string(), "a".to_string()));
+    }
 }

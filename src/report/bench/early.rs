@@ -2,10 +2,10 @@
 
 use serde_json::{Value, json};
 
+use crate::base::stats::mean_sd;
 use crate::bench::early::{Trial, TrialGroup};
 use crate::report::charts::results::{Over, early};
 use crate::report::text::{Column, four, or_empty, table_of};
-use crate::report::train::mean_sd;
 
 /// Everything that the report says.
 #[derive(Debug)]

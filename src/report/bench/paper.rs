@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use crate::bench::published::cells::leads;
 use crate::bench::published::paper::{PaperRow, TABLES};
 use crate::report::text::{Column, csv_of, four, markdown_of, or_empty, table_of};
 
@@ -16,7 +17,15 @@ fn figure(value: Option<f64>) -> String {
     or_empty(value.map(|x| if x.abs() < 10.0 { four(x) } else { format!("{x:.1}") }))
 }
 
-const COLUMNS: [Column<PaperRow>; 9] = [
+/// Ends of an interval.
+fn interval(row: &PaperRow) -> String {
+    match (row.low, row.high) {
+        (Some(low), Some(high)) => format!("{low:.3}..{high:.3}"),
+        _ => String::new(),
+    }
+}
+
+const COLUMNS: [Column<PaperRow>; 10] = [
     ("task", |row| row.task.clone()),
     ("modality", |row| row.modality.clone()),
     ("loss", |row| row.loss.clone().unwrap_or_default()),
@@ -26,12 +35,14 @@ const COLUMNS: [Column<PaperRow>; 9] = [
     ("sd", |row| figure(row.published_deviation)),
     ("measured", |row| figure(row.measured)),
     ("sd", |row| figure(row.deviation)),
+    ("95 % of cases", interval),
 ];
 
 /// What a table shows.
 fn title(table: &str) -> &'static str {
     match table {
-        "accuracy" => "Accuracy over the whole sample",
+        "accuracy" => "Accuracy over the whole sample, neurons of the chip",
+        "srm" => "Accuracy with spike-response neurons, whole and by time",
         "ann" => "Networks without spikes",
         "early" => "Early decisions",
         "offline" => "Hardware, as fast as possible",
@@ -57,12 +68,12 @@ impl PaperReport<'_> {
     pub fn csv(&self) -> Result<String, csv::Error> {
         let number = |x: Option<f64>| or_empty(x.map(|x| x.to_string()));
         let mut rows = Vec::with_capacity(self.rows.len());
-        rows.extend(
-            self.rows
-                .iter()
-                .map(|row| (row, [row.published, row.published_deviation, row.measured, row.deviation].map(number))),
-        );
-        let columns: [Column<(&PaperRow, [String; 4])>; 10] = [
+        rows.extend(self.rows.iter().map(|row| {
+            let PaperRow { published, published_deviation, measured, deviation, low, high, shipped, .. } = row;
+            let figures = [published, published_deviation, measured, deviation, low, high, shipped];
+            (row, figures.map(|figure| number(*figure)))
+        }));
+        let columns: [Column<(&PaperRow, [String; 7])>; 13] = [
             ("table", |(row, _)| row.table.clone()),
             ("task", |(row, _)| row.task.clone()),
             ("modality", |(row, _)| row.modality.clone()),
@@ -72,6 +83,9 @@ impl PaperReport<'_> {
             ("published_deviation", |(_, n)| n[1].clone()),
             ("measured", |(_, n)| n[2].clone()),
             ("deviation", |(_, n)| n[3].clone()),
+            ("low", |(_, n)| n[4].clone()),
+            ("high", |(_, n)| n[5].clone()),
+            ("shipped", |(_, n)| n[6].clone()),
             ("note", |(row, _)| row.note.clone()),
         ];
         csv_of(&rows, &columns)
@@ -100,11 +114,24 @@ impl PaperReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let have = self.rows_of("accuracy").iter().filter(|row| row.measured.is_some()).count();
-        let tables = self.tables();
-        format!(
-            "{tables}{have} cells of the table of accuracies are measured, of scenes that were simulated unless the note says otherwise\n"
-        )
+        let accuracies = self.rows_of("accuracy");
+        let have = accuracies.iter().filter(|row| row.measured.is_some()).count();
+        let mut out = self.tables();
+        let said = "cells of the table of accuracies are measured, of scenes that were simulated unless the note says otherwise";
+        out += &format!("{have} {said}\n");
+        let run: Vec<_> = accuracies.iter().filter_map(|row| Some((row, row.shipped?))).collect();
+        if !run.is_empty() {
+            let as_stored = |(row, shipped): &&(&&PaperRow, f64)| row.folds.first() == Some(shipped);
+            let same = run.iter().filter(as_stored).count();
+            let all = run.len();
+            out += &format!(
+                "{all} shipped networks, the first fold of a cell each, ran on simulated cores: {same} came to what is stored\n"
+            );
+        }
+        for lead in leads(self.rows) {
+            out += &format!("{lead}\n");
+        }
+        out
     }
 }
 

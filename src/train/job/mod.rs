@@ -178,7 +178,13 @@ impl Job {
     #[must_use]
     pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
         let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
-        stratified_folds(&labels, k as usize, FOLD_SEED)
+        Job::folds_by_label(&labels, k)
+    }
+
+    /// The same of samples of which only the labels are known.
+    #[must_use]
+    pub fn folds_by_label(labels: &[u32], k: u32) -> Vec<Vec<usize>> {
+        stratified_folds(labels, k as usize, FOLD_SEED)
     }
 
     /// What a trained state is good for, and how well trainings without each of the folds do on it.
