@@ -16,7 +16,8 @@ use crate::error::Error;
 use crate::io::spikes::MANIFEST;
 use crate::io::{mapping, npy, spikes, write};
 use crate::report::charts::raster::{Panel, Raster};
-use crate::report::scene::{ClassSummary, SceneReport};
+use crate::report::scene::{ByMarkers, ClassSummary, SceneReport};
+use crate::scene::markers::Annotated;
 use crate::scene::wire::Carried;
 use crate::scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
 
@@ -153,6 +154,7 @@ fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Raster {
 struct Facts {
     label: u32,
     onset_ms: Option<f64>,
+    annotated: Option<Annotated>,
     spikes: [usize; 2],
     wire: Option<Carried>,
 }
@@ -160,7 +162,8 @@ struct Facts {
 impl Facts {
     fn from_recording(recording: &Recording) -> Facts {
         let spikes = [recording.touch.len(), recording.vision.len()];
-        Facts { label: recording.label, onset_ms: recording.onset_ms, spikes, wire: recording.wire }
+        let Recording { label, onset_ms, annotated, wire, .. } = *recording;
+        Facts { label, onset_ms, annotated, spikes, wire }
     }
 }
 
@@ -238,12 +241,14 @@ fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Opti
         let spikes = |sense: usize| of.iter().map(|fact| fact.spikes[sense] as u64).sum::<u64>();
         let mut onsets: Vec<f64> = of.iter().filter_map(|fact| fact.onset_ms).collect();
         onsets.sort_by(f64::total_cmp);
+        let annotated: Vec<Annotated> = of.iter().filter_map(|fact| fact.annotated).collect();
         ClassSummary {
             name,
             samples: of.len(),
             spikes: [spikes(0), spikes(1)],
             density: [spikes(0) as f64 / cells(of.len(), TOUCH.1), spikes(1) as f64 / cells(of.len(), VISION.1)],
             onset_ms: onsets.first().map(|&first| [first, onsets[onsets.len() / 2], onsets[onsets.len() - 1]]),
+            annotated: ByMarkers::new(&annotated),
         }
     };
     SceneReport {

@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use super::text::{Column, csv_of, or_empty, table_of};
+use crate::scene::markers::Annotated;
 use crate::scene::wire::Carried;
 
 /// What the samples of one class hold.
@@ -18,6 +19,41 @@ pub struct ClassSummary {
     pub density: [f64; 2],
     /// First, median and last onset, in ms, when there are any.
     pub onset_ms: Option<[f64; 3]>,
+    /// The same by the rule of the paper's authors, where markers are tracked.
+    pub annotated: Option<ByMarkers>,
+}
+
+/// Onsets by the rule of the paper's authors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ByMarkers {
+    /// Median over the samples in which the arm lifts by the rule, ms.
+    pub lift_ms: f64,
+    /// Samples in which the box turns by the rule.
+    pub turning: usize,
+    /// Median over these, ms; NaN without any.
+    pub turn_ms: f64,
+    /// Mean time from the lift until the box turns, ms; NaN without any.
+    pub between_ms: f64,
+}
+
+impl ByMarkers {
+    /// Of samples; none without a lift.
+    #[must_use]
+    pub fn new(samples: &[Annotated]) -> Option<Self> {
+        let median = |times: &mut Vec<f64>| {
+            times.sort_by(f64::total_cmp);
+            times.get(times.len() / 2).copied()
+        };
+        let lift_ms = median(&mut samples.iter().filter_map(|sample| sample.lift_ms).collect())?;
+        let mut turns: Vec<f64> = samples.iter().filter_map(|sample| sample.turn_ms).collect();
+        let between: Vec<f64> = samples.iter().filter_map(|sample| Some(sample.turn_ms? - sample.lift_ms?)).collect();
+        Some(ByMarkers {
+            lift_ms,
+            turning: turns.len(),
+            turn_ms: median(&mut turns).unwrap_or(f64::NAN),
+            between_ms: between.iter().sum::<f64>() / between.len() as f64,
+        })
+    }
 }
 
 /// What was made.
@@ -83,6 +119,19 @@ impl SceneReport {
             percent(self.density(0)),
             percent(self.density(1))
         );
+        for class in &self.classes {
+            let Some(ByMarkers { lift_ms, turning, turn_ms, between_ms }) = class.annotated else { continue };
+            out += &format!("by markers, {}: the arm lifts at {lift_ms:.0} ms", class.name);
+            out += &match turning {
+                0 => ", no box turns\n".to_string(),
+                _ => {
+                    let samples = class.samples;
+                    format!(
+                        ", {turning} of {samples} boxes turn at {turn_ms:.0} ms, {between_ms:.0} ms after the lift\n"
+                    )
+                }
+            };
+        }
         if let Some(wire) = &self.wire {
             let share = |count: u64| 100.0 * count as f64 / wire.sent.max(1) as f64;
             out += &format!(
@@ -110,6 +159,12 @@ impl SceneReport {
                 "vision_spikes": class.spikes[1],
                 "touch_density": density(class.density[0]),
                 "vision_density": density(class.density[1]),
+                "by_markers": class.annotated.map(|found| json!({
+                    "lift_ms": density(found.lift_ms),
+                    "turning": found.turning,
+                    "turn_ms": density(found.turn_ms),
+                    "between_ms": density(found.between_ms),
+                })),
                 "onset_ms": class.onset_ms.map(|[first, median, last]| json!({"first": first, "median": median, "last": last})),
             })
         });

@@ -316,6 +316,7 @@ impl Containers {
             steps: STEPS,
             label,
             onset_ms: Some(1e3 * course.contact_s),
+            annotated: None,
             touch: binned(&touch, self.s_min),
             vision: binned(&units, self.s_min),
             vision_planes: binned(&planes, self.s_min),

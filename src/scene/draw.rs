@@ -34,6 +34,8 @@ pub enum Purpose {
     Wire,
     /// Polarity of the camera's noise events.
     PixelNoisePolarity,
+    /// Noise and phase of tracked markers.
+    Marker,
 }
 
 /// Draws of one sample.

@@ -8,6 +8,7 @@ pub mod camera;
 pub mod container;
 pub mod draw;
 pub mod gripper;
+pub mod markers;
 pub mod noise;
 mod parameter;
 mod recording;

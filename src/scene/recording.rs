@@ -1,6 +1,7 @@
 //! What a scene records: one sample of touch and vision.
 
 use super::camera::{POOLED, Polarities};
+use super::markers::Annotated;
 use super::touch::TAXELS;
 use super::wire::Carried;
 
@@ -16,6 +17,8 @@ pub struct Recording {
     pub label: u32,
     /// When what decides the class begins, in ms; none when it does not.
     pub onset_ms: Option<f64>,
+    /// When the arm lifts and the box turns by the rule of the paper's authors, where markers are tracked.
+    pub annotated: Option<Annotated>,
     /// (step, channel) of touch; channel = (39 finger + taxel) 2 + polarity, polarity 1 for a rise.
     pub touch: Vec<(u32, u32)>,
     /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.

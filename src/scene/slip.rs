@@ -14,6 +14,7 @@ use std::f64::consts::TAU;
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::{Grasp, GraspState, Motion, follow};
+use super::markers::Annotated;
 use super::parameter::{parameter, parameters, spread, unknown};
 use super::recording::{MOST_SAMPLES, Recording, Seen};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
@@ -141,6 +142,7 @@ impl Slip {
             steps: STEPS,
             label: u32::from(motion.onset_ms.is_some()),
             onset_ms: motion.onset_ms,
+            annotated: Some(Annotated::new(&motion, draws)),
             touch,
             vision: units,
             vision_planes: planes,
