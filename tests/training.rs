@@ -175,3 +175,17 @@ fn cells_of_the_paper_are_trained_anew_and_taken_up_where_they_were_left() {
     let close = |a: &Value, b: &Value| (a.as_f64().unwrap() - b.as_f64().unwrap()).abs() < 1e-6;
     assert!(kept.iter().zip(&folds).all(|(a, b)| close(a, b)) && kept.len() == 2, "{kept:?} {folds:?}");
 }
+
+#[test]
+fn the_shipped_network_of_each_cell_comes_to_what_is_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let paper = nsim(folder.path(), &["bench", "paper"]);
+    let rows = paper["rows"].as_array().unwrap();
+    let cells: Vec<&Value> =
+        rows.iter().filter(|row| row["table"] == "accuracy" && !row["shipped"].is_null()).collect();
+    assert_eq!(cells.len(), 12);
+    for cell in cells {
+        assert_eq!(cell["shipped"], cell["folds"][0], "{} {} {}", cell["task"], cell["modality"], cell["loss"]);
+        assert_eq!(cell["folds"].as_array().unwrap().len(), 5);
+    }
+}

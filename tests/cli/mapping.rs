@@ -146,22 +146,29 @@ fn every_shipped_model_maps_and_runs() {
         "container-tactile",
         "container-tactile-srm",
     ];
+    // A network of the first fold of each cell of the paper's tables.
+    let cells =
+        ["slip", "container"].into_iter().flat_map(|task| ["tactile", "vision", "both"].map(|senses| (task, senses)));
+    let of_paper =
+        cells.flat_map(|(task, senses)| ["count", "weighted"].map(|loss| format!("paper-{task}-{senses}-{loss}")));
+    let names: Vec<String> = names.into_iter().map(String::from).chain(of_paper).collect();
     let mut shipped: Vec<&str> = nsim::io::shipped::MODELS.iter().map(|model| model.name).collect();
     shipped.sort_unstable();
     assert_eq!(shipped, {
-        let mut names = names;
+        let mut names: Vec<&str> = names.iter().map(String::as_str).collect();
         names.sort_unstable();
         names
     });
-    for name in names {
+    for name in &names {
         let map = object(&["map", name], 0);
-        assert_eq!(map["model"], name);
+        assert_eq!(map["model"], name.as_str());
         // A converted spike response network has a copy of its synapses for each delay.
         let cores = map["cores_per_copy"].as_f64().unwrap();
-        assert!(cores == 1.0 || name.ends_with("-srm") && cores > 1.0, "{name}: {cores}");
+        let several = name.ends_with("-srm") || name.starts_with("paper-");
+        assert!(cores == 1.0 || several && cores > 1.0, "{name}: {cores}");
         let run = object(&["run", name, "--samples", "0..2"], 0);
         let steps = if name.contains("slip") { 300 } else { 650 };
-        assert_eq!((&run["model"], &run["timesteps"]), (&name.into(), &steps.into()));
+        assert_eq!((&run["model"], &run["timesteps"]), (&name.as_str().into(), &steps.into()));
         let spikes: u64 = run["output_counts"]
             .as_array()
             .unwrap()

@@ -192,9 +192,16 @@ fn rounded(x: f64) -> f64 {
     (x * 1e6).round() / 1e6
 }
 
+/// The interval of an accuracy at a time.
+struct At {
+    time_ms: u32,
+    low: f64,
+    high: f64,
+}
+
 /// Which sense alone leads when: a sentence for each task and loss of which both senses are measured over time.
 ///
-/// A sense leads at a time when the whole interval of its accuracy is above that of the other.
+/// A sense leads at a time when the whole interval of its accuracy is above that of the other, and above what naming any one class reaches.
 #[must_use]
 pub fn leads(rows: &[PaperRow]) -> Vec<String> {
     let mut said = Vec::new();
@@ -207,21 +214,25 @@ pub fn leads(rows: &[PaperRow]) -> Vec<String> {
                     && row.table == "early"
             });
             let at = |row: &PaperRow| {
-                let time = row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.parse::<u32>().ok()?;
-                Some((time, row.low?, row.high?))
+                let time_ms = row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.parse().ok()?;
+                Some(At { time_ms, low: row.low?, high: row.high? })
             };
             of_cell.filter_map(at).collect::<Vec<_>>()
         };
         let (touch, vision) = (by("tactile"), by("vision"));
-        let pairs: Vec<_> = touch.iter().filter_map(|a| Some((a, vision.iter().find(|b| a.0 == b.0)?))).collect();
+        let pairs: Vec<_> =
+            touch.iter().filter_map(|a| Some((a, vision.iter().find(|b| a.time_ms == b.time_ms)?))).collect();
         if pairs.is_empty() {
             continue;
         }
-        let times = |above: &dyn Fn(&(u32, f64, f64), &(u32, f64, f64)) -> bool| {
-            let times: Vec<String> = pairs.iter().filter(|(a, b)| above(a, b)).map(|(a, _)| a.0.to_string()).collect();
+        let guessing = if task == "slip" { 1.0 / 2.0 } else { 1.0 / 20.0 };
+        let leads = |one: &At, other: &At| one.low > other.high.max(guessing);
+        let times = |above: &dyn Fn(&At, &At) -> bool| {
+            let times: Vec<String> =
+                pairs.iter().filter(|(a, b)| above(a, b)).map(|(a, _)| a.time_ms.to_string()).collect();
             if times.is_empty() { "never".to_string() } else { format!("at {} ms", times.join(", ")) }
         };
-        let (first, second) = (times(&|a, b| a.1 > b.2), times(&|a, b| b.1 > a.2));
+        let (first, second) = (times(&leads), times(&|a, b| leads(b, a)));
         said.push(format!("{task}, {loss} loss: touch leads {first}, vision {second}"));
     }
     said
@@ -293,6 +304,8 @@ mod tests {
             ..blank("early", "slip", modality, &format!("accuracy_by_{time}_ms"))
         };
         let rows = [
+            row("tactile", 10, 0.4, 0.5),
+            row("vision", 10, 0.0, 0.1),
             row("tactile", 20, 0.6, 0.7),
             row("vision", 20, 0.4, 0.5),
             row("tactile", 30, 0.6, 0.7),

@@ -35,7 +35,7 @@ const COLUMNS: [Column<PaperRow>; 10] = [
     ("sd", |row| figure(row.published_deviation)),
     ("measured", |row| figure(row.measured)),
     ("sd", |row| figure(row.deviation)),
-    ("95 % of cases", interval),
+    ("95 % interval", interval),
 ];
 
 /// What a table shows.
