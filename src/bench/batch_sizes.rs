@@ -182,14 +182,14 @@ pub fn dense(
     Ok(BatchRow { together: threads_for(batch) as u32, ..measured(name, batch, budget, meter, pass) })
 }
 
-/// A batch on the GPU, in the chip's integers; its energy is unknown unless the board's power is.
+/// A batch on the GPU; its energy is unknown unless the board's power is.
 ///
 /// # Errors
 /// Why it cannot be passed.
 #[cfg(feature = "gpu")]
-pub fn gpu(
+pub fn gpu<A: crate::bench::batch::Arithmetic>(
     gpu: &crate::bench::batch::Gpu,
-    form: &crate::bench::batch::BatchForm,
+    form: &crate::bench::batch::BatchForm<A>,
     (samples, steps): (&[&Sample], u32),
     batch: u32,
     budget: Duration,
@@ -213,7 +213,7 @@ pub fn gpu(
         Err(why) => format!("power unknown: {why}"),
     };
     Ok(BatchRow {
-        hardware: format!("{}{software}", gpu.name()),
+        hardware: format!("{}{software}, {}", gpu.name(), A::NAME),
         batch,
         together: batch,
         batch_ms: timed.us_per_timestep * f64::from(batch) / 1e3,

@@ -88,43 +88,50 @@ impl<F: Real> Synapses<F> {
 
     /// Adds a source's spike to the sums of its targets; returns the number of its synapses.
     pub fn deliver(&self, source: u32, sums: &mut [F]) -> u64 {
+        if let Synapses::Dense { targets, weights } = self {
+            let row = source as usize * *targets as usize;
+            for (sum, &weight) in sums.iter_mut().zip(&weights[row..row + *targets as usize]) {
+                *sum += weight;
+            }
+            return u64::from(*targets);
+        }
+        let mut count = 0;
+        self.for_each_from(source, |target, weight| {
+            sums[target as usize] += weight;
+            count += 1;
+        });
+        count
+    }
+
+    /// Targets and weights of a source, in the order of delivery.
+    pub fn for_each_from(&self, source: u32, mut each: impl FnMut(u32, F)) {
         match self {
             Synapses::Dense { targets, weights } => {
                 let row = source as usize * *targets as usize;
-                for (sum, &weight) in sums.iter_mut().zip(&weights[row..row + *targets as usize]) {
-                    *sum += weight;
-                }
-                u64::from(*targets)
+                (0..).zip(&weights[row..row + *targets as usize]).for_each(|(target, &weight)| each(target, weight));
             }
             Synapses::List { first, synapses } => {
                 let mine = &synapses[first[source as usize]..first[source as usize + 1]];
-                mine.iter().for_each(|&(target, weight)| sums[target as usize] += weight);
-                mine.len() as u64
+                mine.iter().for_each(|&(target, weight)| each(target, weight));
             }
             Synapses::Conv { window, kernel } => {
                 let (kh, kw) = window.kernel;
                 let (per_in, per_out) = (window.source.0 / window.groups, window.target.0 / window.groups);
                 let channel = source / (window.source.1 * window.source.2);
                 let group = channel / per_in;
-                let mut count = 0;
                 for out in group * per_out..(group + 1) * per_out {
                     let base = (out * per_in + channel % per_in) * kh * kw;
                     window.for_each_position(source, |y, x, ky, kx| {
                         let target = (out * window.target.1 + y) * window.target.2 + x;
-                        sums[target as usize] += kernel[(base + ky * kw + kx) as usize];
-                        count += 1;
+                        each(target, kernel[(base + ky * kw + kx) as usize]);
                     });
                 }
-                count
             }
             Synapses::Pool { window, weight } => {
                 let channel = source / (window.source.1 * window.source.2);
-                let mut count = 0;
                 window.for_each_position(source, |y, x, _, _| {
-                    sums[((channel * window.target.1 + y) * window.target.2 + x) as usize] += *weight;
-                    count += 1;
+                    each((channel * window.target.1 + y) * window.target.2 + x, *weight);
                 });
-                count
             }
         }
     }

@@ -4,12 +4,13 @@
 //! driver or device; buffers above the device's limits, named with value and limit; what the driver reports.
 
 use std::future::Future;
+use std::marker::PhantomData;
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 
 use wgpu::util::DeviceExt;
 
-use super::form::{BatchForm, Trains, words};
+use super::form::{Arithmetic, BatchForm, Trains, words};
 use crate::ir::spikes::Sample;
 
 /// Invocations of a workgroup, as in the shaders.
@@ -19,7 +20,6 @@ const STEP_BYTES: u64 = 32;
 
 const DECAY: &str = include_str!("decay.wgsl");
 const DECAYS: &str = include_str!("decays.wgsl");
-const STEP: &str = include_str!("step.wgsl");
 
 /// A device that computes.
 #[derive(Debug)]
@@ -180,14 +180,19 @@ impl Gpu {
     ///
     /// # Errors
     /// What does not fit the device, with its size and the limit, or what the driver reports.
-    pub fn batches<'a>(&'a self, form: &'a BatchForm, samples: u32, steps: u32) -> Result<Batches<'a>, String> {
+    pub fn batches<'a, A: Arithmetic>(
+        &'a self,
+        form: &'a BatchForm<A>,
+        samples: u32,
+        steps: u32,
+    ) -> Result<Batches<'a, A>, String> {
         let (samples, steps) = (samples.max(1), steps.max(1));
         let invocations = u64::from(form.compartments()) * u64::from(samples);
-        let (register_words, spike_words) =
-            (3 * invocations, u64::from(steps) * u64::from(form.sources()) * words(samples) as u64);
+        let (state_words, spike_words) =
+            (A::STATE_WORDS * invocations, u64::from(steps) * u64::from(form.sources()) * words(samples) as u64);
         self.fits(&format!("{} compartments", form.compartments()), 4 * form.compartments.len() as u64)?;
         self.fits(&format!("{} synapses", form.synapses.len() / 3), 4 * form.synapses.len() as u64)?;
-        self.fits(&format!("registers of {samples} samples"), 4 * register_words)?;
+        self.fits(&format!("states of {samples} samples"), 4 * state_words)?;
         self.fits(&format!("spikes of {samples} samples of {steps} steps"), 4 * spike_words)?;
         let stride = STEP_BYTES.next_multiple_of(self.limits.min_uniform_buffer_offset_alignment.into());
         self.fits(&format!("numbers of {steps} steps"), stride * u64::from(steps))?;
@@ -234,7 +239,7 @@ impl Gpu {
                 bind_group_layouts: &[Some(&group_layout)],
                 immediate_size: 0,
             });
-            let pipeline = self.pipeline(STEP, Some(&layout));
+            let pipeline = self.pipeline(A::SHADER, Some(&layout));
             let told = self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
                 label: None,
                 contents: &told,
@@ -248,11 +253,11 @@ impl Gpu {
                     mapped_at_creation: false,
                 })
             };
-            let (registers, spikes) = (empty(register_words), empty(spike_words));
+            let (states, spikes) = (empty(state_words), empty(spike_words));
             let (compartments, synapses) =
                 (self.storage(&bytes(&form.compartments)), self.storage(&bytes(&form.synapses)));
             let step = wgpu::BufferBinding { buffer: &told, offset: 0, size: std::num::NonZeroU64::new(STEP_BYTES) };
-            let lists = [&compartments, &synapses, &registers, &spikes];
+            let lists = [&compartments, &synapses, &states, &spikes];
             let mut entries = vec![wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::Buffer(step) }];
             entries.extend(
                 (1..)
@@ -264,27 +269,16 @@ impl Gpu {
                 layout: &group_layout,
                 entries: &entries,
             });
-            Batches {
-                gpu: self,
-                form,
-                samples,
-                steps,
-                stride,
-                groups: (across, down),
-                pipeline,
-                group,
-                registers,
-                spikes,
-            }
+            Batches { gpu: self, form, samples, steps, stride, groups: (across, down), pipeline, group, states, spikes }
         })
     }
 }
 
 /// A network on a device, with room for a batch.
 #[derive(Debug)]
-pub struct Batches<'a> {
+pub struct Batches<'a, A> {
     gpu: &'a Gpu,
-    form: &'a BatchForm,
+    form: &'a BatchForm<A>,
     samples: u32,
     steps: u32,
     /// Bytes from one step's numbers to the next's.
@@ -293,16 +287,16 @@ pub struct Batches<'a> {
     groups: (u32, u32),
     pipeline: wgpu::ComputePipeline,
     group: wgpu::BindGroup,
-    registers: wgpu::Buffer,
+    states: wgpu::Buffer,
     spikes: wgpu::Buffer,
 }
 
-impl Batches<'_> {
+impl<A: Arithmetic> Batches<'_, A> {
     /// Runs samples from zero, to the end of the batch's window: input to the device, all steps, spikes back.
     ///
     /// # Errors
     /// More or longer samples than there is room for, or what the driver reports.
-    pub fn run(&self, samples: &[&Sample]) -> Result<Trains, String> {
+    pub fn run(&self, samples: &[&Sample]) -> Result<Trains<A>, String> {
         if samples.len() > self.samples as usize {
             return Err(format!("{} samples are more than the {} of the batch", samples.len(), self.samples));
         }
@@ -312,7 +306,7 @@ impl Batches<'_> {
         gpu.checked(|| {
             gpu.queue.write_buffer(&self.spikes, 0, &bytes(&input));
             let mut encoder = gpu.device.create_command_encoder(&Default::default());
-            encoder.clear_buffer(&self.registers, 0, None);
+            encoder.clear_buffer(&self.states, 0, None);
             let mut pass = encoder.begin_compute_pass(&Default::default());
             pass.set_pipeline(&self.pipeline);
             for step in 0..self.steps {
@@ -322,13 +316,14 @@ impl Batches<'_> {
             drop(pass);
             gpu.queue.submit([encoder.finish()]);
         })?;
-        let registers = 3 * self.form.compartments() as usize * self.samples as usize;
+        let states = A::STATE_WORDS as usize * self.form.compartments() as usize * self.samples as usize;
         Ok(Trains {
             spikes: gpu.read(&self.spikes, input.len())?,
-            registers: gpu.read(&self.registers, registers)?,
+            states: gpu.read(&self.states, states)?,
             sources: self.form.sources() as usize,
             channels: self.form.channels as usize,
             samples: self.samples as usize,
+            arithmetic: PhantomData,
         })
     }
 }

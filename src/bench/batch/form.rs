@@ -1,35 +1,84 @@
 //! A network and its samples as the words that a GPU reads, and the words of spikes that it gives back.
 //!
-//! Input: a network in integers; samples. Output: lists of 32-bit words in the layouts of `step.wgsl`. Errors: an
-//! arithmetic other than the chip's, more synapses than are ever listed, a sample longer than its batch.
+//! Input: a network in integers or in real numbers; samples. Output: lists of 32-bit words in the layouts of `step.wgsl` and
+//! `real.wgsl`. Errors: an arithmetic other than the chip's, more synapses than are ever listed, a sample longer than its batch.
+
+use std::cmp::Reverse;
+use std::fmt::Debug;
+use std::marker::PhantomData;
 
 use crate::base::id::CompartmentId;
-use crate::desc::network::Semantics;
+use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::neurons::NeuronKind;
+use crate::ir::graph::Graph;
 use crate::ir::quantised::{Quantised, Reset, Units};
 use crate::ir::spikes::Sample;
 use crate::neuron::fields;
+use crate::reference::{Model, NeuronForm, Options};
 
 /// Synapses above which no list is made: 768 MiB of them.
 const MOST_SYNAPSES: u64 = 1 << 26;
-/// Words of a compartment.
-const COMPARTMENT_WORDS: usize = 12;
 /// Samples of a word of spikes.
 const WORD: usize = 32;
 
+/// What a batch is computed in.
+pub trait Arithmetic: Debug {
+    /// One step of all compartments, in WGSL.
+    const SHADER: &'static str;
+    /// Words of a compartment.
+    const COMPARTMENT_WORDS: usize;
+    /// Words that a compartment of a sample keeps from step to step.
+    const STATE_WORDS: u64;
+    /// Its name in a row.
+    const NAME: &'static str;
+}
+
+/// The chip's integers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Integers {}
+
+impl Arithmetic for Integers {
+    const SHADER: &'static str = include_str!("step.wgsl");
+    const COMPARTMENT_WORDS: usize = 12;
+    const STATE_WORDS: u64 = 3;
+    const NAME: &'static str = "integers";
+}
+
+/// Real numbers in single precision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Single {}
+
+impl Arithmetic for Single {
+    const SHADER: &'static str = include_str!("real.wgsl");
+    const COMPARTMENT_WORDS: usize = 13;
+    const STATE_WORDS: u64 = 6;
+    const NAME: &'static str = "f32";
+}
+
 /// A network in words.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct BatchForm {
-    /// Twelve words each.
+pub struct BatchForm<A> {
+    /// So many words each as the arithmetic says.
     pub(super) compartments: Vec<u32>,
     /// Three words each, by target.
     pub(super) synapses: Vec<u32>,
     /// Input channels.
     pub(super) channels: u32,
     pub(super) reset: Option<Reset>,
+    arithmetic: PhantomData<A>,
 }
 
-impl BatchForm {
+/// That so many synapses are listed.
+fn listed(name: &str, synapses: u64) -> Result<(), String> {
+    if synapses > MOST_SYNAPSES {
+        return Err(format!(
+            "network '{name}' has {synapses} synapses, more than the {MOST_SYNAPSES} that are listed for a GPU"
+        ));
+    }
+    Ok(())
+}
+
+impl BatchForm<Integers> {
     /// The words of a network.
     ///
     /// # Errors
@@ -42,13 +91,7 @@ impl BatchForm {
                 parts.name, parts.semantics
             ));
         }
-        if network.synapses() > MOST_SYNAPSES {
-            return Err(format!(
-                "network '{}' has {} synapses, more than the {MOST_SYNAPSES} that are listed for a GPU",
-                parts.name,
-                network.synapses()
-            ));
-        }
+        listed(&parts.name, network.synapses())?;
         let channels = network.channels();
         let mut incoming: Vec<Vec<[u32; 3]>> = vec![Vec::new(); network.compartments() as usize];
         for projection in network.projections() {
@@ -96,13 +139,76 @@ impl BatchForm {
                 compartments.extend([*start_step, before, past]);
             }
         }
-        Ok(BatchForm { compartments, synapses, channels, reset: parts.reset })
+        Ok(BatchForm { compartments, synapses, channels, reset: parts.reset, arithmetic: PhantomData })
     }
+}
 
+impl BatchForm<Single> {
+    /// The words of a network in real numbers, spike response kernels without end.
+    ///
+    /// A compartment's synapses are listed in the order in which the reference adds what arrives: earlier steps first,
+    /// channels before compartments, each ascending.
+    ///
+    /// # Errors
+    /// Why there are none: it has too many synapses.
+    pub fn real(graph: &Graph) -> Result<Self, String> {
+        let model = Model::<f32>::new(graph, Options::default());
+        let inclusive = u32::from(model.threshold_test() == ThresholdTest::Inclusive);
+        let mut incoming: Vec<Vec<[u32; 3]>> = Vec::new();
+        model.for_each_neuron(|_, _| incoming.push(Vec::new()));
+        let mut synapses = 0;
+        model.for_each_synapse(|synapse| {
+            synapses += 1;
+            if synapses <= MOST_SYNAPSES {
+                incoming[synapse.target.0 as usize].push([synapse.source, synapse.way, synapse.weight.to_bits()]);
+            }
+        });
+        listed(&graph.facts().name, synapses)?;
+        incoming.iter_mut().for_each(|own| own.sort_by_key(|&[source, way, _]| (Reverse(way), source)));
+        let mut compartments = Vec::new();
+        let (mut index, mut past) = (0, 0);
+        let single = |x: f64| (x as f32).clamp(f32::MIN, f32::MAX).to_bits();
+        model.for_each_neuron(|neuron, start_step| {
+            let before = past;
+            past += incoming[index].len() as u32;
+            index += 1;
+            let place = [u32::from(matches!(neuron, NeuronForm::Srm(_))), start_step, before, past];
+            compartments.extend(place);
+            compartments.extend(match neuron {
+                NeuronForm::Srm(srm) => {
+                    let (response, refractory) = (srm.response(), srm.refractory());
+                    let [keep, keep_refractory] = [response.decay(), refractory.decay()].map(single);
+                    let [gain, gain_refractory] = [response.gain(), refractory.gain()].map(single);
+                    [single(srm.theta), 1, keep, keep_refractory, gain, gain_refractory, 0, 0, 0]
+                }
+                NeuronForm::Cuba(form) => [
+                    single(form.threshold),
+                    inclusive,
+                    single(form.keep_u),
+                    single(form.keep_v),
+                    single(form.bias),
+                    single(form.clip.0),
+                    single(form.clip.1),
+                    form.refractory.max(1),
+                    u32::from(form.subtracts),
+                ],
+            });
+        });
+        Ok(BatchForm {
+            compartments,
+            synapses: incoming.into_iter().flatten().flatten().collect(),
+            channels: model.channels(),
+            reset: model.reset(),
+            arithmetic: PhantomData,
+        })
+    }
+}
+
+impl<A: Arithmetic> BatchForm<A> {
     /// Compartments of a copy.
     #[must_use]
     pub fn compartments(&self) -> u32 {
-        (self.compartments.len() / COMPARTMENT_WORDS) as u32
+        (self.compartments.len() / A::COMPARTMENT_WORDS) as u32
     }
 
     /// Channels and compartments.
@@ -138,17 +244,18 @@ pub(super) fn words(samples: u32) -> usize {
     (samples as usize).div_ceil(WORD)
 }
 
-/// The spikes of a batch, and its registers after the last step.
+/// The spikes of a batch, and what its compartments kept after the last step.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Trains {
+pub struct Trains<A> {
     pub(super) spikes: Vec<u32>,
-    pub(super) registers: Vec<u32>,
+    pub(super) states: Vec<u32>,
     pub(super) sources: usize,
     pub(super) channels: usize,
     pub(super) samples: usize,
+    pub(super) arithmetic: PhantomData<A>,
 }
 
-impl Trains {
+impl<A: Arithmetic> Trains<A> {
     /// The compartments of a sample that spiked in a step, ascending. Steps after a sample's end mean nothing.
     #[must_use]
     pub fn spikes(&self, sample: usize, step: u32) -> Vec<CompartmentId> {
@@ -160,11 +267,25 @@ impl Trains {
         (0..self.sources - self.channels).filter(spiked).map(|compartment| CompartmentId(compartment as u32)).collect()
     }
 
+    fn state(&self, word: usize, sample: usize, compartment: CompartmentId) -> u32 {
+        let all = (self.sources - self.channels) * self.samples;
+        self.states[word * all + compartment.0 as usize * self.samples + sample]
+    }
+}
+
+impl Trains<Integers> {
     /// Current and voltage of a sample's compartment after the last step of the batch.
     #[must_use]
     pub fn registers(&self, sample: usize, compartment: CompartmentId) -> (i32, i32) {
-        let all = (self.sources - self.channels) * self.samples;
-        let at = compartment.0 as usize * self.samples + sample;
-        (self.registers[at] as i32, self.registers[all + at] as i32)
+        let word = |word| self.state(word, sample, compartment) as i32;
+        (word(0), word(1))
+    }
+}
+
+impl Trains<Single> {
+    /// The membrane potential of a sample's compartment after the last step of the batch.
+    #[must_use]
+    pub fn potential(&self, sample: usize, compartment: CompartmentId) -> f32 {
+        f32::from_bits(self.state(0, sample, compartment))
     }
 }

@@ -173,7 +173,7 @@ pub fn run(args: &BatchArgs, context: Context) -> Result<Answer, Error> {
         Ok::<_, Error>(())
     })?;
     #[cfg(feature = "gpu")]
-    on_gpu(args, network, (&samples, steps), &sizes, |result| rows.extend(note(result, "the GPU")));
+    on_gpu(args, network, (&samples, steps), &sizes, |result| rows.extend(note(result, "the GPU")))?;
     #[cfg(not(feature = "gpu"))]
     notes.push("no row for a GPU: a build with the feature gpu measures one".to_string());
     let report = BatchReport { model: &network.parts().name, steps, rows: &rows, notes: &notes };
@@ -186,7 +186,7 @@ pub fn run(args: &BatchArgs, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// The rows of the GPU that is here, or why there are none.
+/// The rows of the GPU that is here, in integers and in f32, or why there are none.
 #[cfg(feature = "gpu")]
 fn on_gpu(
     args: &BatchArgs,
@@ -194,14 +194,25 @@ fn on_gpu(
     samples: (&[&crate::ir::spikes::Sample], u32),
     sizes: &[u32],
     mut take: impl FnMut(Result<BatchRow, String>),
-) {
+) -> Result<(), Error> {
     use crate::bench::batch::{BatchForm, Gpu};
-    match Gpu::open().and_then(|gpu| Ok((gpu, BatchForm::new(network)?))) {
+    let gpu = match Gpu::open() {
+        Ok(gpu) => gpu,
+        Err(reason) => {
+            take(Err(reason));
+            return Ok(());
+        }
+    };
+    match BatchForm::new(network) {
         Err(reason) => take(Err(reason)),
-        Ok((gpu, form)) => {
-            for &size in sizes {
-                take(batch_sizes::gpu(&gpu, &form, samples, size, args.seconds));
-            }
+        Ok(form) => sizes.iter().for_each(|&size| take(batch_sizes::gpu(&gpu, &form, samples, size, args.seconds))),
+    }
+    let real = jobs::prepare(&JobArgs::for_model(&args.model), Wanted::Real, 1)?;
+    if let Prepared::Ready(Job::Real(graph, ..)) = &real {
+        match BatchForm::real(graph) {
+            Err(reason) => take(Err(reason)),
+            Ok(form) => sizes.iter().for_each(|&size| take(batch_sizes::gpu(&gpu, &form, samples, size, args.seconds))),
         }
     }
+    Ok(())
 }
