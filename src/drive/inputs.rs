@@ -1,7 +1,8 @@
 //! `--input` arguments -> the samples of a run.
 //!
 //! Each input population needs a source; a bare source serves the only input population, or all that it names. Sources of
-//! several populations are matched sample by sample: they must agree in number, steps and labels.
+//! several populations are matched sample by sample: they must agree in number, steps and labels. A clock may serve one population
+//! beside the recordings of others.
 
 use std::path::{Path, PathBuf};
 
@@ -17,6 +18,7 @@ use crate::io::spikes::{
 use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Sample, Stimulus};
 use crate::scene;
+use crate::scene::clock::{self, Clock};
 
 /// Reads or makes the samples of a run; without arguments, those of the model's own scene.
 ///
@@ -40,19 +42,27 @@ pub fn stimulus(
     }
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
     let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
+    let mut clocks: Vec<(usize, Clock)> = Vec::new();
+    let position = |name: &str| inputs.iter().position(|p| p.name == name).ok_or_else(|| unknown(name, &inputs));
     for argument in &parsed {
-        let (path, pairs) = match &argument.source {
-            InputSource::Path(path) => (path, [].as_slice()),
-            InputSource::Events(path, pairs) => (path, pairs.as_slice()),
-            InputSource::Scene(_) => {
-                return Err(Error::Usage("a scene drives all input populations and stands alone".to_string()));
+        let (path, pairs) = match (&argument.source, &argument.population) {
+            (InputSource::Path(path), _) => (path, [].as_slice()),
+            (InputSource::Events(path, pairs), _) => (path, pairs.as_slice()),
+            (InputSource::Scene(scene), Some(name)) if scene.name == clock::NAME => {
+                clocks.push((position(name)?, Clock::parse(scene)?));
+                continue;
+            }
+            (InputSource::Scene(_), _) => {
+                let message = "a scene drives all input populations and stands alone, but for a clock of one population: \
+                    POPULATION=scene:clock?span=STEPS";
+                return Err(Error::Usage(message.to_string()));
             }
         };
         let (pairs, labels) = without_labels(path, pairs)?;
         let pairs = pairs.as_slice();
         let is_manifest = SpikeFormat::from_name(path) == Some(SpikeFormat::Manifest);
         let wanted: Vec<usize> = match &argument.population {
-            Some(name) => vec![inputs.iter().position(|p| &p.name == name).ok_or_else(|| unknown(name, &inputs))?],
+            Some(name) => vec![position(name)?],
             None if is_manifest => (0..inputs.len()).collect(),
             None if inputs.len() == 1 => vec![0],
             None => {
@@ -84,6 +94,15 @@ pub fn stimulus(
             }
         }
     }
+    for (index, clock) in clocks {
+        let Some(recorded) = sources.iter().flatten().next() else {
+            return Err(Error::Usage("a clock goes beside recordings, which say how long a sample is".to_string()));
+        };
+        let spikes = recorded.iter().map(|sample| beside(sample, clock, inputs[index])).collect();
+        if sources[index].replace(spikes).is_some() {
+            return Err(Error::Usage(format!("population '{}' has two inputs", inputs[index].name)));
+        }
+    }
     let mut filled = Vec::new();
     for (source, population) in sources.into_iter().zip(&inputs) {
         filled.push(source.ok_or_else(|| {
@@ -100,6 +119,18 @@ pub fn stimulus(
         return Err(Diagnostic::new("input.too-long", message).help("run some of them at a time").into());
     }
     Ok(Stimulus { samples, origin: arguments, seed: None })
+}
+
+/// The clock of a sample.
+fn beside(sample: &PopulationSpikes, clock: Clock, population: &Population) -> PopulationSpikes {
+    let units = population.shape.len();
+    PopulationSpikes {
+        units: Some(units.into()),
+        steps: sample.steps,
+        label: None,
+        events: clock.spikes(sample.steps, units),
+        name: format!("the clock of '{}'", population.name),
+    }
 }
 
 /// The options of a source without `labels=FILE`, and that file.

@@ -5,6 +5,7 @@
 //! parameters and statistics of the recordings.
 
 pub mod camera;
+pub mod clock;
 pub mod container;
 pub mod draw;
 pub mod gripper;
@@ -26,7 +27,8 @@ use crate::ir::quantised::Quantised;
 use crate::ir::spikes::{Sample, Stimulus};
 
 /// The scenes that ship, by name and what they are.
-pub const SCENES: [(&str, &str); 3] = [
+pub const SCENES: [(&str, &str); 4] = [
+    (clock::NAME, "a channel for each part of a sample, for one population beside the sources of others (span)"),
     (
         "container",
         "a gripper closes on one of four containers with one of five fills, and lifts it (samples, seed, and docs/scenes.md)",
@@ -66,6 +68,10 @@ impl Recorded {
             "container" => Ok(Recorded::Container(container::Containers::parse(scene)?)),
             "noise" => Err(Diagnostic::new("scene.unknown", "scene noise is made for a model, not recorded")
                 .help("give it to a run: nsim run MODEL --input scene:noise")),
+            clock::NAME => {
+                Err(Diagnostic::new("scene.unknown", "a clock goes beside recordings, for a population of its own")
+                    .help("nsim run MODEL --input touch=recordings --input phase=scene:clock?span=13"))
+            }
             other => {
                 let known: Vec<&str> = SCENES.iter().map(|(name, _)| *name).collect();
                 Err(Diagnostic::new("scene.unknown", format!("there is no scene '{other}'"))

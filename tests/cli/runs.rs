@@ -117,3 +117,28 @@ fn folds_of_a_data_set_are_sources() {
     let (code, _, stderr) = said(&["run", &model, "--input", &format!("{set}?test=1")]);
     assert!(code == 3 && stderr.contains("test_80_20_1.txt:2:1") && stderr.contains("trained on"), "{stderr}");
 }
+
+#[test]
+fn a_clock_goes_beside_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = MODEL
+        .replace("Input(name: \"in\", shape: [3]),", "Input(name: \"in\", shape: [3]), Input(name: \"phase\", shape: [2]),")
+        .replace("    Dense(from: [\"hidden\"]", "    Dense(from: [\"phase\"], to: \"hidden\", weights: [[8, 2], [0, 4], [6, 0], [2, 2]]), Dense(from: [\"hidden\"]");
+    let model = write(folder.path(), "m.ron", &text);
+    let spikes = write(folder.path(), "touch.csv", "# steps: 7\n0,0\n2,1\n5,2\n");
+    let clock = write(folder.path(), "clock.csv", "# steps: 7\n0,0\n1,0\n2,0\n3,1\n4,1\n5,1\n6,1\n");
+    let touch = format!("in={spikes}");
+    let with = |phase: &str| object(&["run", &model, "--input", &touch, "--input", &format!("phase={phase}")], 0);
+    let (made, read) = (with("scene:clock?span=3"), with(&clock));
+    assert_eq!((&made["digest"], &made["activity"]), (&read["digest"], &read["activity"]));
+    assert_eq!(made["activity"]["spikes_in"], 10);
+    for (arguments, message) in [
+        (&["--input", "scene:clock"][..], "a clock goes beside recordings"),
+        (&["--input", "phase=scene:clock?span=0", "--input", &touch], "is not within 1..=100000"),
+        (&["--input", "phase=scene:noise", "--input", &touch], "stands alone"),
+        (&["--input", "phase=scene:clock", "--input", "in=scene:clock"], "which say how long a sample is"),
+    ] {
+        let (code, _, stderr) = said(&[&["run", &model], arguments].concat());
+        assert!(code != 0 && stderr.contains(message), "{arguments:?}: {code}, {stderr}");
+    }
+}
