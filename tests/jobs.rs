@@ -94,6 +94,34 @@ fn a_job_finds_what_one_process_finds() {
     assert_eq!(alone, found, "energy on two ranks");
 }
 
+#[test]
+fn rows_of_steps_are_those_of_one_process() {
+    let Some((folder, _alone)) = ready() else { return };
+    let line =
+        |file: &str| [simulated(SHORT, &["--steps"]), vec![file]].concat().iter().map(|w| (*w).to_string()).collect();
+    let priced = |file: &str| -> Vec<String> {
+        let line =
+            ["energy", "vtsnn-slip", "--input", "scene:slip?samples=2", "--copies", "2", "--baseline", "--steps", file];
+        line.iter().map(|word| (*word).to_string()).collect()
+    };
+    let lines: [&dyn Fn(&str) -> Vec<String>; 2] = [&line, &priced];
+    for (number, line) in lines.into_iter().enumerate() {
+        for form in ["csv", "npy"] {
+            let written = |ranks: u32| {
+                let file = format!("{number}-{ranks}.{form}");
+                let words = line(&file);
+                let words: Vec<&str> = words.iter().map(String::as_str).collect();
+                let output = run(folder.path(), &[(ranks, "")], &words);
+                assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+                std::fs::read(folder.path().join(file)).unwrap()
+            };
+            let alone = written(1);
+            assert!(alone.len() > 1_000, "{} bytes", alone.len());
+            assert!([2, 3].into_iter().all(|ranks| written(ranks) == alone), "{form} of line {number}");
+        }
+    }
+}
+
 /// Messages of nsim in what a job printed: those of `mpirun` stand between lines of dashes.
 fn messages(output: &Output) -> Vec<String> {
     let said = [&output.stdout[..], &output.stderr[..]].concat();

@@ -106,6 +106,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(message.to_string()));
     }
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
+    if args.steps.is_some() {
+        ranks::price();
+    }
     let wanted = EngineChoice::wanted(args.engine);
     let job = match jobs::prepare_probed(&args.job, wanted, Some(1), &args.probes.populations())? {
         Prepared::Ready(job) => job,
@@ -248,9 +251,6 @@ fn ran(
     }
     if job.mapped().is_none() {
         ranks::alone("--engine golden or reference")?;
-    }
-    if args.steps.is_some() {
-        ranks::alone("--steps")?;
     }
     if args.neurobench {
         if matches!(job, Job::Real(..)) {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::cli::process::ranks;
 use crate::cost::{MeterSettings, StepMeter};
 use crate::drive::priced::Metered;
 use crate::drive::samples::{Run, Running};
@@ -49,6 +50,13 @@ pub fn recorded(
     }
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let layout = StepLayout::new(network, cores_powered);
+    if ranks::several().is_some_and(|ranks| ranks.rank() > 0) {
+        // Rank 0 hears of all steps; the others take part in its groups of samples.
+        let mut nowhere = std::io::sink();
+        let table = StepWriter::new(&mut nowhere, StepFormat::Csv, layout.columns(), None)
+            .map_err(|error| Error::Fault(error.to_string()))?;
+        return Ok(run_recorded(metered, settings, (samples, running), &layout, table)?.0);
+    }
     let run = batch.add(path, |out| {
         let table = StepWriter::new(out, format, layout.columns(), (!ends_early).then_some(rows))?;
         match run_recorded(metered, settings, (samples, running), &layout, table) {

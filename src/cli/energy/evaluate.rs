@@ -26,9 +26,6 @@ pub fn evaluate(
     context: Context,
     report: impl FnOnce(&Workload<'_>, Evaluated) -> Result<Answer, Error>,
 ) -> Result<Answer, Error> {
-    if steps.is_some() {
-        ranks::alone("--steps")?;
-    }
     ranks::price();
     let options = options(args)?;
     let plan = Plan::new(&args.job.model, &args.deployment)?;

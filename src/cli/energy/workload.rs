@@ -64,10 +64,12 @@ pub fn simulate_recorded(
     let keep = Keep { output: workload.compiled.program.output(), probes: Vec::new(), early_exit };
     let mut batch = io::write::Batch::new(context.force);
     let run = output::with_progress(context, samples.len(), "samples", |progress| {
-        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks: None };
+        let running =
+            Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks: ranks::several() };
         let (network, priced) = (&workload.compiled.one, (settings, cores_powered));
         recorded((steps, &mut batch), network, workload.meter(), priced, &samples, running)
     })?;
+    ranks::leave_to_first();
     batch.commit()?;
     Ok(run)
 }
