@@ -18,8 +18,7 @@ const GROUP: u64 = 64;
 /// Bytes of what a step is told.
 const STEP_BYTES: u64 = 32;
 
-const DECAY: &str = include_str!("decay.wgsl");
-const DECAYS: &str = include_str!("decays.wgsl");
+const DECAYS: &str = concat!(include_str!("decay.wgsl"), include_str!("decays.wgsl"));
 
 /// A device that computes.
 #[derive(Debug)]
@@ -112,7 +111,7 @@ impl Gpu {
     }
 
     fn pipeline(&self, source: &str, layout: Option<&wgpu::PipelineLayout>) -> wgpu::ComputePipeline {
-        let source = wgpu::ShaderSource::Wgsl(format!("{DECAY}\n{source}").into());
+        let source = wgpu::ShaderSource::Wgsl(source.into());
         let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source });
         self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: None,

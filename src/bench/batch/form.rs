@@ -1,7 +1,7 @@
 //! A network and its samples as the words that a GPU reads, and the words of spikes that it gives back.
 //!
-//! Input: a network in integers or in real numbers; samples. Output: lists of 32-bit words in the layouts of `step.wgsl` and
-//! `real.wgsl`. Errors: an arithmetic other than the chip's, more synapses than are ever listed, a sample longer than its batch.
+//! Input: a network in integers or in real numbers; samples. Output: lists of 32-bit words in the layouts of `common.wgsl`,
+//! `step.wgsl` and `real.wgsl`. Errors: an arithmetic other than the chip's, more synapses than are ever listed, a sample longer than its batch.
 
 use std::cmp::Reverse;
 use std::fmt::Debug;
@@ -38,7 +38,8 @@ pub trait Arithmetic: Debug {
 pub enum Integers {}
 
 impl Arithmetic for Integers {
-    const SHADER: &'static str = include_str!("step.wgsl");
+    const SHADER: &'static str =
+        concat!(include_str!("common.wgsl"), include_str!("decay.wgsl"), include_str!("step.wgsl"));
     const COMPARTMENT_WORDS: usize = 12;
     const STATE_WORDS: u64 = 3;
     const NAME: &'static str = "integers";
@@ -49,7 +50,7 @@ impl Arithmetic for Integers {
 pub enum Single {}
 
 impl Arithmetic for Single {
-    const SHADER: &'static str = include_str!("real.wgsl");
+    const SHADER: &'static str = concat!(include_str!("common.wgsl"), include_str!("real.wgsl"));
     const COMPARTMENT_WORDS: usize = 13;
     const STATE_WORDS: u64 = 6;
     const NAME: &'static str = "f32";

@@ -2,19 +2,6 @@
 // recursion and current-based ones (docs/semantics.md, equations 2 to 7 without rounding). An invocation is one compartment of
 // one sample. A compiler may join a product and a sum into one rounding, so that last digits differ between devices.
 
-struct Step {
-    step: u32,
-    samples: u32,
-    // Words of 32 samples.
-    words: u32,
-    channels: u32,
-    sources: u32,
-    compartments: u32,
-    // Steps between resets; 0 for none.
-    interval: u32,
-    offset: u32,
-}
-
 struct Compartment {
     // Whether it is a spike response neuron.
     srm: u32,
@@ -41,15 +28,11 @@ struct Synapse {
     adds: f32,
 }
 
-@group(0) @binding(0) var<uniform> now: Step;
 @group(0) @binding(1) var<storage, read> compartments: array<Compartment>;
 @group(0) @binding(2) var<storage, read> synapses: array<Synapse>;
 // Six numbers of all: the potential, then u and the steps for which v is held, or both states of the response, both of the
 // refractory response, and whether it spiked in the last step.
 @group(0) @binding(3) var<storage, read_write> states: array<f32>;
-// A bit a sample: [step][source][word]; channels come before compartments.
-@group(0) @binding(4) var<storage, read_write> spikes: array<atomic<u32>>;
-
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -63,8 +46,6 @@ fn main(
     }
     let compartment = index / now.samples;
     let sample = index % now.samples;
-    let word = sample >> 5u;
-    let bit = sample & 31u;
     let rule = compartments[compartment];
     if (now.step < rule.start_step) {
         return;
@@ -73,16 +54,12 @@ fn main(
     var sum = 0.0;
     for (var at = rule.first_synapse; at < rule.past_synapse; at++) {
         let synapse = synapses[at];
-        if (synapse.way <= now.step) {
-            let carrier = ((now.step - synapse.way) * now.sources + synapse.source) * now.words + word;
-            if (((atomicLoad(&spikes[carrier]) >> bit) & 1u) == 1u) {
-                sum += synapse.adds;
-            }
+        if (arrives(synapse.source, synapse.way, sample)) {
+            sum += synapse.adds;
         }
     }
 
-    let since = now.step - rule.start_step;
-    if (now.interval > 0u && since >= now.offset && (since - now.offset) % now.interval == 0u) {
+    if (returns_to_rest(rule.start_step)) {
         for (var state = 0u; state < 6u; state++) {
             states[state * all + index] = 0.0;
         }
@@ -116,7 +93,6 @@ fn main(
         }
     }
     if (spiked) {
-        let own = (now.step * now.sources + now.channels + compartment) * now.words + word;
-        atomicOr(&spikes[own], 1u << bit);
+        send(compartment, sample);
     }
 }

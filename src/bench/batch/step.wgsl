@@ -2,19 +2,6 @@
 // An invocation is one compartment of one sample. Sums wrap at 32 bits and are narrowed to 22 afterwards, which gives the
 // same as narrowing the exact sum.
 
-struct Step {
-    step: u32,
-    samples: u32,
-    // Words of 32 samples.
-    words: u32,
-    channels: u32,
-    sources: u32,
-    compartments: u32,
-    // Steps between resets; 0 for none.
-    interval: u32,
-    offset: u32,
-}
-
 struct Compartment {
     keep_u: i32,
     keep_v: i32,
@@ -37,14 +24,10 @@ struct Synapse {
     adds: i32,
 }
 
-@group(0) @binding(0) var<uniform> now: Step;
 @group(0) @binding(1) var<storage, read> compartments: array<Compartment>;
 @group(0) @binding(2) var<storage, read> synapses: array<Synapse>;
 // u of all, then v of all, then the refractory counters of all.
 @group(0) @binding(3) var<storage, read_write> registers: array<i32>;
-// A bit a sample: [step][source][word]; channels come before compartments.
-@group(0) @binding(4) var<storage, read_write> spikes: array<atomic<u32>>;
-
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -58,8 +41,6 @@ fn main(
     }
     let compartment = index / now.samples;
     let sample = index % now.samples;
-    let word = sample >> 5u;
-    let bit = sample & 31u;
     let rule = compartments[compartment];
     if (now.step < rule.start_step) {
         return;
@@ -68,19 +49,15 @@ fn main(
     var sum = 0;
     for (var at = rule.first_synapse; at < rule.past_synapse; at++) {
         let synapse = synapses[at];
-        if (synapse.way <= now.step) {
-            let carrier = ((now.step - synapse.way) * now.sources + synapse.source) * now.words + word;
-            if (((atomicLoad(&spikes[carrier]) >> bit) & 1u) == 1u) {
-                sum += synapse.adds;
-            }
+        if (arrives(synapse.source, synapse.way, sample)) {
+            sum += synapse.adds;
         }
     }
 
     var u = registers[index];
     var v = registers[all + index];
     var hold = registers[2u * all + index];
-    let since = now.step - rule.start_step;
-    if (now.interval > 0u && since >= now.offset && (since - now.offset) % now.interval == 0u) {
+    if (returns_to_rest(rule.start_step)) {
         u = 0;
         v = 0;
         hold = 0;
@@ -102,7 +79,6 @@ fn main(
     registers[all + index] = v;
     registers[2u * all + index] = hold;
     if (spiked) {
-        let own = (now.step * now.sources + now.channels + compartment) * now.words + word;
-        atomicOr(&spikes[own], 1u << bit);
+        send(compartment, sample);
     }
 }
