@@ -45,6 +45,7 @@ macro_rules! models {
 
 models!(
     "container-tactile",
+    "container-tactile-clock",
     "container-tactile-srm",
     "paper-container-both-count",
     "paper-container-both-weighted",
@@ -68,6 +69,8 @@ models!(
 pub const TRAININGS: &[Shipped] = shipped!(
     "models/train":
     "container-tactile",
+    "container-tactile-clock",
+    "container-tactile-clock-srm",
     "container-tactile-srm",
     "slip-tactile",
     "slip-vision",

@@ -36,10 +36,7 @@ impl Clock {
     /// (step, channel) of each spike of a sample; none without channels.
     #[must_use]
     pub fn spikes(self, steps: u32, channels: u32) -> Vec<(u32, u32)> {
-        let last = match channels.checked_sub(1) {
-            Some(last) => last,
-            None => return Vec::new(),
-        };
+        let Some(last) = channels.checked_sub(1) else { return Vec::new() };
         (0..steps).map(|step| (step, (step / self.span).min(last))).collect()
     }
 }

@@ -144,6 +144,7 @@ fn every_shipped_model_maps_and_runs() {
         "slip-vision",
         "vtsnn-container",
         "container-tactile",
+        "container-tactile-clock",
         "container-tactile-srm",
     ];
     // A network of the first fold of each cell of the paper's tables.

@@ -199,19 +199,18 @@ struct At {
     high: f64,
 }
 
-/// Which sense alone leads when: a sentence for each task and loss of which both senses are measured over time.
+/// Which sense alone leads when: a sentence for each task, loss and kind of neuron of which both senses are measured over time.
 ///
 /// A sense leads at a time when the whole interval of its accuracy is above that of the other, and above what naming any one class reaches.
 #[must_use]
 pub fn leads(rows: &[PaperRow]) -> Vec<String> {
     let mut said = Vec::new();
-    for (task, loss) in ["slip", "container"].iter().flat_map(|task| LOSSES.map(|loss| (*task, loss))) {
+    let cells = ["slip", "container"].iter().flat_map(|task| LOSSES.map(|loss| (*task, loss)));
+    let kinds = [("early", "Loihi neurons"), ("srm", "spike-response neurons")];
+    for ((task, loss), (table, neurons)) in cells.flat_map(|cell| kinds.map(|kind| (cell, kind))) {
         let by = |modality: &str| {
             let of_cell = rows.iter().filter(move |row| {
-                row.task == task
-                    && row.loss.as_deref() == Some(loss)
-                    && row.modality == modality
-                    && row.table == "early"
+                row.task == task && row.loss.as_deref() == Some(loss) && row.modality == modality && row.table == table
             });
             let at = |row: &PaperRow| {
                 let time_ms = row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.parse().ok()?;
@@ -233,7 +232,7 @@ pub fn leads(rows: &[PaperRow]) -> Vec<String> {
             if times.is_empty() { "never".to_string() } else { format!("at {} ms", times.join(", ")) }
         };
         let (first, second) = (times(&leads), times(&|a, b| leads(b, a)));
-        said.push(format!("{task}, {loss} loss: touch leads {first}, vision {second}"));
+        said.push(format!("{task}, {loss} loss, {neurons}: touch leads {first}, vision {second}"));
     }
     said
 }
@@ -313,7 +312,7 @@ mod tests {
             row("tactile", 40, 0.6, 0.7),
             row("vision", 40, 0.8, 0.9),
         ];
-        assert_eq!(leads(&rows), ["slip, count loss: touch leads at 20 ms, vision at 40 ms"]);
+        assert_eq!(leads(&rows), ["slip, count loss, Loihi neurons: touch leads at 20 ms, vision at 40 ms"]);
         assert_eq!(leads(&rows[..1]), Vec::<String>::new());
     }
 }
