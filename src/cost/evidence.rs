@@ -1,6 +1,6 @@
 //! Constants from what is known of them: one value and one interval from several sources.
 //!
-//! Input: findings of each constant, and the work that must not be used. Output: tables of constants: at their values, and for
+//! Input: findings of each constant, the work that must not be used, and the jobs that are asked about. Output: tables of constants: at their values, and for
 //! each group of constants that are wrong together at the low and at the high end.
 //!
 //! The value is the median of the findings; of two in the middle their mean, or the lower where findings may hold more than the
@@ -9,9 +9,11 @@
 //! takes the base preset's value as an assumption.
 
 use crate::base::diagnostic::Result;
-use crate::base::units::Picoseconds;
+use crate::base::units::{Nanowatts, Picoseconds};
 use crate::cost::constants::CostTable;
-use crate::desc::published::evidence::{ConstantEvidence, EvidenceFile, Finding};
+use crate::desc::published::evidence::{
+    ConstantEvidence, EvidenceFile, Finding, Jobs, RESET_WORD_TIME, X86_BOOT_POWER,
+};
 use crate::desc::published::workload::Accounting;
 use crate::desc::target::{Constant, Constants, Status, Unit};
 
@@ -66,8 +68,10 @@ impl Known {
 pub struct ConstantSet {
     /// Those that counts multiply.
     pub table: CostTable,
-    /// [`VALUE_TRANSFER_TIME`](crate::desc::published::evidence::VALUE_TRANSFER_TIME).
-    pub value_transfer_time: Picoseconds,
+    /// [`RESET_WORD_TIME`].
+    pub reset_word_time: Picoseconds,
+    /// [`X86_BOOT_POWER`].
+    pub x86_boot_power: Nanowatts,
 }
 
 /// Constants at their values and at the ends of their intervals.
@@ -82,23 +86,35 @@ pub struct ConstantSets {
 /// A constant of the evidence: its name, its group, what is known of it.
 type KnownConstant<'f> = (&'f str, &'f str, Known);
 
-/// Findings that count: under the accounting that is asked for, where there are any.
-fn counted(entry: &ConstantEvidence, accounting: Option<Accounting>) -> Vec<&Finding> {
-    let of = |finding: &&Finding| accounting.is_none_or(|accounting| finding.accounting == accounting);
-    let some: Vec<&Finding> = entry.findings.iter().filter(of).collect();
-    if some.is_empty() { entry.findings.iter().collect() } else { some }
+/// Which findings count.
+#[derive(Debug, Clone, Copy, Default)]
+struct Asked<'w> {
+    /// None that this work has a part in.
+    without: Option<&'w str>,
+    /// Those under this accounting, where there are any.
+    accounting: Option<Accounting>,
+    /// Those of these jobs and those of all jobs, where there are any.
+    jobs: Option<Jobs>,
 }
 
-/// What is known of each constant by all findings but those of a work.
-fn known<'f>(
-    file: &'f EvidenceFile,
-    base: &Constants,
-    without: Option<&str>,
-    accounting: Option<Accounting>,
-) -> Vec<KnownConstant<'f>> {
+/// Findings that count.
+fn counted<'f>(entry: &'f ConstantEvidence, asked: Asked<'_>) -> Vec<&'f Finding> {
+    let others = |finding: &&Finding| asked.without.is_none_or(|work| !finding.is_of(work));
+    let mut found: Vec<&Finding> = entry.findings.iter().filter(others).collect();
+    let under = |finding: &Finding| asked.accounting.is_none_or(|accounting| finding.accounting == accounting);
+    let of_jobs = |finding: &Finding| asked.jobs.is_none_or(|jobs| finding.jobs.is_none_or(|own| own == jobs));
+    for counts in [&under as &dyn Fn(&Finding) -> bool, &of_jobs] {
+        if found.iter().any(|finding| counts(finding)) {
+            found.retain(|finding| counts(finding));
+        }
+    }
+    found
+}
+
+/// What is known of each constant by the findings that count.
+fn known<'f>(file: &'f EvidenceFile, base: &Constants, asked: Asked<'_>) -> Vec<KnownConstant<'f>> {
     let one = |entry: &'f ConstantEvidence| {
-        let used = counted(entry, accounting).into_iter().filter(|finding| without != Some(finding.work.as_str()));
-        let known = Known::from_findings(used, entry.upper_bounds).unwrap_or_else(|| {
+        let known = Known::from_findings(counted(entry, asked), entry.upper_bounds).unwrap_or_else(|| {
             let (value, factor) = (value_in(base, &entry.constant.value), uncertainty(Status::Assumed));
             Known { value, low: value / factor, high: value * factor }
         });
@@ -132,7 +148,7 @@ fn scale_barrier(constants: &mut Constants, factor: f64) {
 /// the preset's own value.
 #[must_use]
 pub fn ends(file: &EvidenceFile, preset: &Constants) -> Vec<Constants> {
-    let known = known(file, preset, None, None);
+    let known = known(file, preset, Asked::default());
     let factor = uncertainty(Status::Calibrated);
     let moved = |group: &str, high: bool| {
         let mut constants = preset.clone();
@@ -163,13 +179,15 @@ pub fn preset(file: &EvidenceFile, base: &Constants, accounting: Accounting) -> 
         base.name
     );
     constants.residuals.clear();
-    for (name, _, known) in known(file, base, None, Some(accounting)) {
+    // What a core draws, not what a profiler leaves to it on a board that is almost all off.
+    let asked = Asked { without: None, accounting: Some(accounting), jobs: Some(Jobs::SeveralChips) };
+    for (name, _, known) in known(file, base, asked) {
         if !set(&mut constants, name, known.value) {
             continue;
         }
         let entry = file.constants.iter().find(|entry| entry.constant.value == name);
         if let (Some(constant), Some(entry)) = (constants.get_mut(name), entry) {
-            let counted = counted(entry, Some(accounting));
+            let counted = counted(entry, asked);
             constant.status = counted.iter().map(|finding| finding.status).max().unwrap_or(Status::Assumed);
             let works = counted.iter().map(|finding| format!("{} {}", finding.work, finding.value.value));
             let median = if entry.upper_bounds { "lower median" } else { "median" };
@@ -192,27 +210,34 @@ pub fn interval(value: f64, pairs: impl IntoIterator<Item = [f64; 2]>) -> (f64, 
 }
 
 impl ConstantSets {
-    /// The sets by all findings but those of a work.
+    /// The sets by all findings but those of a work, for such jobs.
     ///
     /// # Errors
     /// As [`CostTable::new`].
-    pub fn new(file: &EvidenceFile, base: &Constants, without: Option<&str>) -> Result<Self> {
-        let known = known(file, base, without, None);
+    pub fn new(file: &EvidenceFile, base: &Constants, without: Option<&str>, jobs: Jobs) -> Result<Self> {
+        let known = known(file, base, Asked { without, accounting: None, jobs: Some(jobs) });
         let at = |group: &str, end: fn(&Known) -> f64, barrier: f64| {
             let mut constants = base.clone();
             constants.name.clone_from(&file.name);
-            let mut transfer = 0.0;
+            let [mut reset_ns, mut boot_mw] = [0.0; 2];
             for (name, own, known) in &known {
                 let value = if *own == group { end(known) } else { known.value };
-                if !set(&mut constants, name, value) {
-                    transfer = value;
+                match *name {
+                    RESET_WORD_TIME => reset_ns = value,
+                    X86_BOOT_POWER => boot_mw = value,
+                    name => {
+                        set(&mut constants, name, value);
+                    }
                 }
             }
             if group == BARRIER {
                 scale_barrier(&mut constants, barrier);
             }
-            let value_transfer_time = Picoseconds((transfer * 1e3).round() as u64);
-            CostTable::new(&constants).map(|table| ConstantSet { table, value_transfer_time })
+            CostTable::new(&constants).map(|table| ConstantSet {
+                table,
+                reset_word_time: Picoseconds((reset_ns * 1e3).round() as u64),
+                x86_boot_power: Nanowatts((boot_mw * 1e6).round() as u64),
+            })
         };
         let factor = uncertainty(Status::Calibrated);
         let ends = |name: &str| {
@@ -244,7 +269,16 @@ mod tests {
 
     fn finding(work: &str, value: f64, status: Status) -> Finding {
         let accounting = Accounting::Profiler;
-        Finding { work: work.to_string(), value: value.into(), accounting, status, source: "s".to_string() }
+        let (shared_with, jobs) = (Vec::new(), None);
+        Finding {
+            work: work.to_string(),
+            shared_with,
+            jobs,
+            value: value.into(),
+            accounting,
+            status,
+            source: "s".to_string(),
+        }
     }
 
     #[test]
@@ -304,13 +338,21 @@ mod tests {
     fn a_work_that_is_left_out_moves_the_constants_that_it_speaks_of_and_no_other() {
         let file = crate::io::published::evidence::shipped().unwrap();
         let base = preset(&file.base.value);
-        let all = ConstantSets::new(&file, &base, None).unwrap();
-        let without = ConstantSets::new(&file, &base, Some("VT-SNN")).unwrap();
+        let all = ConstantSets::new(&file, &base, None, Jobs::SeveralChips).unwrap();
+        let without = ConstantSets::new(&file, &base, Some("VT-SNN"), Jobs::SeveralChips).unwrap();
         assert_eq!(all.value.table.synapse_dense_energy, Femtojoules(29_550));
-        assert_eq!(all.value.table.core_static_power, Nanowatts(64_500));
-        assert_eq!(all.value.table.core_step_energy, Femtojoules(2_894_000));
-        assert_eq!(without.value.table.core_step_energy, Femtojoules(0));
+        assert_eq!(all.value.table.injection_time, Picoseconds(414_000));
+        assert_eq!(without.value.table.injection_time, Picoseconds(2_140_000));
         assert_eq!(without.value.table.synapse_dense_energy, all.value.table.synapse_dense_energy);
+        // Findings of one board's author go together, and those of other jobs do not count.
+        let without = ConstantSets::new(&file, &base, Some("Quartz MNIST"), Jobs::SeveralChips).unwrap();
+        assert_eq!(
+            (all.value.reset_word_time, without.value.reset_word_time),
+            (Picoseconds(19_600), Picoseconds(18_225))
+        );
+        let one = ConstantSets::new(&file, &base, None, Jobs::OneChip).unwrap();
+        assert_eq!(all.value.table.core_static_power, Nanowatts(592_500));
+        assert_eq!(one.value.table.core_static_power, Nanowatts(63_550));
         let (name, [low, high]) = &all.groups[0];
         assert_eq!(name, "event energy");
         assert!(low.table.synapse_dense_energy < all.value.table.synapse_dense_energy);

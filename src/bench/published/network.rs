@@ -11,7 +11,7 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::bench::networks::BuildError;
-use crate::desc::published::workload::{FiringRate, WorkloadFile, WorkloadPopulation, WorkloadProjection};
+use crate::desc::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::quantised::{Connectivity, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units};
 use crate::ir::spikes::Sample;
@@ -33,7 +33,9 @@ pub enum RateEnd {
 }
 
 impl RateEnd {
-    fn of_range(self, rate: FiringRate) -> f64 {
+    /// The value of a range at this end.
+    #[must_use]
+    pub fn of_range(self, rate: Between) -> f64 {
         match self {
             RateEnd::Value => rate.value,
             RateEnd::Low => rate.low,
@@ -45,12 +47,20 @@ impl RateEnd {
 /// Threshold mantissa of every compartment: a threshold of 1,280,000, far above what weights of 2 sum up to.
 const THRESHOLD: i64 = 20_000;
 
+/// A weight by which one spike makes a relay spike: 254 * 64 is above its threshold of 64.
+const RELAY_WEIGHT: i16 = 254;
+
 /// A bias that makes a compartment fire once in `1 / rate` steps, in mantissa and exponent.
 fn bias(rate: f64) -> Result<(BiasMantissa, BiasExponent), BuildError> {
     let wanted = rate * (THRESHOLD << 6) as f64;
     let exponent = (0..7).find(|exponent| wanted / f64::from(1u32 << exponent) <= 4_095.0).unwrap_or(7);
     let mantissa = (wanted / f64::from(1u32 << exponent)).round().min(4_095.0);
     Ok((BiasMantissa::new(mantissa as i64)?, BiasExponent::new(exponent)?))
+}
+
+/// Compartments that spike in the step after their input's, and are at rest otherwise.
+fn relays() -> Result<PerCompartment<Neuron>, BuildError> {
+    Ok(PerCompartment::Same(Neuron { vth: ThresholdMantissa::new(1)?, ..Neuron::PLAIN }))
 }
 
 fn neurons(units: u32, rate: f64, seed: u64) -> Result<PerCompartment<Neuron>, BuildError> {
@@ -92,7 +102,7 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
     let (mut channels, mut compartments, mut input) = (0u32, 0u32, Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
         let (name, sides, rate) = population.parts();
-        let (units, rate) = (sides.iter().product::<u32>(), end.of_range(rate));
+        let (units, rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, |rate| end.of_range(rate)));
         let shape = match *sides {
             [c, h, w] => Shape::Volume(c, h, w),
             _ => Shape::Line(units),
@@ -113,12 +123,21 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
                 compartments += units;
                 Units::Compartments { first, neurons: neurons(units, rate, index as u64)?, start_step: 0 }
             }
+            WorkloadPopulation::Relay { .. } => {
+                let first = CompartmentId(compartments);
+                compartments += units;
+                Units::Compartments { first, neurons: relays()?, start_step: 0 }
+            }
         };
         parts.output = parts.populations.push(Population { name: name.to_string(), shape, units: own, payload: None });
     }
+    let place = |name: &str| {
+        let found = file.populations.iter().position(|population| population.parts().0 == name);
+        PopulationId(found.unwrap_or_default() as u32)
+    };
+    let format = SynapseFormat { exponent: WeightExponent::new(0)?, sign: SignMode::Mixed, bits: WeightBits::new(8)? };
     for (index, projection) in file.projections.iter().enumerate() {
-        let place = |name: &str| file.populations.iter().position(|population| population.parts().0 == name);
-        let [source, target] = projection.ends().map(|name| PopulationId(place(name).unwrap_or_default() as u32));
+        let [source, target] = projection.ends().map(place);
         let size = |id| parts.populations[id].shape.len();
         let (sources, targets, seed) = (size(source), size(target), index as u64);
         let connectivity = match *projection {
@@ -148,10 +167,20 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
                 Connectivity::Random { targets, fan_out, low: 2, high: 2, step: 2, seed, first_source: 0 }
             }
         };
-        let format =
-            SynapseFormat { exponent: WeightExponent::new(0)?, sign: SignMode::Mixed, bits: WeightBits::new(8)? };
         let name = projection.ends().join(" -> ");
         parts.projections.push(Projection { name, source, target, format, delay: Delay::new(0)?, connectivity });
+    }
+    for population in &file.populations {
+        if let WorkloadPopulation::Relay { name, of, shape } = population {
+            let units: u32 = shape.iter().product();
+            let connectivity = Connectivity::Sparse {
+                first: (0..=u64::from(units)).collect::<Vec<_>>().into(),
+                targets: (0..units).collect::<Vec<_>>().into(),
+                weights: vec![RELAY_WEIGHT; units as usize].into(),
+            };
+            let (source, target, name) = (place(of), place(name), format!("{of} -> {name}"));
+            parts.projections.push(Projection { name, source, target, format, delay: Delay::new(0)?, connectivity });
+        }
     }
     let network = Quantised::new(parts)?;
     let sample = Sample::new(WARM_UP + COUNTED, &input, None)?;
@@ -180,9 +209,10 @@ mod tests {
             let before = run(0, WARM_UP);
             let spikes = (run(WARM_UP, WARM_UP + COUNTED) - before) as f64;
             let layers = file.populations.iter().filter(|p| matches!(p, WorkloadPopulation::Layer { .. }));
-            let expected: f64 =
-                layers.map(|p| f64::from(p.parts().1.iter().product::<u32>()) * p.parts().2.value).sum::<f64>()
-                    * f64::from(COUNTED);
+            let expected: f64 = layers
+                .map(|p| f64::from(p.parts().1.iter().product::<u32>()) * p.parts().2.unwrap().value)
+                .sum::<f64>()
+                * f64::from(COUNTED);
             assert!((spikes / expected - 1.0).abs() < 0.1, "{}: {spikes} spikes, {expected} expected", file.name);
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! Input: a workload, a board, sets of constants. Output: each figure of the workload with the interval that follows from the
 //! intervals of constants and rates. A group of constants is moved to its low and to its high end while all others stay; so are
-//! the rates where they are assumed. What the groups do to a figure is added up in squares, as for independent errors, on the
+//! the rates where they are assumed, powered cores and reset words where no source says how many. What the groups do to a figure is added up in squares, as for independent errors, on the
 //! logarithm of the figure.
 
 use super::network::{COUNTED, RateEnd, WARM_UP, build};
@@ -76,7 +76,15 @@ fn simulate(
     let routes = MessageRoutes::of_program(&compiled.program);
     // Every chip in use takes part in the barrier, as all of its tiles.
     let tiles = file.deployment.cores_powered.div_ceil(target.chip().cores_per_tile.into());
-    let tables: Vec<_> = sets.iter().map(|set| set.table.clone()).collect();
+    // Biases keep every compartment of the network from rest; what that costs is linear in the share of steps in which it is so.
+    let share = end.of_range(file.active_share);
+    let table = |set: &&ConstantSet| {
+        let mut table = set.table.clone();
+        table.compartment_active_energy.0 = (table.compartment_active_energy.0 as f64 * share).round() as u128;
+        table.compartment_active_time.0 = (table.compartment_active_time.0 as f64 * share).round() as u64;
+        table
+    };
+    let tables: Vec<_> = sets.iter().map(table).collect();
     let image =
         Image::new(&compiled.program, 1).map_err(|error| PredictError::Image(file.name.clone(), error.to_string()))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
@@ -107,27 +115,57 @@ fn simulate(
     Ok(means)
 }
 
+/// What no source prints and no rate follows from.
+#[derive(Debug, Clone, Copy)]
+struct Scale {
+    cores_powered: f64,
+    reset_words: f64,
+}
+
+impl Scale {
+    fn of_workload(file: &WorkloadFile) -> Self {
+        Scale {
+            cores_powered: file.deployment.cores_powered as f64,
+            reset_words: file.host.reset_words_per_inference.value,
+        }
+    }
+
+    /// Each range at its ends, the other at its value.
+    fn ends(self, file: &WorkloadFile) -> [[Scale; 2]; 2] {
+        let words = file.host.reset_words_per_inference;
+        let cores = match file.deployment.cores_powered_between {
+            Some(range) => [range.low as f64, range.high as f64],
+            None => [self.cores_powered; 2],
+        };
+        [
+            cores.map(|cores_powered| Scale { cores_powered, ..self }),
+            [words.low, words.high].map(|reset_words| Scale { reset_words, ..self }),
+        ]
+    }
+}
+
 /// One figure from the means of a step.
-fn figure(file: &WorkloadFile, asked: &PublishedFigure, means: &Means, set: &ConstantSet) -> f64 {
+fn figure(file: &WorkloadFile, asked: &PublishedFigure, means: &Means, set: &ConstantSet, scale: Scale) -> f64 {
     let (table, deployment) = (&set.table, &file.deployment);
     let copies = f64::from(deployment.copies);
-    let core_nj =
-        copies * means.event_nj + table.core_step_energy.microjoules() * 1e3 * deployment.cores_powered as f64;
+    let core_nj = copies * means.event_nj + table.core_step_energy.microjoules() * 1e3 * scale.cores_powered;
     let in_turn = f64::from(deployment.copies_per_chip) / f64::from(deployment.x86_cores_per_chip);
-    let transfer_us =
-        set.value_transfer_time.microseconds() * f64::from(file.host.values_per_inference) / f64::from(file.steps);
-    let process_us = if file.host.embedded_process { in_turn * table.injection_step_time.microseconds() } else { 0.0 };
-    let free_us = means.spiking_us + in_turn * means.injection_us + transfer_us + process_us;
+    let once_us = set.reset_word_time.microseconds() * scale.reset_words;
+    // An x86 core takes its turn in every step, however little of the inputs is its own.
+    let turn_us = table.injection_step_time.microseconds() * in_turn.max(1.0);
+    let process_us = if file.host.embedded_process { turn_us } else { 0.0 };
+    let free_us = means.spiking_us + in_turn * means.injection_us + once_us / f64::from(file.steps) + process_us;
     let step_us = file.paced_us.unwrap_or(free_us);
-    let x86_mw = table.x86_busy_power.milliwatts() * deployment.x86_cores as f64;
+    let x86_mw = table.x86_busy_power.milliwatts() * deployment.x86_chips.unwrap_or(deployment.x86_cores) as f64;
+    let boot_mw = if asked.above_boot { set.x86_boot_power.milliwatts() * deployment.chips_used as f64 } else { 0.0 };
     // 1 nJ in 1 us is 1 mW.
     let core_mw = core_nj / step_us;
     let all = match asked.quantity {
-        Quantity::CoreStaticPower => table.core_static_power.milliwatts() * deployment.cores_powered as f64,
+        Quantity::CoreStaticPower => table.core_static_power.milliwatts() * scale.cores_powered,
         Quantity::CoreDynamicPower => core_mw,
         Quantity::X86StaticPower => table.x86_static_power.milliwatts() * deployment.x86_cores as f64,
         Quantity::X86DynamicPower => x86_mw,
-        Quantity::DynamicPower => core_mw + x86_mw,
+        Quantity::DynamicPower => core_mw + x86_mw + boot_mw,
         Quantity::StepTime => return step_us,
         Quantity::SpikingTime => return means.spiking_us,
         Quantity::CoreStepEnergy => core_nj,
@@ -163,11 +201,15 @@ pub fn predict(
         let own = which * size..which * size + collections[which].all().count();
         let (sets, means) = (&sets[own.clone()], &at_value[own]);
         let one = |asked: &PublishedFigure| {
-            let value = figure(file, asked, &means[0], sets[0]);
+            let scale = Scale::of_workload(file);
+            let value = figure(file, asked, &means[0], sets[0], scale);
             let pairs = means[1..].chunks_exact(2).zip(sets[1..].chunks_exact(2));
-            let of_constants = pairs.map(|(means, sets)| [0, 1].map(|end| figure(file, asked, &means[end], sets[end])));
-            let of_rates = ends.iter().map(|ends| [0, 1].map(|end| figure(file, asked, &ends[end][which], sets[0])));
-            let (low, high) = interval(value, of_constants.chain(of_rates));
+            let of_constants =
+                pairs.map(|(means, sets)| [0, 1].map(|end| figure(file, asked, &means[end], sets[end], scale)));
+            let of_rates =
+                ends.iter().map(|ends| [0, 1].map(|end| figure(file, asked, &ends[end][which], sets[0], scale)));
+            let of_scale = scale.ends(file).map(|ends| ends.map(|end| figure(file, asked, &means[0], sets[0], end)));
+            let (low, high) = interval(value, of_constants.chain(of_rates).chain(of_scale));
             Predicted { value, low, high }
         };
         file.figures.iter().map(one).collect()

@@ -10,9 +10,31 @@ use super::workload::Accounting;
 use crate::desc::spanned::Spanned;
 use crate::desc::target::{Status, Unit};
 
-/// The time for which the host is busy with each value that it hands over for an inference. No count of a simulated run
-/// multiplies it, so that presets do not have it.
-pub const VALUE_TRANSFER_TIME: &str = "value_transfer_time";
+/// The time in which an x86 core sets one 32-bit word of a core's state registers to zero.
+pub const RESET_WORD_TIME: &str = "reset_word_time";
+/// What a chip's x86 cores draw once a program is loaded, above the idle of a chip that was only switched on.
+pub const X86_BOOT_POWER: &str = "x86_boot_power";
+
+/// Constants of what a host does besides injecting spikes, with their units. No count of a simulated run multiplies them, so that presets
+/// do not have them.
+pub const HOST_CONSTANTS: [(&str, Unit); 2] = [(RESET_WORD_TIME, Unit::ns), (X86_BOOT_POWER, Unit::mW)];
+
+/// Jobs that a finding speaks of, where a profiler attributes the same thing differently to jobs of one chip and of several.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+pub enum Jobs {
+    /// Jobs on one chip.
+    OneChip,
+    /// Jobs on more chips.
+    SeveralChips,
+}
+
+impl Jobs {
+    /// The jobs that one on so many chips belongs to.
+    #[must_use]
+    pub fn on_chips(chips: u64) -> Self {
+        if chips > 1 { Jobs::SeveralChips } else { Jobs::OneChip }
+    }
+}
 
 /// What one source says of a constant.
 #[derive(Debug, Clone, Deserialize)]
@@ -20,6 +42,12 @@ pub const VALUE_TRANSFER_TIME: &str = "value_transfer_time";
 pub struct Finding {
     /// The work that it comes from, as workloads name it.
     pub work: String,
+    /// Further works that it rests on, or that share its authors: it is left out with each of them.
+    #[serde(default)]
+    pub shared_with: Vec<String>,
+    /// The jobs that it speaks of; all where it does not say.
+    #[serde(default)]
+    pub jobs: Option<Jobs>,
     /// The constant by it.
     pub value: Spanned<f64>,
     /// What it attributes to the chip.
@@ -28,6 +56,14 @@ pub struct Finding {
     pub status: Status,
     /// Where it is printed, or how it follows from what is.
     pub source: String,
+}
+
+impl Finding {
+    /// Whether it comes from this work or rests on it.
+    #[must_use]
+    pub fn is_of(&self, work: &str) -> bool {
+        self.work == work || self.shared_with.iter().any(|other| other == work)
+    }
 }
 
 /// A constant and what is known of it.

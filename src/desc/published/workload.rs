@@ -98,17 +98,20 @@ impl Quantity {
     }
 }
 
-/// Spikes a unit and step.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+/// A number that a source prints, or a range for one that none prints.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct FiringRate {
-    /// The mean over units and steps.
+pub struct Between {
+    /// What is taken.
     pub value: f64,
     /// The least that it may have been; equal to the value where it is published.
     pub low: f64,
     /// The greatest.
     pub high: f64,
 }
+
+/// Spikes a unit and step, the mean over units and steps.
+pub type FiringRate = Between;
 
 /// A population of a workload.
 #[derive(Debug, Clone, Deserialize)]
@@ -130,6 +133,15 @@ pub enum WorkloadPopulation {
         shape: Vec<u32>,
         /// How often a compartment spikes.
         rate: FiringRate,
+    },
+    /// A compartment for each unit of an input population, which spikes one step after it: what hands inputs on to other cores.
+    Relay {
+        /// Its name.
+        name: String,
+        /// The input population.
+        of: String,
+        /// Its shape, as that of the input.
+        shape: Vec<u32>,
     },
 }
 
@@ -176,34 +188,51 @@ pub enum WorkloadProjection {
     },
 }
 
+/// How many cores may have been powered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoreRange {
+    /// The least.
+    pub low: u64,
+    /// The most.
+    pub high: u64,
+}
+
 /// What was in use, for all copies together.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorkloadDeployment {
     /// Copies of the network.
     pub copies: u32,
-    /// Copies on the chip that holds most: they are injected one after the other, chips side by side.
+    /// Copies on the chip that holds most that are injected one after the other, chips side by side; 1 where one stream of inputs
+    /// feeds all copies of a chip.
     pub copies_per_chip: u32,
     /// Neuron cores that draw static power.
     pub cores_powered: u64,
+    /// The least and the most that may have been, where no source says.
+    #[serde(default)]
+    pub cores_powered_between: Option<CoreRange>,
     /// Chips in use.
     pub chips_used: u64,
     /// x86 cores in use.
     pub x86_cores: u64,
+    /// Chips whose x86 cores are in use, where these are fewer: most of the power of a chip's x86 cores is that of one clock.
+    #[serde(default)]
+    pub x86_chips: Option<u64>,
     /// x86 cores that share the injection of a chip's copies.
     pub x86_cores_per_chip: u32,
 }
 
 /// What the host does besides injecting spikes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HostWork {
     /// Whether an embedded process takes its turn in every step.
     #[serde(default)]
     pub embedded_process: bool,
-    /// Values that are handed to the chip for each inference.
+    /// 32-bit words of state registers that the x86 core that takes longest sets to zero for each inference.
     #[serde(default)]
-    pub values_per_inference: u32,
+    pub reset_words_per_inference: Between,
 }
 
 /// A printed figure.
@@ -222,6 +251,9 @@ pub struct PublishedFigure {
     pub per_x86_core: bool,
     /// What it attributes to the chip.
     pub accounting: Accounting,
+    /// Whether it is above the idle of a board on which no program was loaded, so that x86 cores count for being on.
+    #[serde(default)]
+    pub above_boot: bool,
     /// Whether it is printed, computed from printed figures, or inferred.
     pub status: Status,
     /// Where it is printed, or how it follows from what is.
@@ -253,6 +285,9 @@ pub struct WorkloadFile {
     pub populations: Vec<WorkloadPopulation>,
     /// The projections.
     pub projections: Vec<WorkloadProjection>,
+    /// The share of steps in which a compartment is not at rest; in all of them where it is not given.
+    #[serde(default = "always")]
+    pub active_share: Between,
     /// The most compartments of a core, where the source put fewer on one than fit.
     #[serde(default)]
     pub compartments_per_core: Option<u32>,
@@ -270,14 +305,20 @@ pub struct WorkloadFile {
     pub figures: Vec<PublishedFigure>,
 }
 
+/// The share of what is so in every step.
+fn always() -> Between {
+    Between { value: 1.0, low: 1.0, high: 1.0 }
+}
+
 impl WorkloadPopulation {
-    /// Name, shape and rate.
+    /// Name, shape and rate; a relay has no rate of its own.
     #[must_use]
-    pub fn parts(&self) -> (&str, &[u32], FiringRate) {
+    pub fn parts(&self) -> (&str, &[u32], Option<FiringRate>) {
         match self {
             WorkloadPopulation::Input { name, shape, rate } | WorkloadPopulation::Layer { name, shape, rate } => {
-                (name, shape, *rate)
+                (name, shape, Some(*rate))
             }
+            WorkloadPopulation::Relay { name, shape, .. } => (name, shape, None),
         }
     }
 }

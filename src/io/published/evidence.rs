@@ -4,9 +4,9 @@
 //! Errors: `evidence.syntax`, `evidence.constant`, `evidence.finding`.
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
-use crate::desc::published::evidence::{EvidenceFile, VALUE_TRANSFER_TIME};
+use crate::desc::published::evidence::{EvidenceFile, HOST_CONSTANTS};
 use crate::desc::spanned::parse;
-use crate::desc::target::{Constants, Unit};
+use crate::desc::target::Constants;
 use crate::io::shipped;
 
 /// The evidence that ships.
@@ -26,7 +26,8 @@ pub fn evidence(source: &SourceText) -> Result<EvidenceFile> {
     let file: EvidenceFile = parse(source, "evidence.syntax")?;
     for entry in &file.constants {
         let name = entry.constant.value.as_str();
-        let unit = if name == VALUE_TRANSFER_TIME { Some(Unit::ns) } else { Constants::unit_of(name) };
+        let of_host = HOST_CONSTANTS.iter().find(|(own, _)| *own == name).map(|&(_, unit)| unit);
+        let unit = of_host.or_else(|| Constants::unit_of(name));
         if unit != Some(entry.unit) {
             let message = match unit {
                 None => format!("there is no constant {name}"),

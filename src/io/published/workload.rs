@@ -4,12 +4,19 @@
 //! join populations that it has. Errors: `workload.syntax`, `workload.population`, `workload.rate`, `workload.figure`.
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
-use crate::desc::published::workload::WorkloadFile;
+use crate::desc::published::workload::{Between, WorkloadFile, WorkloadPopulation};
 use crate::desc::spanned::parse;
 use crate::io::shipped;
 
 /// The most units of a population.
 const MOST_UNITS: u64 = 1 << 22;
+
+/// The most words that are reset for an inference.
+const MOST_RESET_WORDS: f64 = 4_294_967_296.0;
+
+fn is_ordered(range: Between) -> bool {
+    0.0 <= range.low && range.low <= range.value && range.value <= range.high
+}
 
 /// Every workload that ships, in the order in which tables show them.
 ///
@@ -32,8 +39,17 @@ pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
         if !matches!(shape.len(), 1 | 3) || !(1..=MOST_UNITS).contains(&units) {
             return wrong("workload.population", format!("{name}: a shape is one number or three, at most 2^22 units"));
         }
-        if !(0.0 <= rate.low && rate.low <= rate.value && rate.value <= rate.high && rate.high <= 0.5) {
+        if rate.is_some_and(|rate| !is_ordered(rate) || rate.high > 0.5) {
             return wrong("workload.rate", format!("{name}: rates are 0 <= low <= value <= high <= 0.5"));
+        }
+        if let WorkloadPopulation::Relay { of, .. } = population {
+            let is_source = |other: &WorkloadPopulation| {
+                let (own, of_shape, _) = other.parts();
+                matches!(other, WorkloadPopulation::Input { .. }) && own == of && of_shape == shape
+            };
+            if !file.populations.iter().any(is_source) {
+                return wrong("workload.population", format!("{name}: there is no input population {of} of its shape"));
+            }
         }
     }
     for projection in &file.projections {
@@ -48,6 +64,17 @@ pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
         return Err(problem.at(source, figure.published.span));
     }
     let deployment = &file.deployment;
+    let powered = deployment.cores_powered;
+    if deployment.cores_powered_between.is_some_and(|range| !(1..=powered).contains(&range.low) || range.high < powered)
+    {
+        return wrong("workload.figure", "1 <= low <= cores_powered <= high".to_string());
+    }
+    if !is_ordered(file.active_share) || file.active_share.high > 1.0 {
+        return wrong("workload.rate", "active_share is 0 <= low <= value <= high <= 1".to_string());
+    }
+    if !is_ordered(file.host.reset_words_per_inference) || file.host.reset_words_per_inference.high > MOST_RESET_WORDS {
+        return wrong("workload.figure", "reset words are 0 <= low <= value <= high <= 2^32".to_string());
+    }
     if [deployment.copies, deployment.copies_per_chip, deployment.x86_cores_per_chip, file.steps].contains(&0) {
         return wrong("workload.figure", "copies, x86 cores a chip and steps are at least 1".to_string());
     }
