@@ -239,11 +239,14 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         .sum();
     let listed = !any_spatial && sharing::is_listed(network);
     // Where synapses are drawn evenly there are no groups to be found.
-    let promising = !listed || free < EVEN_SYNAPSES || search.end.is_some() || !structure::is_uniform(network);
+    let is_uniform = listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
+    let promising = search.end.is_some() || !is_uniform;
     let affordable = promising && free.saturating_mul(WORK_PER_PIN) <= search.work;
     let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
     let by_sharing = match &sequential {
-        Ok(sequential) if listed && search.work > 0 => sharing::gathered(filler, sequential, chips),
+        Ok(sequential) if listed && search.work > 0 => {
+            sharing::gathered(filler, sequential, chips, is_uniform, search.work)
+        }
         _ => None,
     };
     let mut found: Vec<Found> = Vec::new();
