@@ -45,7 +45,7 @@ use crate::compile::partition::refine::Effort;
 use crate::compile::reason::Reason;
 use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::even_draws;
-use crate::compile::resources::exact::{usage, usage_with_fan_out};
+use crate::compile::resources::exact::{usage, usage_with_fan_out, with_fan_out};
 use crate::compile::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::compile::resources::incremental::Filling;
 use crate::cost::constants::CostTable;
@@ -201,10 +201,13 @@ fn partition_copies(
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
 fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partition, PartitionError> {
-    let Found { members, fan_out } = found;
+    let Found { members, fan_out, usage: filled } = found;
     let seats = seats(network.compartments(), &members)?;
-    let usage = match fan_out {
-        Some(fan_out) if fan_out.together.is_empty() => {
+    let usage = match (fan_out, filled) {
+        (Some(fan_out), Some(filled)) if fan_out.together.is_empty() => {
+            with_fan_out(filled.iter().copied(), &members, &fan_out)
+        }
+        (Some(fan_out), None) if fan_out.together.is_empty() => {
             usage_with_fan_out(network, &members, &seats, &fan_out, target.limits())
         }
         _ => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
@@ -331,9 +334,9 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
                 return Ok(sorted);
             }
             let best = found.iter().position(|one| one.members == *best).unwrap_or_default();
-            let Found { members, fan_out } = found.swap_remove(best);
+            let Found { members, fan_out, usage } = found.swap_remove(best);
             // Chips that are assumed to be apart are not those that will be.
-            Ok(Found { members, fan_out: fan_out.filter(|_| chips == Chips::Row) })
+            Ok(Found { members, fan_out: fan_out.filter(|_| chips == Chips::Row), usage })
         }
         (None, Some(failure)) => Err(failure),
         (None, None) => Err(CompileError::fault("no strategy had an answer")),
@@ -397,7 +400,7 @@ fn fewest<'m>(filler: &Filler<'_>, found: &'m [Found], rates: &Rates) -> Option<
 
 /// Members whose output axons have not been counted.
 fn uncounted(members: Members) -> Found {
-    Found { members, fan_out: None }
+    Found { members, fan_out: None, usage: None }
 }
 
 /// Members after some compartments of different cores have changed places, as a start that leads elsewhere.

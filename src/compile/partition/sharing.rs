@@ -5,8 +5,8 @@
 //! sources with those it holds, until a limit would be broken; a source that reaches a core already costs no further input
 //! axon there and no further message.
 //!
-//! Candidates are those of a pool of consecutive compartments, so that n compartments with k synapses in and out
-//! take k^2 steps for each of a pool, and pools are filled side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where
+//! Candidates are those of a pool of consecutive compartments, so that compartments with k synapses in and out take
+//! k^2 * `POOL` steps in all and a look over its pool each, and pools are filled side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where
 //! synapses are drawn evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps within the effort. Where
 //! that leaves few candidates, or synapses are drawn evenly and a pool is a small part of the network, nothing is gathered.
 
@@ -128,11 +128,11 @@ fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips
         }
         if spare.is_empty() {
             let most = filler.target.limits()[Resource::AxonsOutPerCompartment];
-            return fan_out
-                .axons
-                .iter()
-                .all(|&axons| axons <= most)
-                .then_some(Found { members, fan_out: Some(fan_out) });
+            return fan_out.axons.iter().all(|&axons| axons <= most).then_some(Found {
+                members,
+                fan_out: Some(fan_out),
+                usage: None,
+            });
         }
         spare.sort_unstable();
         for held in filled(filler, units, &spare, &fan_out.slots)? {
