@@ -43,8 +43,6 @@ use crate::ir::quantised::{Population, Projection, Quantised, SynapseFormat, Uni
 const PIECE_SYNAPSES: u64 = 1 << 18;
 /// Sources that are decoded together at most.
 const MOST_SOURCES: u16 = 1 << 13;
-/// Cores whose lists are read together.
-const NEIGHBOURS: usize = 64;
 
 /// A difference between a program and its network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -128,17 +126,20 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
             .into_par_iter()
             .map_init(Decoder::default, |decoder, number| {
                 let sources = number * piece..((number + 1) * piece).min(size);
+                decoder.enumerate(network, &outgoing, sources.clone(), program);
                 decoder.decode(program, &population.units, sources.clone());
-                for index in sources.clone() {
-                    let decoded = decoder.of_source(index - sources.start);
-                    mean(network, &outgoing, (index, program), &mut decoder.meant);
-                    if decoder.meant != decoder.decoded[decoded.clone()] {
+                match decoder.first_that_differs() {
+                    None => Ok(()),
+                    Some((source, meant)) => {
+                        let index = sources.start + source;
                         let source_name = name_of(&population.units, index);
-                        let (decoded, meant) = (decoded.len(), decoder.meant.len());
-                        return Err(Difference::Synapses { source_name, decoded, meant });
+                        let of_message = |message: &AxonTarget| {
+                            program.cores()[message.core].inputs.get(usize::from(message.axon)).synapses().len()
+                        };
+                        let decoded = messages_of(program, &population.units, index).iter().map(of_message).sum();
+                        Err(Difference::Synapses { source_name, decoded, meant })
                     }
                 }
-                Ok(())
             })
             .find_map_first(Result::err);
         if let Some(difference) = failed {
@@ -204,83 +205,168 @@ fn name_of(units: &Units, index: u32) -> String {
     }
 }
 
-/// D(s) of consecutive sources. Their messages are followed for some neighbouring cores at a time: the lists of a million
-/// sources lie all over the memory of tens of thousands of cores.
+/// Whether two lists are equal as multisets: how often each number occurs in one, in a table of open addresses.
+#[derive(Default)]
+struct Tally {
+    /// Number, the comparison by count in which it stands here, and how often it occurs; a power of two of them.
+    slots: Vec<(u64, u32, u32)>,
+    comparison: u32,
+}
+
+impl Tally {
+    fn is_equal(&mut self, a: &[SynapseCode], b: &[SynapseCode]) -> bool {
+        if a.len() != b.len() {
+            return false;
+        }
+        // At most half of them are in use, so that searching ends.
+        let slots = (2 * a.len()).next_power_of_two().max(2);
+        if self.slots.len() < slots || self.comparison == u32::MAX {
+            (self.slots, self.comparison) = (vec![(0, 0, 0); slots.max(self.slots.len())], 0);
+        }
+        self.comparison += 1;
+        let (slots, comparison) = (&mut self.slots[..slots], self.comparison);
+        for code in a {
+            let slot = Self::slot_of(slots, *code, comparison);
+            if slot.1 != comparison {
+                *slot = (code.0, comparison, 0);
+            }
+            slot.2 += 1;
+        }
+        b.iter().all(|code| {
+            let slot = Self::slot_of(slots, *code, comparison);
+            let occurs = slot.1 == comparison && slot.2 > 0;
+            slot.2 = slot.2.wrapping_sub(u32::from(occurs));
+            occurs
+        })
+    }
+
+    /// Where a number stands, or would.
+    fn slot_of(slots: &mut [(u64, u32, u32)], code: SynapseCode, comparison: u32) -> &mut (u64, u32, u32) {
+        let mask = slots.len() - 1;
+        // The upper bits of the product depend on all bits of the number.
+        let mut at = (code.0.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - slots.len().ilog2())) as usize;
+        while slots[at].1 == comparison && slots[at].0 != code.0 {
+            at = (at + 1) & mask;
+        }
+        &mut slots[at]
+    }
+}
+
+/// R(s) and D(s) of consecutive sources. Their messages are followed core by core: the lists of a million sources lie all
+/// over the memory of tens of thousands of cores, those of a piece side by side on each of them.
 #[derive(Default)]
 struct Decoder {
-    /// (core, axon, source within the piece) by range of cores.
-    messages: Vec<Vec<(AxonTarget, u16)>>,
-    /// Every synapse with its source.
-    synapses: Vec<(u16, SynapseCode)>,
-    /// Where each source's synapses begin among the decoded, and one more.
+    /// Where the messages to each core end.
+    ends: Vec<u32>,
+    /// (axon, source within the piece), by core.
+    messages: Vec<(u16, u16)>,
+    /// Where each source's synapses begin among the meant, and one more.
     first: Vec<usize>,
-    decoded: Vec<SynapseCode>,
-    /// R(s) of one source.
     meant: Vec<SynapseCode>,
+    /// Where the next synapse of each source goes among the decoded, which have room for as many as are meant.
+    next: Vec<usize>,
+    decoded: Vec<SynapseCode>,
+    tally: Tally,
 }
 
 impl Decoder {
-    fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>) {
-        self.messages.resize_with(program.cores().len().div_ceil(NEIGHBOURS), Vec::new);
-        for (source, index) in (0u16..).zip(sources.clone()) {
-            for message in messages_of(program, units, index) {
-                self.messages[message.core.index() / NEIGHBOURS].push((*message, source));
+    /// R(s): the network's synapses, of a part those to what it holds.
+    fn enumerate(&mut self, network: &Quantised, outgoing: &[&Projection], sources: Range<u32>, program: &Program) {
+        let part = program.held_rank().is_some();
+        self.meant.clear();
+        self.first.clear();
+        for index in sources {
+            self.first.push(self.meant.len());
+            for projection in outgoing {
+                let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
+                projection.connectivity.for_each_from(index, |target, weight| {
+                    let target = CompartmentId(first.0 + target);
+                    if !part || program.holds(program.seats()[target].core) {
+                        self.meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
+                    }
+                });
             }
         }
-        self.synapses.clear();
-        self.first.clear();
-        self.first.resize(sources.len() + 1, 0);
-        for (message, source) in self.messages.iter_mut().flat_map(|messages| messages.drain(..)) {
-            let image = &program.cores()[message.core];
-            let list = image.inputs.get(usize::from(message.axon)).synapses();
-            self.first[usize::from(source) + 1] += list.len();
-            self.synapses.extend(list.map(|synapse| {
-                let format = image.formats[usize::from(synapse.format)].synapse;
-                (source, SynapseCode::new(image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay))
-            }));
-        }
-        for source in 0..sources.len() {
-            self.first[source + 1] += self.first[source];
+        self.first.push(self.meant.len());
+    }
+
+    /// D(s), as far as there is room.
+    fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>) {
+        let all = || (0u16..).zip(sources.clone()).map(|(source, index)| (source, messages_of(program, units, index)));
+        self.ends.clear();
+        self.ends.resize(program.cores().len() + 1, 0);
+        all().flat_map(|(_, messages)| messages).for_each(|message| self.ends[message.core.index() + 1] += 1);
+        (0..program.cores().len()).for_each(|core| self.ends[core + 1] += self.ends[core]);
+        self.messages.clear();
+        self.messages.resize(self.ends.last().map_or(0, |&end| end as usize), (0, 0));
+        for (source, messages) in all() {
+            for message in messages {
+                // Beginnings move to ends.
+                let place = &mut self.ends[message.core.index()];
+                self.messages[*place as usize] = (message.axon, source);
+                *place += 1;
+            }
         }
         self.decoded.clear();
-        self.decoded.resize(self.synapses.len(), SynapseCode(0));
-        for &(source, code) in self.synapses.iter().rev() {
-            // Ends move to beginnings.
-            let place = &mut self.first[usize::from(source) + 1];
-            *place -= 1;
-            self.decoded[*place] = code;
-        }
-        self.first.push(self.synapses.len());
-        self.first.remove(0);
-        for source in 0..sources.len() as u32 {
-            let range = self.of_source(source);
-            self.decoded[range].sort_unstable();
+        self.decoded.resize(self.meant.len(), SynapseCode(0));
+        self.next.clear();
+        self.next.extend_from_slice(&self.first[..sources.len()]);
+        let mut begin = 0;
+        for (image, &end) in program.cores().iter().zip(&self.ends) {
+            let of_core = &self.messages[begin as usize..end as usize];
+            begin = end;
+            for &(axon, source) in of_core {
+                let (next, end) = (&mut self.next[usize::from(source)], self.first[usize::from(source) + 1]);
+                for synapse in image.inputs.get(usize::from(axon)).synapses() {
+                    if *next < end {
+                        let target = image.ids[usize::from(synapse.slot)];
+                        let format = image.formats[usize::from(synapse.format)].synapse;
+                        self.decoded[*next] = SynapseCode::new(target, format, synapse.weight, synapse.delay);
+                    }
+                    *next += 1;
+                }
+            }
         }
     }
 
-    /// Where the synapses of a source of the piece are among the decoded.
-    fn of_source(&self, source: u32) -> Range<usize> {
-        self.first[source as usize]..self.first[source as usize + 1]
+    /// The first source of the piece for which they are not equal, and how many synapses the network gives it.
+    fn first_that_differs(&mut self) -> Option<(u32, usize)> {
+        for (source, &next) in self.next.iter().enumerate() {
+            let range = self.first[source]..self.first[source + 1];
+            let (meant, decoded) = (&self.meant[range.clone()], &self.decoded[range.clone()]);
+            if next != range.end || !self.tally.is_equal(meant, decoded) {
+                return Some((source as u32, meant.len()));
+            }
+        }
+        None
     }
 }
 
-/// R(s): the network's synapses, of a part those to what it holds.
-fn mean(
-    network: &Quantised,
-    outgoing: &[&Projection],
-    (index, program): (u32, &Program),
-    meant: &mut Vec<SynapseCode>,
-) {
-    let part = program.held_rank().is_some();
-    meant.clear();
-    for projection in outgoing {
-        let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
-        projection.connectivity.for_each_from(index, |target, weight| {
-            let target = CompartmentId(first.0 + target);
-            if !part || program.holds(program.seats()[target].core) {
-                meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::rng;
+
+    #[test]
+    fn a_tally_finds_what_sorting_finds() {
+        let mut tally = Tally::default();
+        for seed in 0..2_000 {
+            let size = rng::below(200, 1, seed, 0);
+            // Few numbers, so that they occur several times.
+            let a: Vec<SynapseCode> = (1..=size).map(|k| SynapseCode(rng::below(size, 2, seed, k))).collect();
+            let mut b = a.clone();
+            b.reverse();
+            if seed % 2 == 1 && !b.is_empty() {
+                let at = rng::below(size, 3, seed, 0) as usize;
+                b[at] = SynapseCode(rng::below(size + 2, 4, seed, 0));
             }
-        });
+            let sorted = |list: &[SynapseCode]| {
+                let mut list = list.to_vec();
+                list.sort_unstable();
+                list
+            };
+            assert_eq!(tally.is_equal(&a, &b), sorted(&a) == sorted(&b), "{seed}");
+            assert!(a.is_empty() || !tally.is_equal(&a, &b[1..]), "{seed}, one fewer");
+        }
     }
-    meant.sort_unstable();
 }

@@ -330,7 +330,8 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
         let target = &program.cores()[message.core];
         let on_chip = target.site.chip == image.site.chip;
         let plain = if on_chip { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
-        let axon = by_position.zip(population(message));
+        // Tables of other cores are looked into only where that matters.
+        let axon = by_position.and_then(|more| Some((more, population(message)?)));
         let is_long = |axon: u16| is_long(&target.inputs.populations[usize::from(axon)], limits);
         plain + axon.filter(|&(_, axon)| is_long(axon)).map_or(0, |(more, _)| more)
     };

@@ -34,7 +34,8 @@ use crate::ir::program::{
 };
 use crate::ir::quantised::{Population, Quantised, Units};
 
-/// Sources whose messages are sorted by one task.
+/// Sources whose messages are sorted by one task. With fewer the sources of each core are read in shorter runs: 4,096 took twice the
+/// time.
 const PIECE: u32 = 1 << 14;
 
 /// The program of a network, so many equal copies that share nothing, on its places. What equal cores of several copies store

@@ -22,6 +22,10 @@
 //! that still have too many are treated in the same way: trees grow level by level. Targets go to relays in the order of
 //! compartments, so that those of a relay are neighbours in the order of the file.
 
+use std::ops::Range;
+
+use rayon::prelude::*;
+
 use crate::base::diagnostic::Diagnostic;
 use crate::base::fixed::{Delay, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use crate::base::id::{CompartmentId, IdVec, PopulationId, ProjectionId};
@@ -33,6 +37,8 @@ use crate::ir::quantised::{
 
 /// Weight of the synapse of a relay: twice its threshold of 1 mantissa unit.
 const WEIGHT: i16 = 2;
+/// Compartments whose synapses one task divides.
+const PIECE: u32 = 1 << 10;
 /// Levels of a tree at most: each takes a step of delay, of which a synapse has 62.
 const MOST_LEVELS: usize = 62;
 
@@ -173,6 +179,23 @@ impl Lists {
         self.weights.push(weight);
     }
 
+    /// One after the other.
+    fn together(all: Vec<Lists>) -> Self {
+        let sum = |of: fn(&Lists) -> usize| all.iter().map(of).sum::<usize>();
+        let (lists, synapses) = (sum(|lists| lists.first.len()), sum(|lists| lists.targets.len()));
+        let mut together = Lists::new();
+        together.first.reserve_exact(lists);
+        together.targets.reserve_exact(synapses);
+        together.weights.reserve_exact(synapses);
+        for Lists { first, targets, weights } in all {
+            let before = together.targets.len() as u64;
+            together.first.extend(first.iter().skip(1).map(|end| before + end));
+            together.targets.extend(targets);
+            together.weights.extend(weights);
+        }
+        together
+    }
+
     fn into_connectivity(self) -> Connectivity {
         let Lists { first, targets, weights } = self;
         Connectivity::Sparse { first: first.into(), targets: targets.into(), weights: weights.into() }
@@ -269,51 +292,112 @@ fn relay_format() -> Result<SynapseFormat, Diagnostic> {
     format().map_err(|error: crate::base::fixed::OutOfRange| refused(error.to_string()))
 }
 
+/// The synapses of some consecutive compartments, divided among them and their relays.
+struct Divided {
+    /// By outgoing projection, those of the compartments and those of their relays.
+    direct: Vec<Lists>,
+    carried: Vec<Lists>,
+    /// Those from the compartments to their relays.
+    over: Lists,
+}
+
+impl Divided {
+    fn nothing(outgoing: usize) -> Self {
+        let lists = || (0..outgoing).map(|_| Lists::new()).collect();
+        Divided { direct: lists(), carried: lists(), over: Lists::new() }
+    }
+}
+
+/// What synapses are divided by.
+struct Division<'a> {
+    network: &'a Quantised,
+    outgoing: &'a [ProjectionId],
+    /// The first compartment of the target of each outgoing projection.
+    first: Vec<CompartmentId>,
+    /// Whether each outgoing projection has delay to spare.
+    can_wait: Vec<bool>,
+    need: &'a Need,
+    most: u32,
+}
+
+impl Division<'_> {
+    /// Of these compartments, whose relays are numbered from `relay`.
+    fn divided(&self, compartments: Range<u32>, mut relay: u32) -> Divided {
+        let Division { network, outgoing, .. } = self;
+        let mut divided = Divided::nothing(outgoing.len());
+        let (mut synapses, mut waiting): (Vec<Synapse>, Vec<Synapse>) = (Vec::new(), Vec::new());
+        for index in compartments {
+            let relays = self.need.relays[index as usize];
+            synapses.clear();
+            for (projection, &id) in outgoing.iter().enumerate() {
+                network.projections()[id].connectivity.for_each_from(index, |target, weight| {
+                    let target_id = CompartmentId(self.first[projection].0 + target);
+                    synapses.push(Synapse { target: target_id, projection, index: target, weight });
+                });
+            }
+            waiting.clear();
+            if relays > 0 {
+                // What has no delay to spare stays; then as many of the others as there are axons left.
+                let can_wait = |synapse: &Synapse| self.can_wait[synapse.projection];
+                synapses.sort_unstable_by_key(|synapse| (can_wait(synapse), *synapse));
+                let all = synapses.iter().filter(|synapse| can_wait(synapse)).count();
+                let room = (self.most.saturating_sub(relays) as usize).saturating_sub(synapses.len() - all);
+                let keep = synapses.len() - all + room.min(all);
+                waiting.extend(synapses.drain(keep..));
+            }
+            synapses.sort_unstable_by_key(|synapse| (synapse.projection, synapse.index));
+            for synapse in &synapses {
+                divided.direct[synapse.projection].push(synapse.index, synapse.weight);
+            }
+            divided.direct.iter_mut().for_each(Lists::end);
+            for part in 0..relays as usize {
+                let all = waiting.len();
+                let range = all * part / relays as usize..all * (part + 1) / relays as usize;
+                for synapse in &waiting[range] {
+                    divided.carried[synapse.projection].push(synapse.index, synapse.weight);
+                }
+                divided.carried.iter_mut().for_each(Lists::end);
+                divided.over.push(relay, WEIGHT);
+                relay += 1;
+            }
+            divided.over.end();
+        }
+        divided
+    }
+}
+
 /// Divides the synapses of a population among its compartments and their relays; returns the synapses of the relays.
 fn split(network: &Quantised, parts: &mut Parts, need: &Need, most: u32, relays: PopulationId) -> Connectivity {
     let outgoing: Vec<ProjectionId> = network.outgoing(need.of).to_vec();
-    let first: Vec<CompartmentId> = network.targets_of(need.of).map(|(_, _, first)| first).collect();
-    let mut direct: Vec<Lists> = outgoing.iter().map(|_| Lists::new()).collect();
-    let mut carried: Vec<Lists> = outgoing.iter().map(|_| Lists::new()).collect();
-    let mut over = Lists::new();
-    let (mut relay, mut synapses, mut waiting): (u32, Vec<Synapse>, Vec<Synapse>) = (0, Vec::new(), Vec::new());
-    for (index, &of_source) in (0..).zip(&need.relays) {
-        synapses.clear();
-        for (projection, &id) in outgoing.iter().enumerate() {
-            network.projections()[id].connectivity.for_each_from(index, |target, weight| {
-                let target_id = CompartmentId(first[projection].0 + target);
-                synapses.push(Synapse { target: target_id, projection, index: target, weight });
-            });
-        }
-        waiting.clear();
-        if of_source > 0 {
-            // What has no delay to spare stays; then as many of the others as there are axons left.
-            let can_wait = |synapse: &Synapse| parts.projections[outgoing[synapse.projection]].delay > Delay::MIN;
-            synapses.sort_unstable_by_key(|synapse| (can_wait(synapse), *synapse));
-            let all = synapses.iter().filter(|synapse| can_wait(synapse)).count();
-            let room = (most.saturating_sub(of_source) as usize).saturating_sub(synapses.len() - all);
-            let keep = synapses.len() - all + room.min(all);
-            waiting.extend(synapses.drain(keep..));
-        }
-        synapses.sort_unstable_by_key(|synapse| (synapse.projection, synapse.index));
-        for synapse in &synapses {
-            direct[synapse.projection].push(synapse.index, synapse.weight);
-        }
-        direct.iter_mut().for_each(Lists::end);
-        for part in 0..of_source as usize {
-            let all = waiting.len();
-            let range = all * part / of_source as usize..all * (part + 1) / of_source as usize;
-            for synapse in &waiting[range] {
-                carried[synapse.projection].push(synapse.index, synapse.weight);
-            }
-            carried.iter_mut().for_each(Lists::end);
-            over.push(relay, WEIGHT);
-            relay += 1;
-        }
-        over.end();
-    }
+    let division = Division {
+        network,
+        outgoing: &outgoing,
+        first: network.targets_of(need.of).map(|(_, _, first)| first).collect(),
+        can_wait: outgoing.iter().map(|&id| parts.projections[id].delay > Delay::MIN).collect(),
+        need,
+        most,
+    };
+    let size = need.relays.len() as u32;
+    let mut relay = 0;
+    let pieces: Vec<(Range<u32>, u32)> = (0..size)
+        .step_by(PIECE as usize)
+        .map(|from| {
+            let piece = from..(from + PIECE).min(size);
+            let of_piece: u32 = need.relays[piece.start as usize..piece.end as usize].iter().sum();
+            relay += of_piece;
+            (piece, relay - of_piece)
+        })
+        .collect();
+    let mut divided: Vec<Divided> =
+        pieces.into_par_iter().map(|(piece, relay)| division.divided(piece, relay)).collect();
+    let together = |of: &mut dyn FnMut(&mut Divided) -> Lists, divided: &mut [Divided]| {
+        Lists::together(divided.iter_mut().map(of).collect())
+    };
+    let over = together(&mut |of| std::mem::take(&mut of.over), &mut divided);
     let name = parts.populations[relays].name.clone();
-    for ((id, direct), carried) in outgoing.into_iter().zip(direct).zip(carried) {
+    for (at, &id) in outgoing.iter().enumerate() {
+        let direct = together(&mut |of| std::mem::take(&mut of.direct[at]), &mut divided);
+        let carried = together(&mut |of| std::mem::take(&mut of.carried[at]), &mut divided);
         let projection = &mut parts.projections[id];
         projection.connectivity = direct.into_connectivity();
         if carried.targets.is_empty() {

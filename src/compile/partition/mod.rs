@@ -45,7 +45,7 @@ use crate::compile::partition::refine::Effort;
 use crate::compile::reason::Reason;
 use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::even_draws;
-use crate::compile::resources::exact::{usage, usage_with_fan_out};
+use crate::compile::resources::exact::{usage, usage_with_fan_out, with_fan_out};
 use crate::compile::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::compile::resources::incremental::Filling;
 use crate::cost::constants::CostTable;
@@ -90,7 +90,8 @@ const WORK_PER_SECOND: u64 = 200_000_000;
 const WORK_PER_PIN: u64 = 60;
 /// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
 const EVEN_SYNAPSES: u64 = 1 << 18;
-/// How many times as long as in the order of the file the busiest core may work, times the cores saved.
+/// How many times as long as in the order of the file the busiest core may work where that saves fewer cores; where it saves more, as
+/// many times. Where no population is over space, so many times the cores saved.
 const MOST_LONGER: f64 = 1.1;
 /// Synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
@@ -201,10 +202,13 @@ fn partition_copies(
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
 fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partition, PartitionError> {
-    let Found { members, fan_out } = found;
+    let Found { members, fan_out, usage: filled } = found;
     let seats = seats(network.compartments(), &members)?;
-    let usage = match fan_out {
-        Some(fan_out) if fan_out.together.is_empty() => {
+    let usage = match (fan_out, filled) {
+        (Some(fan_out), Some(filled)) if fan_out.together.is_empty() => {
+            with_fan_out(filled.iter().copied(), &members, &fan_out)
+        }
+        (Some(fan_out), None) if fan_out.together.is_empty() => {
             usage_with_fan_out(network, &members, &seats, &fan_out, target.limits())
         }
         _ => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
@@ -239,11 +243,14 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         .sum();
     let listed = !any_spatial && sharing::is_listed(network);
     // Where synapses are drawn evenly there are no groups to be found.
-    let promising = !listed || free < EVEN_SYNAPSES || search.end.is_some() || !structure::is_uniform(network);
+    let is_uniform = listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
+    let promising = search.end.is_some() || !is_uniform;
     let affordable = promising && free.saturating_mul(WORK_PER_PIN) <= search.work;
     let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
     let by_sharing = match &sequential {
-        Ok(sequential) if listed && search.work > 0 => sharing::gathered(filler, sequential, chips),
+        Ok(sequential) if listed && search.work > 0 => {
+            sharing::gathered(filler, sequential, chips, is_uniform, search.work)
+        }
         _ => None,
     };
     let mut found: Vec<Found> = Vec::new();
@@ -328,9 +335,9 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
                 return Ok(sorted);
             }
             let best = found.iter().position(|one| one.members == *best).unwrap_or_default();
-            let Found { members, fan_out } = found.swap_remove(best);
+            let Found { members, fan_out, usage } = found.swap_remove(best);
             // Chips that are assumed to be apart are not those that will be.
-            Ok(Found { members, fan_out: fan_out.filter(|_| chips == Chips::Row) })
+            Ok(Found { members, fan_out: fan_out.filter(|_| chips == Chips::Row), usage })
         }
         (None, Some(failure)) => Err(failure),
         (None, None) => Err(CompileError::fault("no strategy had an answer")),
@@ -365,9 +372,13 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     found.retain(|one| {
         let longer = |(&times, least): (&u64, &f64)| busiest(&one.members, times) / least.max(f64::MIN_POSITIVE);
         let longer = ways.iter().zip(&least).map(longer).fold(0.0, f64::max);
-        // The rest of a step takes as long in any case, so that steps differ by less than their busiest cores.
         let saved = first as f64 / one.members.len().max(1) as f64;
-        let kept = longer <= MOST_LONGER * saved.max(1.0);
+        let most = match over_space {
+            true => MOST_LONGER.max(saved),
+            // The rest of a step, which takes as long in any case, is most of it there.
+            false => MOST_LONGER * saved.max(1.0),
+        };
+        let kept = longer <= most;
         longest = if kept { longest.max(longer) } else { longest };
         kept
     });
@@ -394,7 +405,7 @@ fn fewest<'m>(filler: &Filler<'_>, found: &'m [Found], rates: &Rates) -> Option<
 
 /// Members whose output axons have not been counted.
 fn uncounted(members: Members) -> Found {
-    Found { members, fan_out: None }
+    Found { members, fan_out: None, usage: None }
 }
 
 /// Members after some compartments of different cores have changed places, as a start that leads elsewhere.

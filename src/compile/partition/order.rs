@@ -28,6 +28,7 @@ use crate::compile::resources::fan_out::{
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::desc::resource::{Capacity, OutputAxons, Resource};
 use crate::desc::target::Target;
+use crate::ir::partition::CoreUsage;
 use crate::ir::quantised::{Quantised, Units};
 
 /// Rounds of filling after which output axons are given up on: the margin is then 2^9 times the fan-out.
@@ -153,13 +154,43 @@ impl Misfits {
     }
 }
 
-/// Compartments of each core, and their fan-out on the chips that were assumed, where it has been counted.
+/// Compartments of each core, and what is known of them besides.
 #[derive(Debug, Clone)]
 pub struct Found {
     /// The compartments.
     pub members: Members,
-    /// Their fan-out.
+    /// Their fan-out on the chips that were assumed, where it has been counted.
     pub fan_out: Option<FanOut>,
+    /// What each core uses but for output axons, where filling has counted it exactly.
+    pub usage: Option<IdVec<CoreId, CoreUsage>>,
+}
+
+/// Cores that were filled, and what each of them uses; none once it is not known of one.
+struct Filled {
+    members: Vec<Vec<CompartmentId>>,
+    usage: Option<Vec<CoreUsage>>,
+}
+
+impl Filled {
+    fn nothing() -> Self {
+        Filled { members: Vec::new(), usage: Some(Vec::new()) }
+    }
+
+    fn push(&mut self, held: Vec<CompartmentId>, used: Option<CoreUsage>) {
+        self.members.push(held);
+        match (&mut self.usage, used) {
+            (Some(usage), Some(used)) => usage.push(used),
+            _ => self.usage = None,
+        }
+    }
+
+    fn append(&mut self, other: Filled) {
+        self.members.extend(other.members);
+        match (&mut self.usage, other.usage) {
+            (Some(usage), Some(more)) => usage.extend(more),
+            _ => self.usage = None,
+        }
+    }
 }
 
 /// What compartments are expected to send ([`FanOut`]).
@@ -210,7 +241,7 @@ impl<'a> Filler<'a> {
     /// # Errors
     /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
     pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, CompileError> {
-        if order.len() < 2 {
+        if !self.may_keep_whole(order) {
             return self.settled(order, chips, true);
         }
         let (whole, full) = rayon::join(|| self.settled(order, chips, true), || self.settled(order, chips, false));
@@ -221,12 +252,21 @@ impl<'a> Filler<'a> {
         }
     }
 
+    /// Whether keeping segments whole could fill cores otherwise than not: a segment that is no tile is kept whole only where
+    /// one before it has begun a core, and where a core has seats for all of it; parts of a long order begin cores of their own.
+    fn may_keep_whole(&self, order: &[Segment]) -> bool {
+        let seats = self.target.limits()[Resource::Compartments];
+        let fits = |segment: &Segment| segment.indices.len() <= seats;
+        let is_tile = |segment: &Segment| matches!(segment.indices, Indices::Tile(_));
+        order.iter().any(is_tile) || order.iter().skip(1).any(fits) && parts(order).is_none()
+    }
+
     /// Fills once, whatever the fan-out.
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].
     pub fn once(&self, order: &[Segment], keep_whole: bool) -> Result<Members, CompileError> {
-        self.fill(order, &Estimate::nothing(self.network), keep_whole)
+        Ok(self.fill(order, &Estimate::nothing(self.network), keep_whole)?.members.into())
     }
 
     /// The fan-out of these members on such chips.
@@ -267,7 +307,8 @@ impl<'a> Filler<'a> {
             false => Estimate::nothing(self.network),
         };
         for round in 0.. {
-            let members = self.fill(order, &estimate, keep_whole)?;
+            let Filled { members, usage } = self.fill(order, &estimate, keep_whole)?;
+            let members: Members = members.into();
             let fan_out = self.fan_out(&members, chips);
             let mut misfits = Misfits::default();
             for (id, population) in self.network.populations().enumerate() {
@@ -291,7 +332,7 @@ impl<'a> Filler<'a> {
                 return Err(misfits.reasons(self.network));
             }
             if !again {
-                return Ok(Found { members, fan_out: Some(fan_out) });
+                return Ok(Found { members, fan_out: Some(fan_out), usage: usage.map(IdVec::from) });
             }
             self.raise(&mut estimate.slots, &fan_out, round);
             estimate.together = fan_out.together;
@@ -322,29 +363,29 @@ impl<'a> Filler<'a> {
     }
 
     /// Fills cores in order, with these estimates of output axon slots.
-    fn fill(&self, order: &[Segment], estimate: &Estimate, keep_whole: bool) -> Result<Members, CompileError> {
+    fn fill(&self, order: &[Segment], estimate: &Estimate, keep_whole: bool) -> Result<Filled, CompileError> {
         let limits = self.target.limits();
         let filling = || Filling::new(self.network, &self.fan_in, limits);
-        let (members, misfits) = match parts(order) {
+        let (filled, misfits) = match parts(order) {
             None => self.fill_part(&mut filling(), order, estimate, keep_whole),
             Some(parts) => {
-                let filled: Vec<(Members, Misfits)> = parts
+                let of_parts: Vec<(Filled, Misfits)> = parts
                     .par_iter()
                     .map_init(filling, |filling, part| {
                         self.fill_part(filling, std::slice::from_ref(part), estimate, keep_whole)
                     })
                     .collect();
-                let (mut members, mut misfits) = (Vec::new(), Misfits::default());
-                for (part, of_part) in filled {
-                    members.extend(part.iter().cloned());
+                let (mut filled, mut misfits) = (Filled::nothing(), Misfits::default());
+                for (part, of_part) in of_parts {
+                    filled.append(part);
                     of_part.0.into_iter().for_each(|((population, capacity), (need, limit))| {
                         misfits.note(population, (capacity, need, limit));
                     });
                 }
-                (members.into(), misfits)
+                (filled, misfits)
             }
         };
-        if misfits.none() { Ok(members) } else { Err(misfits.reasons(self.network)) }
+        if misfits.none() { Ok(filled) } else { Err(misfits.reasons(self.network)) }
     }
 
     /// Fills cores with a part of an order.
@@ -354,9 +395,9 @@ impl<'a> Filler<'a> {
         order: &[Segment],
         estimate: &Estimate,
         keep_whole: bool,
-    ) -> (Members, Misfits) {
+    ) -> (Filled, Misfits) {
         filling.next_core();
-        let mut members = Members::new();
+        let mut filled = Filled::nothing();
         let mut misfits = Misfits::default();
         for Segment { population, indices } in order {
             let population = *population;
@@ -379,7 +420,7 @@ impl<'a> Filler<'a> {
                 let mut held = filling.next_core();
                 held.truncate(before);
                 if !held.is_empty() {
-                    members.push(held);
+                    filled.push(held, None);
                     if filling.add_whole((0..size).map(newcomer)).is_ok() {
                         continue;
                     }
@@ -394,6 +435,7 @@ impl<'a> Filler<'a> {
                     next += 1;
                     continue;
                 };
+                let used_by_held = filling.used();
                 let mut held = filling.next_core();
                 if held.is_empty() {
                     used.excesses(self.target.limits()).for_each(|excess| misfits.note(population, excess));
@@ -405,15 +447,16 @@ impl<'a> Filler<'a> {
                     } else {
                         filling.next_core();
                     }
-                    members.push(held);
+                    filled.push(held, None);
                 } else {
-                    members.push(held);
+                    filled.push(held, used_by_held);
                 }
             }
         }
         if !filling.is_empty() {
-            members.push(filling.next_core());
+            let used = filling.used();
+            filled.push(filling.next_core(), used);
         }
-        (members, misfits)
+        (filled, misfits)
     }
 }

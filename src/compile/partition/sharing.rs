@@ -5,9 +5,10 @@
 //! sources with those it holds, until a limit would be broken; a source that reaches a core already costs no further input
 //! axon there and no further message.
 //!
-//! Candidates are those of a pool of consecutive compartments, so that n compartments with k synapses in and out
-//! take n k^2 * `POOL` / n steps and pools are filled side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where
-//! synapses are drawn evenly; one of all would save 9 in five times the time.
+//! Candidates are those of a pool of consecutive compartments, so that compartments with k synapses in and out take
+//! k^2 * `POOL` steps in all and a look over its pool each, and pools are filled side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where
+//! synapses are drawn evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps within the effort. Where
+//! that leaves few candidates, or synapses are drawn evenly and a pool is a small part of the network, nothing is gathered.
 
 use rayon::prelude::*;
 
@@ -22,6 +23,11 @@ use crate::ir::quantised::{Connectivity, Quantised, Units};
 
 /// Compartments of a pool.
 const POOL: u32 = 1 << 13;
+/// Compartments below which a pool offers too little choice.
+const LEAST_POOL: u64 = 1 << 8;
+/// Part of an evenly drawn network that a pool has to be: of a million compartments, 122 pools, gathering saved 2 in a hundred messages
+/// and took as long as all other stages of the mapping together.
+const PART: u64 = 32;
 /// Rounds of gathering: the first counts on the output axons of the order of the file, the next on what the one before sends.
 const ROUNDS: u32 = 2;
 /// Part of a core's output axons that is left free, because what compartments will send is known only in the mean.
@@ -45,10 +51,27 @@ pub fn is_listed(network: &Quantised) -> bool {
     network.projections().iter().all(|projection| listed(&projection.connectivity))
 }
 
+/// Compartments of a pool so that a round takes no more than this work; `None` where gathering is not worth its time.
+fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
+    let compartments = u64::from(network.compartments());
+    let sources = (u64::from(network.channels()) + compartments).max(1);
+    if is_uniform && compartments > u64::from(POOL) * PART {
+        return None;
+    }
+    // Each synapse that brings a core a source touches all compartments of the pool that the source reaches.
+    let synapses = u128::from(network.synapses());
+    let reached =
+        |pool: u64| synapses * synapses * u128::from(pool) / u128::from(sources) / u128::from(compartments.max(1));
+    let sizes =
+        std::iter::successors(Some(u64::from(POOL)), |&size| Some(size / 2)).take_while(|&size| size >= LEAST_POOL);
+    sizes.into_iter().find(|&size| reached(size.min(compartments)) <= u128::from(work)).map(|size| size as u32)
+}
+
 /// Compartments on cores, gathered by shared sources; `sequential` is the order of the file on such chips. `None` where a core
-/// cannot be held within every limit.
+/// cannot be held within every limit, and where gathering within this work would gain little.
 #[must_use]
-pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips) -> Option<Found> {
+pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_uniform: bool, work: u64) -> Option<Found> {
+    let pool = pool_size(filler.network, is_uniform, work)?;
     let units: Vec<Unit> = units(filler.network);
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     let mut estimate = match &sequential.fan_out {
@@ -57,7 +80,7 @@ pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips) -> Option
     };
     let mut best: Option<Found> = None;
     for round in 0..ROUNDS {
-        let members = once(filler, &units, &estimate)?;
+        let members = once(filler, &units, pool, &estimate)?;
         let Some(found) = within_axons(filler, &units, members, chips) else { break };
         let fan_out = found.fan_out.as_ref()?;
         let full = found.members.iter().map(|held| slots_of_core(held, fan_out)).max().unwrap_or(0);
@@ -105,11 +128,11 @@ fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips
         }
         if spare.is_empty() {
             let most = filler.target.limits()[Resource::AxonsOutPerCompartment];
-            return fan_out
-                .axons
-                .iter()
-                .all(|&axons| axons <= most)
-                .then_some(Found { members, fan_out: Some(fan_out) });
+            return fan_out.axons.iter().all(|&axons| axons <= most).then_some(Found {
+                members,
+                fan_out: Some(fan_out),
+                usage: None,
+            });
         }
         spare.sort_unstable();
         for held in filled(filler, units, &spare, &fan_out.slots)? {
@@ -120,8 +143,8 @@ fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips
 }
 
 /// Gathers every pool, then what the last core of each holds.
-fn once(filler: &Filler<'_>, units: &[Unit], estimate: &[u32]) -> Option<Members> {
-    let pools: Vec<&[Unit]> = units.chunks(POOL as usize).collect();
+fn once(filler: &Filler<'_>, units: &[Unit], pool: u32, estimate: &[u32]) -> Option<Members> {
+    let pools: Vec<&[Unit]> = units.chunks(pool as usize).collect();
     let alone = pools.len() == 1;
     let found: Vec<Option<Vec<Vec<CompartmentId>>>> = pools
         .into_par_iter()

@@ -19,6 +19,8 @@ use crate::ir::quantised::{Projection, Quantised};
 
 /// Synapses that are held at once: two gigabytes of them.
 const AT_ONCE: u64 = 1 << 28;
+/// Room for keys of a piece and a range that is kept from piece to piece.
+const MOST_KEPT: usize = 1 << 16;
 /// Bits of a source's number within its piece.
 const PIECE_BITS: u32 = 14;
 /// Most cores of a range: their numbers within the range have the bits that a key leaves.
@@ -167,9 +169,14 @@ fn core_of(key: u64) -> usize {
     (key >> (SYNAPSE_BITS + PIECE_BITS)) as usize
 }
 
+/// The keys of each core in a sorted bucket.
+fn runs(bucket: &[u64]) -> impl Iterator<Item = &[u64]> {
+    bucket.chunk_by(|&a, &b| core_of(a) == core_of(b))
+}
+
 /// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is dealt out to cores in the order
 /// in which it is; only the synapses of one source on one core are still to be compared.
-fn sorted(bucket: Vec<u64>, cores: usize) -> Vec<u64> {
+fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
     let mut places = vec![0u32; cores];
     bucket.iter().for_each(|&key| places[core_of(key)] += 1);
     let mut sum = 0;
@@ -177,7 +184,7 @@ fn sorted(bucket: Vec<u64>, cores: usize) -> Vec<u64> {
         sum += std::mem::replace(place, sum);
     }
     let mut sorted = vec![0; bucket.len()];
-    for key in bucket {
+    for &key in bucket {
         let place = &mut places[core_of(key)];
         sorted[*place as usize] = key;
         *place += 1;
@@ -223,35 +230,54 @@ pub fn by_core_from<T: Send>(
         // Every piece's synapses by range, sorted by core, then source.
         let sorted: Vec<Vec<Vec<u64>>> = pieces
             .par_iter()
-            .map(|piece| {
-                let mut buckets = vec![Vec::new(); ranges];
-                piece.for_each(seats, |local, core, rest| {
-                    let within = core.index().wrapping_sub(wave.start);
-                    if within < wave.len() && wanted(core) {
-                        let key = ((within % of_range) as u64) << PIECE_BITS | u64::from(local);
-                        buckets[within / of_range].push(key << SYNAPSE_BITS | rest);
-                    }
-                });
-                buckets.into_iter().map(|bucket| sorted(bucket, of_range)).collect()
-            })
+            .map_init(
+                || vec![Vec::new(); ranges],
+                |buckets, piece| {
+                    piece.for_each(seats, |local, core, rest| {
+                        let within = core.index().wrapping_sub(wave.start);
+                        if within < wave.len() && wanted(core) {
+                            let key = ((within % of_range) as u64) << PIECE_BITS | u64::from(local);
+                            buckets[within / of_range].push(key << SYNAPSE_BITS | rest);
+                        }
+                    });
+                    let take = |bucket: &mut Vec<u64>| {
+                        let sorted = sorted(bucket, of_range);
+                        bucket.clear();
+                        bucket.shrink_to(MOST_KEPT);
+                        sorted
+                    };
+                    buckets.iter_mut().map(take).collect()
+                },
+            )
             .collect();
         let made: Vec<Vec<T>> = (0..ranges)
             .into_par_iter()
-            .map(|range| {
+            .map_init(Vec::new, |keys, range| {
                 let held = of_range.min(wave.len() - range * of_range);
-                let mut by_core: Vec<Vec<Key>> = vec![Vec::new(); held];
+                let mut first = vec![0; held + 1];
+                sorted
+                    .iter()
+                    .flat_map(|buckets| runs(&buckets[range]))
+                    .for_each(|run| first[core_of(run[0]) + 1] += run.len());
+                (0..held).for_each(|core| first[core + 1] += first[core]);
+                let mut next = first.clone();
+                keys.clear();
+                keys.resize(first[held], Key(0));
                 for (piece, buckets) in pieces.iter().zip(&sorted) {
-                    let bucket = &buckets[range];
-                    for run in bucket.chunk_by(|&a, &b| core_of(a) == core_of(b)) {
-                        let keys = run.iter().map(|&key| {
+                    for run in runs(&buckets[range]) {
+                        let next = &mut next[core_of(run[0])];
+                        for (place, &key) in keys[*next..].iter_mut().zip(run) {
                             let local = field(key, SYNAPSE_BITS, PIECE_BITS) as u32;
-                            Key(u64::from(piece.source + local) << SYNAPSE_BITS | field(key, 0, SYNAPSE_BITS))
-                        });
-                        by_core[core_of(run[0])].extend(keys);
+                            *place = Key(u64::from(piece.source + local) << SYNAPSE_BITS | field(key, 0, SYNAPSE_BITS));
+                        }
+                        *next += run.len();
                     }
                 }
-                let first = wave.start + range * of_range;
-                by_core.iter().enumerate().map(|(i, keys)| f(CoreId::new(first + i), keys)).collect()
+                let of_core = |core| {
+                    let id = CoreId::new(wave.start + range * of_range + core);
+                    f(id, &keys[first[core]..first[core + 1]])
+                };
+                (0..held).map(of_core).collect()
             })
             .collect();
         results.extend(made.into_iter().flatten());

@@ -12,7 +12,7 @@ use crate::compile::resources::counter::{CoreTotals, LISTS, ListCounter, ListTot
 use crate::compile::resources::fan_out::{self, FanOut, MembersOfCores, SharedPlaces};
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Group, Widths};
-use crate::desc::resource::Limits;
+use crate::desc::resource::{Limits, Resource};
 use crate::ir::partition::{CoreUsage, Seat};
 use crate::ir::quantised::{Quantised, Units};
 
@@ -79,12 +79,22 @@ fn with_outputs(
     fan_out: &FanOut,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
-    let of_core = |(mut totals, held): (CoreTotals, &Vec<CompartmentId>)| {
-        totals.axons_out = fan_out::slots_of_core(held, fan_out);
-        totals.most_axons_out = held.iter().map(|id| fan_out.axons[id.index()]).max().unwrap_or(0);
-        totals.usage(limits)
+    with_fan_out(totals.into_iter().map(|totals| totals.usage(limits)), members, fan_out)
+}
+
+/// The use of each core, where that of all but output axons is known.
+#[must_use]
+pub fn with_fan_out(
+    usage: impl IntoIterator<Item = CoreUsage>,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    fan_out: &FanOut,
+) -> IdVec<CoreId, CoreUsage> {
+    let of_core = |(used, held): (CoreUsage, &Vec<CompartmentId>)| {
+        let most = held.iter().map(|id| fan_out.axons[id.index()]).max().unwrap_or(0);
+        let slots = fan_out::slots_of_core(held, fan_out);
+        used.with(Resource::AxonsOut, slots).with(Resource::AxonsOutPerCompartment, most.into())
     };
-    totals.into_iter().zip(members).map(of_core).collect()
+    usage.into_iter().zip(members).map(of_core).collect()
 }
 
 /// What is counted on each core but for its output axons, and which places are members of population axons on it.

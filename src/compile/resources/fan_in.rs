@@ -27,7 +27,7 @@ pub fn first_source(network: &Quantised, population: &Population) -> u32 {
     }
 }
 
-/// Sources, and targets, that one task looks at where there are many.
+/// Sources, and targets, that one task looks at where there are many; the number of one within its piece has half of 32 bits.
 const PIECE: u32 = 1 << 14;
 
 /// Sources by target.
@@ -44,13 +44,13 @@ impl Transposed {
     /// ascend, and threads change nothing.
     fn new(connectivity: &Connectivity, sources: u32, targets: u32) -> Self {
         let ranges = targets.div_ceil(PIECE) as usize;
-        let pieces: Vec<Vec<Vec<(u32, u32)>>> = (0..sources.div_ceil(PIECE))
+        let pieces: Vec<Vec<Vec<u32>>> = (0..sources.div_ceil(PIECE))
             .into_par_iter()
             .map(|piece| {
                 let mut by_range = vec![Vec::new(); ranges];
                 for source in piece * PIECE..((piece + 1) * PIECE).min(sources) {
                     connectivity.for_each_target(source, |target| {
-                        by_range[(target / PIECE) as usize].push((target % PIECE, source));
+                        by_range[(target / PIECE) as usize].push(((target % PIECE) << 16) | (source % PIECE));
                     });
                 }
                 by_range
@@ -61,8 +61,8 @@ impl Transposed {
             .map(|range| {
                 let held = PIECE.min(targets - range as u32 * PIECE) as usize;
                 let mut counts = vec![0u32; held];
-                let all = || pieces.iter().flat_map(|by_range| &by_range[range]);
-                all().for_each(|&(target, _)| counts[target as usize] += 1);
+                let of_range = || pieces.iter().map(|by_range| &by_range[range]);
+                of_range().flatten().for_each(|both| counts[(both >> 16) as usize] += 1);
                 let mut at = Vec::with_capacity(held);
                 let mut sum = 0usize;
                 for &count in &counts {
@@ -70,10 +70,12 @@ impl Transposed {
                     sum += count as usize;
                 }
                 let mut list = vec![0u32; sum];
-                for &(target, source) in all() {
-                    let place = &mut at[target as usize];
-                    list[*place] = source;
-                    *place += 1;
+                for (first, piece) in (0..).step_by(PIECE as usize).zip(of_range()) {
+                    for both in piece {
+                        let place = &mut at[(both >> 16) as usize];
+                        list[*place] = first + (both & 0xffff);
+                        *place += 1;
+                    }
                 }
                 (counts, list)
             })

@@ -199,6 +199,10 @@ pub struct Filling<'a> {
     shares: bool,
     /// What a group took when last asked, by format: neighbours mostly are made up alike.
     last: Vec<Option<Packed>>,
+    /// Whether a list became shorter, so that the longest may be one that no longer is.
+    shortened: bool,
+    /// What the members use, where that is known exactly.
+    used: Option<CoreUsage>,
 }
 
 impl<'a> Filling<'a> {
@@ -227,6 +231,8 @@ impl<'a> Filling<'a> {
             begins: HashMap::new(),
             shares: places.are_of_need(),
             places,
+            shortened: false,
+            used: None,
         }
     }
 
@@ -242,6 +248,7 @@ impl<'a> Filling<'a> {
         self.begins.clear();
         self.together.clear();
         self.shares = self.places.are_of_need();
+        (self.shortened, self.used) = (false, None);
         std::mem::take(&mut self.members)
     }
 
@@ -264,9 +271,23 @@ impl<'a> Filling<'a> {
     /// spoiled: begin another core.
     pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
         self.put(newcomer)?;
-        self.holds().inspect_err(|_| {
-            self.members.pop();
-        })
+        match self.holds() {
+            Ok(used) => {
+                self.used = (self.places.is_empty() && !self.shortened).then_some(used);
+                Ok(())
+            }
+            Err(used) => {
+                self.members.pop();
+                Err(used)
+            }
+        }
+    }
+
+    /// What the compartments added one by one use, output axons left out: exactly what is counted from their synapses.
+    /// None where lists may be shared, or have become shorter, because only counting anew tells then.
+    #[must_use]
+    pub fn used(&self) -> Option<CoreUsage> {
+        self.used
     }
 
     /// Adds compartments that make a whole, whose lists may be shared.
@@ -278,13 +299,14 @@ impl<'a> Filling<'a> {
         if compartments > self.limits[Resource::Compartments].min(MOST_SLOTS) {
             return Err(self.usage().with(Resource::Compartments, compartments.into()));
         }
+        self.used = None;
         for newcomer in newcomers {
             self.put(&newcomer)?;
         }
         if self.holds().is_err() {
             self.shares = !self.places.is_empty();
         }
-        self.holds()
+        self.holds().map(|_| ())
     }
 
     fn put(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
@@ -311,8 +333,8 @@ impl<'a> Filling<'a> {
         Ok(())
     }
 
-    /// Whether the core holds what it has.
-    fn holds(&self) -> Result<(), CoreUsage> {
+    /// What it has uses, where the core holds it.
+    fn holds(&self) -> Result<CoreUsage, CoreUsage> {
         // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
         let mut used = self.usage();
         if self.shares && !self.limits.hold(&used.of) {
@@ -320,7 +342,7 @@ impl<'a> Filling<'a> {
         }
         let fits = self.limits.hold(&used.of)
             && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits[Resource::AxonsOut]));
-        if fits { Ok(()) } else { Err(used) }
+        if fits { Ok(used) } else { Err(used) }
     }
 
     /// Adds a synapse of each source of a bundle.
@@ -393,6 +415,7 @@ impl<'a> Filling<'a> {
         for (way, before) in before.into_iter().enumerate() {
             // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
             axon.words[way] = axon.words[way] + entry.words[way] - before;
+            self.shortened |= entry.words[way] < before;
             let lists = &mut self.totals.lists[way];
             lists.longest = lists.longest.max(axon.words[way]);
             let [now, before] = [entry.words[way], before].map(|words| u64::from(words) * u64::from(bundle));
@@ -418,6 +441,7 @@ impl<'a> Filling<'a> {
                 self.totals.lists[way].words += u64::from(entry.words[way]) * u64::from(axon.bundle);
             }
         }
+        self.shortened = false;
         for (way, lists) in self.totals.lists.iter_mut().enumerate() {
             lists.longest = self.axons.iter().map(|axon| axon.words[way]).max().unwrap_or(0);
         }
@@ -551,7 +575,7 @@ mod tests {
 
     #[test]
     fn running_counts_equal_exact_ones_after_any_additions() {
-        let mut compared = 0;
+        let (mut compared, mut one_by_one) = (0, 0);
         for seed in 0..80 {
             let network = random_network(seed);
             let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
@@ -570,12 +594,16 @@ mod tests {
                 let Units::Compartments { neurons, .. } = &network.populations()[population].units else { continue };
                 let neuron = neurons.get(index);
                 filling.add(&Newcomer { id, population, index, neuron, slots_out: 0, together: ALONE }).unwrap();
+                if let Some(used) = filling.used().filter(|_| held % 5 == 0) {
+                    assert_eq!(used, exact(&network, &order, held, &limits), "seed {seed}: {held}, added one by one");
+                    one_by_one += 1;
+                }
                 if held == order.len() || !shared && held % 13 == 0 {
                     assert_eq!(filling.usage_shared(), exact(&network, &order, held, &limits), "seed {seed}: {held}");
                     compared += 1;
                 }
             }
         }
-        assert!(compared > 100, "{compared} comparisons");
+        assert!(compared > 100 && one_by_one > 100, "{compared} and {one_by_one} comparisons");
     }
 }
