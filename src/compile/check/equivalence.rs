@@ -275,11 +275,10 @@ fn mean(
     meant.clear();
     for projection in outgoing {
         let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
-        projection.connectivity.for_each_from(index, |target, weight| {
+        let wanted = |target| !part || program.holds(program.seats()[CompartmentId(first.0 + target)].core);
+        projection.connectivity.for_each_wanted(index, wanted, |target, weight| {
             let target = CompartmentId(first.0 + target);
-            if !part || program.holds(program.seats()[target].core) {
-                meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
-            }
+            meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
         });
     }
     meant.sort_unstable();
