@@ -6,6 +6,7 @@
 
 pub mod cores;
 pub mod decision;
+pub mod handed;
 pub mod inputs;
 pub mod neurobench;
 pub mod populations;

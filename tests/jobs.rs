@@ -104,7 +104,8 @@ fn rows_of_steps_are_those_of_one_process() {
             ["energy", "vtsnn-slip", "--input", "scene:slip?samples=2", "--copies", "2", "--baseline", "--steps", file];
         line.iter().map(|word| (*word).to_string()).collect()
     };
-    let lines: [&dyn Fn(&str) -> Vec<String>; 2] = [&line, &priced];
+    type Line<'l> = &'l dyn Fn(&str) -> Vec<String>;
+    let lines: [Line<'_>; 2] = [&line, &priced];
     for (number, line) in lines.into_iter().enumerate() {
         for form in ["csv", "npy"] {
             let written = |ranks: u32| {
@@ -134,14 +135,16 @@ fn messages(output: &Output) -> Vec<String> {
 fn a_job_that_fails_says_so_once() {
     let Some((folder, _alone)) = ready() else { return };
     let probed = simulated(SHORT, &["--probe", "n.spikes", "-o", "traces"]);
+    std::fs::write(folder.path().join("spikes.csv"), "timestep,channel\n3,5\n9,70\n").unwrap();
+    let from_file = simulated("spikes.csv", &[]);
     let malformed = ["run", "bad.ron", "--no-cache"];
     type Failing<'a> = (&'a [(u32, &'a str)], &'a [&'a str], &'a str);
     let cases: [Failing<'_>; 5] = [
         (&[(3, "")], &malformed, "error[model."),
         (&[(2, "")], &["map", "m.ron"], "error: this command runs in one process"),
-        // The disk of rank 0 is full; a file cannot be read on rank 1 alone.
+        // The disk of rank 0 is full; the input cannot be read on rank 1 alone.
         (&[(1, "full:1"), (1, "")], &probed, "error[write."),
-        (&[(1, ""), (1, "read-broken:1")], &probed, "error[io.read]"),
+        (&[(1, ""), (1, "read-broken:1")], &from_file, "error[io.read]"),
         (&[(2, "")], &["run", "--nonsense"], "error: unexpected argument"),
     ];
     for (groups, line, message) in cases {
@@ -152,9 +155,89 @@ fn a_job_that_fails_says_so_once() {
         assert!(said.len() == 1 && said[0].starts_with(message), "{line:?}: {said:?}, not {message}");
         assert!(!output.status.success() && took < Duration::from_secs(30), "{line:?}: {} in {took:?}", output.status);
     }
+    // Only rank 0 reads the model.
+    let output = run(folder.path(), &[(1, ""), (1, "read-broken:1")], &simulated(SHORT, &["-q"]));
+    assert!(output.status.success(), "{:?}", messages(&output));
     // Only rank 0 writes: that of rank 1 may be full.
     let output = run(folder.path(), &[(1, ""), (1, "full:1")], &probed);
     assert!(output.status.success() && folder.path().join("traces/n.spikes.npy").exists(), "{:?}", messages(&output));
+}
+
+/// A network of every kind of projection, small enough for its file.
+fn mixed() -> String {
+    let draw = |at: u32, below: u32| (at.wrapping_mul(2_654_435_761) >> 8) % below;
+    let synapse = |at: u32| {
+        let weight = 2 * (20 + draw(at + 7_000, 60));
+        format!("({}, {}, {weight}),", draw(at, 75), draw(at + 9_000, 400))
+    };
+    let synapses: String = (0..3_000).map(synapse).collect();
+    let row = |target: u32| {
+        let weights: Vec<String> = (0..400).map(|source| (2 * draw(target * 400 + source, 120)).to_string()).collect();
+        format!("[{}]", weights.join(","))
+    };
+    let rows: Vec<String> = (0..60).map(row).collect();
+    let neurons = "du: 1024, dv: 256, vth_mant: 130, refractory: 2";
+    format!(
+        "Network(name: \"mixed\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [3, 5, 5]), \
+         Loihi(name: \"image\", shape: [4, 5, 5], {neurons}), Loihi(name: \"n\", shape: [400], {neurons}), \
+         Loihi(name: \"out\", shape: [60], {neurons})], projections: [\
+         Conv2d(from: [\"in\"], to: \"image\", weights: Kernel, padding: (1, 1)), \
+         Sparse(from: [\"in\"], to: \"n\", synapses: [{synapses}], delay: 3), \
+         Random(from: [\"image\"], to: \"n\", fan_out: 20, low: -40, high: 60, seed: 3), \
+         Random(from: [\"n\"], to: \"n\", fan_out: 16, low: -40, high: 40, seed: 4, delay: 1), \
+         Dense(from: [\"n\"], to: \"out\", weights: [{}])], output: \"out\")",
+        rows.join(",")
+    )
+    .replace("Kernel", &kernel())
+}
+
+/// Weights of a convolution from three channels to four.
+fn kernel() -> String {
+    let of_pair = "[[20, 40, 20], [40, 80, 40], [20, 40, -20]]";
+    let of_channel = format!("[{}]", [of_pair; 3].join(","));
+    format!("[{}]", [of_channel.as_str(); 4].join(","))
+}
+
+#[test]
+fn every_kind_of_projection_is_handed_out() {
+    let Some((folder, _alone)) = ready() else { return };
+    std::fs::write(folder.path().join("mixed.ron"), mixed()).unwrap();
+    let line = [
+        "run",
+        "mixed.ron",
+        "--target",
+        "nahuku-32",
+        "--threads",
+        "1",
+        "--no-cache",
+        "--input",
+        SHORT,
+        "--set",
+        "target.limits.compartments=16",
+        "--format",
+        "json",
+    ];
+    let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(line).output().unwrap();
+    let alone = json(&alone);
+    assert!(alone["activity"]["spikes"].as_u64().unwrap() > 1_000, "{}", alone["activity"]);
+    for ranks in 2..=5 {
+        let found = json(&run(folder.path(), &[(ranks, "")], &line));
+        for key in ["digest", "activity", "output_counts", "populations", "inputs", "cores", "overflow", "warnings"] {
+            assert_eq!(alone[key], found[key], "{key} on {ranks} ranks");
+        }
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_answered_as_by_one_process() {
+    let Some((folder, _alone)) = ready() else { return };
+    let line = ["run", "m.ron", "--target", "tiny", "--no-cache", "--format", "json"];
+    let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(line).output().unwrap();
+    let found = run(folder.path(), &[(3, "")], &line);
+    assert_eq!((alone.status.code(), found.status.code()), (Some(1), Some(1)), "{:?}", messages(&found));
+    let object = |output: &Output| -> serde_json::Value { serde_json::from_slice(&output.stdout).unwrap() };
+    assert_eq!(object(&alone), object(&found));
+    assert_eq!(object(&alone)["fits"], false);
 }
 
 /// The processes that a job has started, by rank.

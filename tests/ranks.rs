@@ -8,11 +8,12 @@ mod common;
 
 use common::random;
 use nsim::base::units::Picoseconds;
-use nsim::compile::{Compiled, Options, compile};
+use nsim::compile::{CompileError, Compiled, Options, compile};
 use nsim::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use nsim::desc::resource::Resource;
 use nsim::desc::target::Target;
 use nsim::drive::decision::{EarlyExit, Rule};
+use nsim::drive::handed::compile_on;
 use nsim::drive::priced::{Metered, SampleRun};
 use nsim::drive::samples::{Run, Running, fast};
 use nsim::drive::{Keep, Outcome, Probe, Quantity};
@@ -85,11 +86,18 @@ impl Case {
         compile(self.network.clone(), &self.target, &options).unwrap_or_else(|e| panic!("{}: {e}", self.what))
     }
 
+    /// As ranks do: the first maps and tells the others.
+    fn handed(&self, share: Share, ranks: Option<&Ranks>) -> Compiled {
+        let options = Options { copies: self.copies, place: false, share, ..Options::default() };
+        let made = compile_on(ranks, self.network.clone(), &self.target, &options);
+        made.unwrap_or_else(|e| panic!("{}: {e}", self.what))
+    }
+
     /// With probes, on parts that are written as such.
     fn plain(&self, count: u32) -> Run<()> {
         let samples: Vec<&Sample> = self.samples.iter().collect();
         on_ranks(count, |rank, ranks| {
-            let compiled = self.compiled(share(rank, count, false));
+            let compiled = self.handed(share(rank, count, false), ranks);
             let program = &compiled.program;
             if count > 1 {
                 let whole = self.compiled(share(rank, count, true));
@@ -111,7 +119,7 @@ impl Case {
     fn metered(&self, count: u32, rule: Option<Rule>) -> Run<StepMeter> {
         let samples: Vec<&Sample> = self.samples.iter().collect();
         on_ranks(count, |rank, ranks| {
-            let compiled = self.compiled(share(rank, count, rank == 0));
+            let compiled = self.handed(share(rank, count, rank == 0), ranks);
             let metered = Metered::new(&compiled);
             let deployment = Deployment::from_placement("packed", &compiled.placement, self.target.chip(), self.copies);
             let settings = MeterSettings {
@@ -194,7 +202,7 @@ fn threads_of_a_rank_change_nothing() {
         on_ranks(count, |rank, ranks| {
             pool(rank).install(|| {
                 let options = Options { share: share(rank, count, false), ..Options::default() };
-                let compiled = compile(bench.network.clone(), &target, &options).unwrap();
+                let compiled = compile_on(ranks, bench.network.clone(), &target, &options).unwrap();
                 let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
                 let running =
                     Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks };
@@ -210,4 +218,20 @@ fn threads_of_a_rank_change_nothing() {
             several.ranks.iter().fold((0, 0), |(most, all), row| (row.synapses.max(most), all + row.synapses));
         assert!(most * u64::from(count) <= all * 12 / 10, "{most} of {all} synapses on one of {count} ranks");
     }
+}
+
+/// What the first rank finds out is the others' answer too.
+#[test]
+fn what_does_not_fit_is_refused_on_every_rank() {
+    let case = Case::new(1);
+    let board = load_target("loihi1-chip").unwrap();
+    let mut limits = board.limits().clone();
+    limits[Resource::AxonsIn] = 1;
+    let board = board.with_limits(limits);
+    on_ranks(3, |rank, ranks| {
+        let options = Options { share: share(rank, 3, false), ..Options::default() };
+        let refused = compile_on(ranks, case.network.clone(), &board, &options);
+        let Err(CompileError::DoesNotFit(reasons)) = refused else { panic!("rank {rank}: it fits") };
+        assert_eq!(reasons.is_empty(), rank > 0, "the first rank alone says why");
+    });
 }

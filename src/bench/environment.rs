@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::machine::update::width;
+
 /// What a figure of time depends on besides the question.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Environment {
@@ -17,6 +19,8 @@ pub struct Environment {
     pub nsim: &'static str,
     /// `release` or, when the program was built without optimisation, `debug`.
     pub profile: &'static str,
+    /// The vectors that steps use.
+    pub vectors: &'static str,
 }
 
 impl Environment {
@@ -30,14 +34,15 @@ impl Environment {
             rustc: env!("NSIM_RUSTC"),
             nsim: env!("CARGO_PKG_VERSION"),
             profile: if cfg!(debug_assertions) { "debug" } else { "release" },
+            vectors: width::name(),
         }
     }
 }
 
 impl fmt::Display for Environment {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Environment { cpu, cores, os, rustc, nsim, profile } = self;
-        write!(f, "{cpu}, {cores} cores, {os}; nsim {nsim} ({profile}), {rustc}")
+        let Environment { cpu, cores, os, rustc, nsim, profile, vectors } = self;
+        write!(f, "{cpu}, {cores} cores, {vectors}, {os}; nsim {nsim} ({profile}), {rustc}")
     }
 }
 

@@ -230,6 +230,9 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     if cli.no_cache {
         crate::io::write::cache::turn_off();
     }
+    if let Err(message) = crate::machine::update::width::check() {
+        return diagnostics::report(&Error::Usage(message), cli.format);
+    }
     // Those of a training are fields of the training file.
     if !matches!(cli.command, Command::Train(_))
         && let Err(message) = crate::io::changes::set(&cli.set)

@@ -17,11 +17,12 @@ use crate::compile::mapping::Mapping;
 use crate::compile::options::{Effort, Options};
 use crate::compile::partition::members::Members;
 use crate::compile::place;
-use crate::compile::stages::Front;
+use crate::compile::stages::{Front, Placed};
 use crate::desc::target::Target;
 use crate::ir::dealt::Share;
 use crate::ir::firing_rates::Rates;
-use crate::ir::placement::Site;
+use crate::ir::partition::Partition;
+use crate::ir::placement::{Placement, Site};
 use crate::ir::quantised::{Connectivity, Parts, Population, Projection, Quantised, Units};
 
 /// Begins every entry; another layout of the bytes begins otherwise.
@@ -124,9 +125,14 @@ fn projection(projection: &Projection, key: &mut Key) {
 /// The compartments and the place of each core.
 #[must_use]
 pub fn to_bytes(mapping: &Mapping) -> Vec<u8> {
-    let Mapping { partition, placement, placed, .. } = mapping;
+    places_to_bytes(&mapping.partition, &mapping.placement, mapping.placed)
+}
+
+/// The same of a partition and a placement of this name.
+#[must_use]
+pub fn places_to_bytes(partition: &Partition, placement: &Placement, placed: &'static str) -> Vec<u8> {
     let mut bytes = MAGIC.to_vec();
-    bytes.push(u8::from(*placed == place::ANNEALED));
+    bytes.push(u8::from(placed == place::ANNEALED));
     let mut put = |value: u32| bytes.extend(value.to_le_bytes());
     put(partition.cores() as u32);
     for (core, held) in partition.members().enumerate() {
@@ -169,10 +175,24 @@ pub fn from_kept(
     rates: &Rates,
     bytes: &[u8],
 ) -> Result<Mapping, CompileError> {
+    let placed = placed_from_kept(front, target, options, rates, bytes)?;
+    placed.emit(target, options)?.check(target)
+}
+
+/// A network on the places that bytes give for it.
+///
+/// # Errors
+/// [`CompileError`] when they do not give any.
+pub fn placed_from_kept(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    bytes: &[u8],
+) -> Result<Placed, CompileError> {
     let damaged = || CompileError::fault("the entry is damaged");
     let (on_sites, placed) = from_bytes(bytes).ok_or_else(damaged)?;
-    let placed = front.place_on(target, options, rates, on_sites, placed)?;
-    placed.emit(target, options)?.check(target)
+    front.place_on(target, options, rates, on_sites, placed)
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ pub mod kept;
 pub mod mapping;
 pub mod mapping_file;
 pub mod options;
+pub mod parcel;
 pub mod partition;
 pub mod place;
 pub mod reason;
@@ -58,11 +59,26 @@ pub fn map(
     rates: &Rates,
     form: Form,
 ) -> Result<Mapping, CompileError> {
+    let placed = place(front, target, options, rates, form)?;
     let target = &*form.counted_on(target);
-    let partitioned = front.partition(target, options, rates, form)?;
-    let placed = partitioned.place(target, options)?;
     let unchecked = placed.emit(target, options)?;
     unchecked.check(target)
+}
+
+/// A network on the cores of a target, by one partition and one placement; the first half of [`map()`].
+///
+/// # Errors
+/// [`CompileError`].
+pub fn place(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    form: Form,
+) -> Result<Placed, CompileError> {
+    let target = &*form.counted_on(target);
+    let partitioned = front.partition(target, options, rates, form)?;
+    partitioned.place(target, options)
 }
 
 /// The mapping that a file says, checked as any other. The network is pruned as it was for the file, whose copies

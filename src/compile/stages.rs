@@ -38,6 +38,7 @@ use crate::ir::dealt::{Dealt, Share};
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Mesh, Placement, Site};
+use crate::ir::program::Program;
 use crate::ir::quantised::{Note, Parts, Quantised, Units};
 
 /// Synapses of a network up to which it is tried without relays first: larger ones would be partitioned twice for long.
@@ -316,6 +317,12 @@ pub struct Partitioned {
 }
 
 impl Partitioned {
+    /// The network, one copy.
+    #[must_use]
+    pub fn one(&self) -> &Quantised {
+        &self.one
+    }
+
     /// The same for a target with other limits than it was made for.
     ///
     /// # Errors
@@ -366,20 +373,108 @@ fn dealt(network: &Quantised, partition: &Partition, placement: &Placement, shar
 /// # Errors
 /// [`CompileError::Fault`].
 pub fn with_program(mapping: Mapping, target: &Target) -> Result<Compiled> {
+    let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
+    let dealt = match mapping.form() {
+        Form::Written => None,
+        Form::Symbolic => dealt(network, partition, placement, options.share),
+    };
+    with_program_dealt(mapping, target, dealt)
+}
+
+/// The same of a mapping that has been dealt out, if there are several processes.
+fn with_program_dealt(mapping: Mapping, target: &Target, dealt: Option<Dealt>) -> Result<Compiled> {
     if mapping.form() == Form::Written {
         return mapping.into_compiled();
     }
-    let target = &*Form::Symbolic.counted_on(target);
     let mut clock = Clock(mapping.seconds.clone());
-    let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
-    let dealt = dealt(network, partition, placement, options.share);
+    let Mapping { quantised: network, partition, placement, .. } = &mapping;
+    let program = by_patterns(network, partition, (placement, dealt), target, &mut clock)?;
+    Mapping { program: Synapses::Written(Box::new(program)), seconds: clock.0, ..mapping }.into_compiled()
+}
+
+/// The program of a network that is mapped by its kernels, written, verified and checked.
+fn by_patterns(
+    network: &Quantised,
+    partition: &Partition,
+    (placement, dealt): (&Placement, Option<Dealt>),
+    target: &Target,
+    clock: &mut Clock,
+) -> Result<Program> {
+    let target = &*Form::Symbolic.counted_on(target);
     let route = || route_boxes(network, partition, (placement, dealt), target.limits());
     let (program, sample) = clock.stage("write", route).map_err(CompileError::Fault)?;
     clock.stage("verify", || verify::verify(&program, target)).map_err(CompileError::fault)?;
     let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
     let check = || sampled::check(network, partition, &chips, &sample, target.limits());
     clock.stage("check", check).map_err(CompileError::Fault)?;
-    Mapping { program: Synapses::Written(Box::new(program)), seconds: clock.0, ..mapping }.into_compiled()
+    Ok(program)
+}
+
+/// A network on the cores of the board that another process has placed, of which this one holds a part.
+#[derive(Debug)]
+pub struct PlacedPart {
+    /// The network, one copy, with the synapses to compartments that are held.
+    pub one: Quantised,
+    /// The same, all copies.
+    pub all: Quantised,
+    /// Compartments on cores.
+    pub partition: Partition,
+    /// Cores on the board.
+    pub placement: Placement,
+    /// Which process holds which cores.
+    pub dealt: Dealt,
+    /// Name of the placement.
+    pub name: &'static str,
+    /// How it was mapped.
+    pub form: Form,
+}
+
+impl PlacedPart {
+    /// How many copies there are.
+    #[must_use]
+    pub fn copies(&self) -> u32 {
+        (self.all.populations().len() / self.one.populations().len().max(1)) as u32
+    }
+
+    /// The program that is held, verified and checked. The network that is kept with it has no projections: they are in the program.
+    ///
+    /// # Errors
+    /// [`CompileError::Fault`].
+    pub fn compiled(self, target: &Target, options: &Options) -> Result<Compiled> {
+        let PlacedPart { one, all, partition, placement, dealt, name: placed, form } = self;
+        let mut clock = Clock::default();
+        let (program, checked) = match form {
+            Form::Written => {
+                let written = || route(&all, &partition, &placement, (options.copies, Some(dealt)), target.limits());
+                let program = clock.stage("route", written).map_err(CompileError::Fault)?;
+                let checked = checked_whole(&all, &program, target, options.copies, &mut clock)?;
+                (program, checked)
+            }
+            Form::Symbolic => {
+                let dealt = (&placement, Some(dealt));
+                let program = by_patterns(&all, &partition, dealt, target, &mut clock)?;
+                (program, Checked { how: "sampled", share: 0.0 })
+            }
+        };
+        let (one, quantised) = (one.without_projections(), all.without_projections());
+        let (seconds, target, options) = (clock.0, target.name().to_string(), *options);
+        let rates = Rates::assumed(DEFAULT_RATE);
+        Ok(Mapping { one, quantised, partition, placement, program, checked, seconds, target, options, placed, rates })
+    }
+}
+
+/// How a program was compared with its network, once its limits have been verified and all of it compared.
+fn checked_whole(
+    network: &Quantised,
+    program: &Program,
+    target: &Target,
+    copies: u32,
+    clock: &mut Clock,
+) -> Result<Checked> {
+    clock.stage("verify", || verify::verify(program, target)).map_err(CompileError::fault)?;
+    let check = || equivalence::check_copies(network, program, copies);
+    let proven = clock.stage("check", check).map_err(CompileError::fault)?;
+    Ok(Checked { how: if proven > 0 { "pattern" } else { "whole" }, share: 1.0 })
 }
 
 /// A network on the cores of the board, and the name of how they were placed.
@@ -394,18 +489,49 @@ pub struct Placed {
 }
 
 impl Placed {
+    /// How far its synapses are expanded.
+    #[must_use]
+    pub fn form(&self) -> Form {
+        if self.partitioned.boxes.is_some() { Form::Symbolic } else { Form::Written }
+    }
+
+    /// Its cores dealt out to the processes that run the program together, if there are several.
+    #[must_use]
+    pub fn dealt(&self, share: Share) -> Option<Dealt> {
+        let Placed { partitioned: Partitioned { all, partition, .. }, placement, .. } = self;
+        dealt(all, partition, placement, share)
+    }
+
+    /// The program, verified and checked, of a network that has been dealt out, if there are several processes.
+    ///
+    /// # Errors
+    /// [`CompileError::Fault`].
+    pub fn compiled(self, target: &Target, options: &Options, dealt: Option<Dealt>) -> Result<Compiled> {
+        let target = &*self.form().counted_on(target);
+        let of_tables = dealt.clone().filter(|_| self.form() == Form::Written);
+        let mapping = self.emit_dealt(target, options, of_tables)?.check(target)?;
+        with_program_dealt(mapping, target, dealt)
+    }
+
     /// The tables of all cores; of a symbolic mapping those of one core of each kind.
     ///
     /// # Errors
     /// [`CompileError::Fault`].
     pub fn emit(self, target: &Target, options: &Options) -> Result<Unchecked> {
+        let dealt = match self.form() {
+            Form::Written => self.dealt(options.share),
+            Form::Symbolic => None,
+        };
+        self.emit_dealt(target, options, dealt)
+    }
+
+    fn emit_dealt(self, target: &Target, options: &Options, dealt: Option<Dealt>) -> Result<Unchecked> {
         let Placed { partitioned, placement, name: placed } = self;
         let Partitioned { one, all: quantised, partition, boxes, rates, mut clock } = partitioned;
         let limits = target.limits();
         let (program, sample) = clock
             .stage("route", || match boxes {
                 None => {
-                    let dealt = dealt(&quantised, &partition, &placement, options.share);
                     let program = route(&quantised, &partition, &placement, (options.copies, dealt), limits)?;
                     Ok((Synapses::Written(Box::new(program)), Vec::new()))
                 }
@@ -447,12 +573,7 @@ impl Unchecked {
         let mut clock = Clock(std::mem::take(&mut mapping.seconds));
         let Mapping { quantised: network, partition, placement, .. } = &mapping;
         mapping.checked = match &mapping.program {
-            Synapses::Written(program) => {
-                clock.stage("verify", || verify::verify(program, target)).map_err(CompileError::fault)?;
-                let check = || equivalence::check_copies(network, program, mapping.options.copies);
-                let proven = clock.stage("check", check).map_err(CompileError::fault)?;
-                Checked { how: if proven > 0 { "pattern" } else { "whole" }, share: 1.0 }
-            }
+            Synapses::Written(program) => checked_whole(network, program, target, mapping.options.copies, &mut clock)?,
             Synapses::Symbolic(_) => {
                 let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
                 let check = || sampled::check(network, partition, &chips, &sample, target.limits());

@@ -254,6 +254,31 @@ impl Connectivity {
         }
     }
 
+    /// Calls `f(target, weight)` for every synapse of a source whose target is wanted, in the order of
+    /// [`Connectivity::for_each_from`].
+    #[inline]
+    pub fn for_each_wanted(&self, source: u32, wanted: impl Fn(u32) -> bool, mut f: impl FnMut(u32, i16)) {
+        match self {
+            Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
+                // Weights of the others, half of their work, are not drawn.
+                let entity = u64::from(*first_source) + u64::from(source);
+                let levels = ((i32::from(*high) - i32::from(*low)) / i32::from(*step) + 1) as u64;
+                for k in 0..u64::from(*fan_out) {
+                    let target = rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32;
+                    if wanted(target) {
+                        let level = rng::below(levels, *seed, entity, 2 * k + 1) as i16;
+                        f(target, low + step * level);
+                    }
+                }
+            }
+            connectivity => connectivity.for_each_from(source, |target, weight| {
+                if wanted(target) {
+                    f(target, weight);
+                }
+            }),
+        }
+    }
+
     /// Calls `f(target)` for every synapse of a source, in the order of [`Connectivity::for_each_from`].
     #[inline]
     pub fn for_each_target(&self, source: u32, mut f: impl FnMut(u32)) {
@@ -525,6 +550,14 @@ impl Quantised {
     #[must_use]
     pub fn with_chosen_rounding(mut self) -> Self {
         self.parts.notes.iter_mut().for_each(|note| note.rounded = None);
+        self
+    }
+
+    /// The same populations without projections.
+    #[must_use]
+    pub fn without_projections(mut self) -> Self {
+        self.parts.projections = IdVec::default();
+        self.outgoing = self.parts.populations.iter().map(|_| Vec::new()).collect();
         self
     }
 

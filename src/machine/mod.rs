@@ -29,6 +29,7 @@ pub use crate::machine::layout::image::{Image, ImageError};
 use crate::machine::ranks::exchange::Exchange;
 use crate::machine::ranks::transport::Ranks;
 use crate::machine::update::state::{Phase, ShardState, Step, StepInput};
+use crate::machine::update::width;
 use crate::neuron;
 
 /// How to run. No setting changes a result.
@@ -91,7 +92,7 @@ impl<'i> Machine<'i> {
             image,
             shards: image.shards.iter().map(|shard| ShardState::new(image, shard, slots)).collect(),
             settings,
-            arch: pulp::Arch::new(),
+            arch: width::vectors(),
             step: 0,
             steps: 0,
             spikes: Vec::new(),

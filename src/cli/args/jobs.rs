@@ -11,20 +11,24 @@ use crate::cli::diagnostics;
 use crate::cli::output;
 use crate::cli::process::ranks;
 use crate::compile::frontend::real_and_integers;
+use crate::compile::parcel::Opened;
 use crate::compile::{
-    self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, kept, mapping_file,
+    self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Placed, Reason, explore, kept,
+    mapping_file,
 };
 use crate::convert::copies;
 use crate::convert::prepare::{has_srm, integers};
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::target::Target;
+use crate::drive::handed;
 use crate::error::Error;
 use crate::io;
 use crate::ir::firing_rates::Rates;
 use crate::ir::graph::Graph;
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
+use crate::machine::ranks::transport::Ranks;
 use crate::report;
 
 /// What names the network and the hardware.
@@ -205,6 +209,33 @@ pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, 
 /// # Errors
 /// As [`prepare`].
 pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
+    let Some(ranks) = ranks::several().filter(|_| matches!(wanted, Wanted::Mapped | Wanted::ByModel)) else {
+        return prepare_here(args, wanted, copies, probed);
+    };
+    if ranks.rank() > 0 {
+        return received(args, ranks);
+    }
+    let prepared = prepare_here(args, wanted, copies, probed)?;
+    if matches!(prepared, Prepared::DoesNotFit(_)) {
+        handed::refuse(ranks);
+    }
+    Ok(prepared)
+}
+
+/// The part of a job that rank 0 has mapped, which alone reads the model.
+fn received(args: &JobArgs, ranks: &Ranks) -> Result<Prepared, Error> {
+    let target = Box::new(io::target::load_target(&args.target)?);
+    let options = Options { share: ranks::share(), ..Options::default() };
+    match handed::receive(&target, &options, ranks) {
+        Ok(Opened { compiled, note: scene }) => Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), target, scene))),
+        Err(CompileError::DoesNotFit(reasons)) => {
+            Ok(Prepared::DoesNotFit(Refusal { model: args.model.clone(), target, reasons }))
+        }
+        Err(other) => Err(other.into()),
+    }
+}
+
+fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
     let network = io::model::load_model(&args.model)?;
     let scene = network.file().scene.clone();
     let real = match wanted {
@@ -300,13 +331,25 @@ pub fn compiled(
         Ok(front) => front,
         Err(error) => return Ok(Err(error)),
     };
+    let form = Form::for_network(front.quantised(), options.copies);
+    if let Some(ranks) = ranks::several() {
+        form.require_program(front.quantised(), options.copies)?;
+        let placed = match mapping {
+            Some(file) => {
+                let target = &*form.counted_on(target);
+                front.place_as(target, options, file, form).map_err(|error| args.with_mapping_file(error))
+            }
+            None => placed(front, target, options, &Rates::assumed(DEFAULT_RATE), form),
+        };
+        let scene = network.file().scene.as_deref();
+        return Ok(placed.and_then(|placed| handed::hand_out(placed, target, options, (ranks, scene))));
+    }
     Ok(match mapping {
         Some(file) => {
             let _busy = output::busy("checking the mapping");
             compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))
         }
         None => {
-            let form = Form::for_network(front.quantised(), options.copies);
             form.require_program(front.quantised(), options.copies)?;
             let mapped = mapped(front, target, options, &Rates::assumed(DEFAULT_RATE), form);
             mapped.and_then(|mapping| compile::with_program(mapping, target))
@@ -326,19 +369,39 @@ pub fn mapped(
     form: Form,
 ) -> Result<Mapping, CompileError> {
     let key = build().and_then(|build| kept::key(&front, target, options, rates, form, &build));
+    let open = |front: Front, bytes: &[u8]| kept::from_kept(front, target, options, rates, bytes);
+    cached(key, front, open, |front| explore::map(front, target, options, rates, form), kept::to_bytes)
+}
+
+/// A network on its places, by one partition and one placement, from the cache if it is there and put into it if not.
+fn placed(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Placed, CompileError> {
+    let key = build().and_then(|build| kept::key(&front, target, options, rates, form, &build));
+    let open = |front: Front, bytes: &[u8]| kept::placed_from_kept(front, target, options, rates, bytes);
+    let bytes = |placed: &Placed| kept::places_to_bytes(&placed.partitioned.partition, &placed.placement, placed.name);
+    cached(key, front, open, |front| compile::place(front, target, options, rates, form), bytes)
+}
+
+/// What the cache has under a key, or else what is made, which is then put into it.
+fn cached<T>(
+    key: Option<String>,
+    front: Front,
+    open: impl FnOnce(Front, &[u8]) -> Result<T, CompileError>,
+    make: impl FnOnce(Front) -> Result<T, CompileError>,
+    bytes: impl FnOnce(&T) -> Vec<u8>,
+) -> Result<T, CompileError> {
     if let Some(bytes) = key.as_deref().and_then(io::write::cache::get) {
-        match kept::from_kept(front.clone(), target, options, rates, &bytes) {
-            Ok(mapping) => return Ok(mapping),
+        match open(front.clone(), &bytes) {
+            Ok(found) => return Ok(found),
             // Whatever it was, compiling says what there is to say.
             Err(error) => tracing::debug!(%error, "an entry of the cache is not used"),
         }
     }
     let _busy = output::busy("mapping");
-    let mapping = explore::map(front, target, options, rates, form)?;
+    let made = make(front)?;
     if let Some(key) = key {
-        io::write::cache::put(&key, &kept::to_bytes(&mapping));
+        io::write::cache::put(&key, &bytes(&made));
     }
-    Ok(mapping)
+    Ok(made)
 }
 
 /// The program that compiles: its version, and its file's size and time, as two builds may have one version.

@@ -26,8 +26,9 @@ use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use crate::compile::{CompileError, Options, compile};
+use crate::compile::{CompileError, Options};
 use crate::desc::resource::Resource;
+use crate::drive::handed::compile_on;
 use crate::drive::ranks::part_of;
 use crate::error::Error;
 use crate::io;
@@ -306,12 +307,11 @@ fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming,
 
 fn map(standard: StandardNetwork, network: Quantised, target: &str) -> Result<Program, Error> {
     let target = io::target::load_target(target)?;
-    let compiled = compile(network, &target, &Options { share: ranks::share(), ..Options::default() }).map_err(
-        |error| match error {
-            CompileError::Input(diagnostic) => diagnostic.into(),
-            other => fault(standard, &other),
-        },
-    )?;
+    let options = Options { share: ranks::share(), ..Options::default() };
+    let compiled = compile_on(ranks::several(), network, &target, &options).map_err(|error| match error {
+        CompileError::Input(diagnostic) => diagnostic.into(),
+        other => fault(standard, &other),
+    })?;
     for (stage, seconds) in &compiled.seconds {
         tracing::info!("{}: {stage} {seconds:.3} s", standard.name());
     }

@@ -10,7 +10,8 @@ use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use crate::compile::{Options, compile};
+use crate::compile::Options;
+use crate::drive::handed::compile_on;
 use crate::error::Error;
 use crate::io;
 use crate::report::bench::scale::{Modelled, ScaleReport};
@@ -79,7 +80,7 @@ pub fn run(args: &ScaleArgs, context: Context) -> Result<Answer, Error> {
     let BenchNetwork { network, period, target } = args.network.build().map_err(|error| fault(&error))?;
     let target = io::target::load_target(target)?;
     let options = Options { share: ranks::share(), ..Options::default() };
-    let program = compile(network, &target, &options).map_err(|error| fault(&error))?.program;
+    let program = compile_on(ranks::several(), network, &target, &options).map_err(|error| fault(&error))?.program;
     let budget = Budget::Time(args.seconds);
     let (mut measured, mut exchanges) = (Vec::new(), Vec::new());
     if program.held_rank().is_none() {

@@ -279,11 +279,10 @@ impl Decoder {
             self.first.push(self.meant.len());
             for projection in outgoing {
                 let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
-                projection.connectivity.for_each_from(index, |target, weight| {
+                let wanted = |target| !part || program.holds(program.seats()[CompartmentId(first.0 + target)].core);
+                projection.connectivity.for_each_wanted(index, wanted, |target, weight| {
                     let target = CompartmentId(first.0 + target);
-                    if !part || program.holds(program.seats()[target].core) {
-                        self.meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
-                    }
+                    self.meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
                 });
             }
         }

@@ -149,13 +149,19 @@ fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(Populat
 }
 
 impl Piece<'_> {
-    /// Calls `f(source within the piece, seat, rest of the key)` for every synapse.
+    /// Calls `f(source within the piece, seat, rest of the key)` for every synapse to a core that is wanted.
     #[inline]
-    fn for_each(&self, seats: &IdVec<CompartmentId, Seat>, mut f: impl FnMut(u32, CoreId, u64)) {
+    fn for_each(
+        &self,
+        seats: &IdVec<CompartmentId, Seat>,
+        wanted: impl Fn(CoreId) -> bool,
+        mut f: impl FnMut(u32, CoreId, u64),
+    ) {
         for local in 0..self.length {
             for &(projection, format, first) in &self.outgoing {
                 let delay = projection.delay.get();
-                projection.connectivity.for_each_from(self.index + local, |target, weight| {
+                let is_wanted = |target: u32| wanted(seats[CompartmentId(first + target)].core);
+                projection.connectivity.for_each_wanted(self.index + local, is_wanted, |target, weight| {
                     let seat = seats[CompartmentId(first + target)];
                     f(local, seat.core, rest(format, seat.slot, delay, weight));
                 });
@@ -233,12 +239,11 @@ pub fn by_core_from<T: Send>(
             .map_init(
                 || vec![Vec::new(); ranges],
                 |buckets, piece| {
-                    piece.for_each(seats, |local, core, rest| {
-                        let within = core.index().wrapping_sub(wave.start);
-                        if within < wave.len() && wanted(core) {
-                            let key = ((within % of_range) as u64) << PIECE_BITS | u64::from(local);
-                            buckets[within / of_range].push(key << SYNAPSE_BITS | rest);
-                        }
+                    let is_wanted = |core: CoreId| core.index().wrapping_sub(wave.start) < wave.len() && wanted(core);
+                    piece.for_each(seats, is_wanted, |local, core, rest| {
+                        let within = core.index() - wave.start;
+                        let key = ((within % of_range) as u64) << PIECE_BITS | u64::from(local);
+                        buckets[within / of_range].push(key << SYNAPSE_BITS | rest);
                     });
                     let take = |bucket: &mut Vec<u64>| {
                         let sorted = sorted(bucket, of_range);

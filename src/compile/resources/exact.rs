@@ -28,7 +28,7 @@ pub fn longest_delays(
     for projection in network.projections().iter().filter(|p| p.delay > Delay::MIN && counts(p.source)) {
         let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
         for source in 0..network.populations()[projection.source].shape.len() {
-            projection.connectivity.for_each_from(source, |target, _| {
+            projection.connectivity.for_each_target(source, |target| {
                 let core = seats[CompartmentId(first.0 + target)].core;
                 longest[core] = longest[core].max(projection.delay);
             });

@@ -70,6 +70,14 @@ impl Transport for Threads {
         (0..others).map(|from| self.receive(from)).collect()
     }
 
+    fn give(&mut self, to: u32, words: Vec<u32>) {
+        self.send(to as usize, wide(&words));
+    }
+
+    fn given(&mut self) -> Vec<u32> {
+        self.receive(0).into_iter().map(|word| word as u32).collect()
+    }
+
     fn all(&mut self, here: bool) -> bool {
         (0..self.senders.len()).for_each(|to| self.send(to, vec![here.into()]));
         let heard: Vec<Vec<u64>> = (0..self.senders.len()).map(|from| self.receive(from)).collect();

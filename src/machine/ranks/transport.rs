@@ -1,7 +1,8 @@
 //! What processes that run a program together say to each other.
 //!
-//! Input: words for others. Output: the words of others. All calls but [`Transport::post`] and [`Transport::take`] are made by
-//! every rank, in the same order, and return when every rank that matters has made its own. A rank that ends without its part takes the
+//! Input: words for others. Output: the words of others. All other calls but [`Transport::post`] and [`Transport::take`] are made by
+//! every rank, in the same order, and return when every rank that matters has made its own; [`Transport::give`] and [`Transport::given`] by the two
+//! that they are between. A rank that ends without its part takes the
 //! job down with it, so that nothing here returns an error.
 
 use std::fmt;
@@ -20,6 +21,12 @@ pub trait Transport: fmt::Debug + Send {
 
     /// The words of every rank, by rank, on rank 0; nothing on the others.
     fn gather(&mut self, words: Vec<u64>) -> Vec<Vec<u64>>;
+
+    /// Gives words to another rank, which takes them with [`Transport::given`]; on rank 0 only.
+    fn give(&mut self, to: u32, words: Vec<u32>);
+
+    /// The words that rank 0 gives to this one, which sleeps until they come: what they hold may take minutes to find.
+    fn given(&mut self) -> Vec<u32>;
 
     /// Whether it is so on every rank.
     fn all(&mut self, here: bool) -> bool;

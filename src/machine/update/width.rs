@@ -1,0 +1,55 @@
+//! Which vectors of the processor steps use.
+//!
+//! Input: the processor, and the variable `NSIM_VECTORS`, read once: `avx2` for vectors of half the width of AVX-512, `scalar` for none
+//! that the program was not built for. Output: the widest that the processor has and the variable allows. Results do not depend
+//! on it; it is there for measuring what narrower processors would do. Errors: another value.
+
+use std::sync::LazyLock;
+
+const VARIABLE: &str = "NSIM_VECTORS";
+
+static FOUND: LazyLock<Result<pulp::Arch, String>> = LazyLock::new(|| match std::env::var_os(VARIABLE) {
+    None => Ok(pulp::Arch::new()),
+    Some(asked) => match asked.to_str() {
+        Some("") => Ok(pulp::Arch::new()),
+        Some("scalar") => Ok(pulp::Arch::Scalar),
+        Some("avx2") => Ok(halved()),
+        _ => Err(format!("{VARIABLE}={}: it is avx2, scalar, or not set", asked.to_string_lossy())),
+    },
+});
+
+/// AVX2 where the processor has it.
+fn halved() -> pulp::Arch {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(vectors) = pulp::x86::V3::try_new() {
+        return pulp::Arch::V3(vectors);
+    }
+    pulp::Arch::Scalar
+}
+
+/// The vectors that steps use; the widest where the variable makes no sense.
+#[must_use]
+pub fn vectors() -> pulp::Arch {
+    FOUND.as_ref().map_or_else(|_| pulp::Arch::new(), |found| *found)
+}
+
+/// Refuses a variable that makes no sense.
+///
+/// # Errors
+/// A sentence.
+pub fn check() -> Result<(), String> {
+    FOUND.as_ref().map(|_| ()).map_err(Clone::clone)
+}
+
+/// What the vectors are called.
+#[must_use]
+pub fn name() -> &'static str {
+    match vectors() {
+        pulp::Arch::Scalar => "scalar",
+        #[cfg(target_arch = "x86_64")]
+        pulp::Arch::V3(_) => "avx2",
+        #[cfg(target_arch = "x86_64")]
+        pulp::Arch::V4(_) => "avx512",
+        _ => "other",
+    }
+}
