@@ -135,6 +135,45 @@ fn the_shipped_preset_is_what_the_command_writes() {
     assert!(with_block(&text, "fitted", &fresh) == text, "{advice}");
 }
 
+/// A figure with three digits, as people would write it.
+fn digits(value: f64) -> String {
+    if value >= 100.0 {
+        return format!("{value:.0}");
+    }
+    let places = (2 - value.abs().log10().floor() as i32).clamp(0, 6) as usize;
+    format!("{value:.places$}")
+}
+
+#[test]
+fn the_page_has_the_figures_that_are_predicted_without_their_works() {
+    let output = Command::cargo_bin("nsim").unwrap().args(["bench", "published", "--format", "json"]).output().unwrap();
+    let result: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mut fresh = "| Workload | Quantity | Published | Predicted | Low | High | Ratio |\n|---|---|---|---|---|---|---|\n".to_string();
+    for row in result["rows"].as_array().unwrap().iter().filter(|row| row["left_out"] == true) {
+        let (text, number) = (|key: &str| row[key].as_str().unwrap(), |key: &str| row[key].as_f64().unwrap());
+        let [published, predicted, low, high] = ["published", "predicted", "low", "high"].map(number);
+        fresh += &format!(
+            "| {} | {}, {} | {} | {} | {} | {} | {:.2} |\n",
+            text("workload"),
+            text("quantity"),
+            text("unit"),
+            digits(published),
+            digits(predicted),
+            digits(low),
+            digits(high),
+            predicted / published
+        );
+    }
+    let page = root("docs/energy.md");
+    let text = std::fs::read_to_string(&page).unwrap();
+    if std::env::var_os("NSIM_BLESS").is_some() {
+        std::fs::write(&page, with_block(&text, "published", &fresh)).unwrap();
+        return;
+    }
+    let advice = "run: NSIM_BLESS=1 cargo test --test published the_page_has, then the tests again";
+    assert!(with_block(&text, "published", &fresh) == text, "{advice}");
+}
+
 /// A page with another text between the marks of this name.
 fn with_block(page: &str, name: &str, block: &str) -> String {
     let (begin, end) = (format!("<!-- {name} -->\n"), format!("<!-- end of {name} -->"));
