@@ -148,7 +148,9 @@ fn digits(value: f64) -> String {
 fn the_page_has_the_figures_that_are_predicted_without_their_works() {
     let output = Command::cargo_bin("nsim").unwrap().args(["bench", "published", "--format", "json"]).output().unwrap();
     let result: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let mut fresh = "| Workload | Quantity | Published | Predicted | Low | High | Ratio |\n|---|---|---|---|---|---|---|\n".to_string();
+    let mut fresh =
+        "| Workload | Quantity | Published | Predicted | Low | High | Ratio |\n|---|---|---|---|---|---|---|\n"
+            .to_string();
     for row in result["rows"].as_array().unwrap().iter().filter(|row| row["left_out"] == true) {
         let (text, number) = (|key: &str| row[key].as_str().unwrap(), |key: &str| row[key].as_f64().unwrap());
         let [published, predicted, low, high] = ["published", "predicted", "low", "high"].map(number);

@@ -229,7 +229,7 @@ fn a_chart_and_an_export_are_written() {
     let report = object(&both, 0);
     assert_eq!((&report["transport"], &report["rows"].as_array().unwrap().len()), (&"queued".into(), &3));
     let chart = std::fs::read_to_string(svg).unwrap();
-    assert!(chart.starts_with("<svg") && chart.contains("x86 busy") && chart.contains("core step"), "{chart}");
+    assert!(chart.starts_with("<svg") && chart.contains("x86 busy") && chart.contains("axon out"), "{chart}");
     let network = std::fs::read_to_string(Path::new(export).join("snn.yaml")).unwrap();
     assert!(
         network.contains("# run: timesteps=21 leading=1") && network.contains("- c0.0 -> c0.4: [weight: 30.0]"),
