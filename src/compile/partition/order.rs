@@ -7,7 +7,7 @@
 //!   are tried for the whole network; the one with fewer cores is taken, on a tie the one that keeps segments whole,
 //!   because it sends fewer messages.
 //! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores are numbered chip by
-//!   chip, as [`crate::compile::place`] keeps them). The first filling ignores them, or in large networks what is not drawn evenly; if a core then sends too much, each
+//!   chip, as [`mod@crate::compile::place`] keeps them). The first filling ignores them, or in large networks what is not drawn evenly; if a core then sends too much, each
 //!   compartment is charged what it sent and a margin, which doubles from round to round, and the filling is repeated. It
 //!   ends because estimates only grow, and a core with a single compartment is never split.
 
