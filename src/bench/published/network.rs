@@ -102,7 +102,7 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
     let (mut channels, mut compartments, mut input) = (0u32, 0u32, Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
         let (name, sides, rate) = population.parts();
-        let (units, rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, |rate| end.of_range(rate)));
+        let (units, own_rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, |rate| end.of_range(rate)));
         let shape = match *sides {
             [c, h, w] => Shape::Volume(c, h, w),
             _ => Shape::Line(units),
@@ -111,22 +111,19 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
             WorkloadPopulation::Input { .. } => {
                 let first = channels;
                 channels += units;
-                let spikes = |channel: u32, step: u32| rng::unit(13, u64::from(channel), u64::from(step)) < rate;
+                let spikes = |channel: u32, step: u32| rng::unit(13, u64::from(channel), u64::from(step)) < own_rate;
                 for channel in first..channels {
                     let steps = (0..WARM_UP + COUNTED).filter(|&step| spikes(channel, step));
                     input.extend(steps.map(|step| (step, ChannelId(channel))));
                 }
                 Units::Input(ChannelId(first))
             }
-            WorkloadPopulation::Layer { .. } => {
+            WorkloadPopulation::Layer { .. } | WorkloadPopulation::Relay { .. } => {
                 let first = CompartmentId(compartments);
                 compartments += units;
-                Units::Compartments { first, neurons: neurons(units, rate, index as u64)?, start_step: 0 }
-            }
-            WorkloadPopulation::Relay { .. } => {
-                let first = CompartmentId(compartments);
-                compartments += units;
-                Units::Compartments { first, neurons: relays()?, start_step: 0 }
+                // A relay has no rate: its input makes it spike.
+                let neurons = if rate.is_some() { neurons(units, own_rate, index as u64)? } else { relays()? };
+                Units::Compartments { first, neurons, start_step: 0 }
             }
         };
         parts.output = parts.populations.push(Population { name: name.to_string(), shape, units: own, payload: None });
