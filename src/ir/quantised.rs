@@ -244,11 +244,9 @@ impl Connectivity {
             }
             Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
                 let entity = u64::from(*first_source) + u64::from(source);
-                let levels = ((i32::from(*high) - i32::from(*low)) / i32::from(*step) + 1) as u64;
                 for k in 0..u64::from(*fan_out) {
-                    let target = rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32;
-                    let level = rng::below(levels, *seed, entity, 2 * k + 1) as i16;
-                    f(target, low + step * level);
+                    let target = drawn_target(*targets, *seed, entity, k);
+                    f(target, drawn_weight((*low, *high, *step), *seed, entity, k));
                 }
             }
         }
@@ -262,12 +260,10 @@ impl Connectivity {
             Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
                 // Weights of the others, half of their work, are not drawn.
                 let entity = u64::from(*first_source) + u64::from(source);
-                let levels = ((i32::from(*high) - i32::from(*low)) / i32::from(*step) + 1) as u64;
                 for k in 0..u64::from(*fan_out) {
-                    let target = rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32;
+                    let target = drawn_target(*targets, *seed, entity, k);
                     if wanted(target) {
-                        let level = rng::below(levels, *seed, entity, 2 * k + 1) as i16;
-                        f(target, low + step * level);
+                        f(target, drawn_weight((*low, *high, *step), *seed, entity, k));
                     }
                 }
             }
@@ -287,7 +283,7 @@ impl Connectivity {
                 // The weights, half of the work, are not drawn.
                 let entity = u64::from(*first_source) + u64::from(source);
                 for k in 0..u64::from(*fan_out) {
-                    f(rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32);
+                    f(drawn_target(*targets, *seed, entity, k));
                 }
             }
             connectivity => connectivity.for_each_from(source, |target, _| f(target)),
@@ -705,6 +701,19 @@ impl Quantised {
             Connectivity::SumPool2d { window, .. } => window.positions() * u64::from(window.source.0),
         }
     }
+}
+
+/// The target of synapse k of a source whose synapses are drawn.
+#[inline]
+fn drawn_target(targets: u32, seed: u64, source: u64, k: u64) -> u32 {
+    rng::below(u64::from(targets), seed, source, 2 * k) as u32
+}
+
+/// Its weight, one of low, low + step, .. up to high.
+#[inline]
+fn drawn_weight((low, high, step): (i16, i16, i16), seed: u64, source: u64, k: u64) -> i16 {
+    let levels = ((i32::from(high) - i32::from(low)) / i32::from(step) + 1) as u64;
+    low + step * rng::below(levels, seed, source, 2 * k + 1) as i16
 }
 
 fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Inconsistent> {

@@ -428,10 +428,7 @@ mod tests {
     #[test]
     fn sixteen_lanes_are_sixteen_compartments() {
         let (mut spikes, mut overflows) = (0, 0);
-        #[cfg(target_arch = "x86_64")]
-        let narrower = pulp::x86::V3::try_new().map_or(pulp::Arch::Scalar, pulp::Arch::V3);
-        #[cfg(not(target_arch = "x86_64"))]
-        let narrower = pulp::Arch::Scalar;
+        let narrower = crate::machine::update::width::halved();
         for seed in 0..20_000u64 {
             let arch = if seed / 16 % 4 == 3 { narrower } else { pulp::Arch::new() };
             // Arrivals beyond 16 bits make every chunk leave a field: most seeds draw smaller ones.

@@ -19,7 +19,7 @@ static FOUND: LazyLock<Result<pulp::Arch, String>> = LazyLock::new(|| match std:
 });
 
 /// AVX2 where the processor has it.
-fn halved() -> pulp::Arch {
+pub(super) fn halved() -> pulp::Arch {
     #[cfg(target_arch = "x86_64")]
     if let Some(vectors) = pulp::x86::V3::try_new() {
         return pulp::Arch::V3(vectors);
