@@ -18,7 +18,8 @@ use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::neurons::NeuronKind;
 use crate::ir::activity::{Overflow, Totals};
 use crate::ir::graph::Window;
-use crate::ir::quantised::{Connectivity, Neuron, Projection, Quantised, Reset, SpikeSource, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Units};
 use crate::ir::source_counts::LeftField;
 use crate::ir::spikes::Engine;
 
@@ -598,7 +599,7 @@ mod tests {
     use super::*;
     use crate::base::fixed::{Delay, SignMode, WeightBits, WeightExponent, scaled_weight};
     use crate::base::id::PopulationId;
-    use crate::ir::quantised::SynapseFormat;
+    use crate::ir::quantised::connectivity::SynapseFormat;
 
     fn projection(connectivity: Connectivity) -> Projection {
         let format = SynapseFormat {

@@ -25,7 +25,8 @@ use nsim::ir::firing_rates::Rates;
 use nsim::ir::graph::Shape;
 use nsim::ir::placement::Mesh;
 use nsim::ir::program::Program;
-use nsim::ir::quantised::{Connectivity, Quantised};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::connectivity::Connectivity;
 
 /// Those of the suite that a test has time for.
 const SMALL: [&str; 9] = [

@@ -15,7 +15,8 @@ use nsim::drive::neurobench::NeuroBench;
 use nsim::drive::samples::{Running, fast, golden};
 use nsim::golden::Golden;
 use nsim::io::target::load_target;
-use nsim::ir::quantised::{Connectivity, Quantised, Units};
+use nsim::ir::quantised::connectivity::Connectivity;
+use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Copies, Engine, Sample};
 
 /// Operations without and with numbers, all of a network without zeros, membrane updates, spikes: sums over the samples.

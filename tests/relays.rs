@@ -17,7 +17,8 @@ use nsim::desc::resource::Resource;
 use nsim::golden::Golden;
 use nsim::io::target::load_target;
 use nsim::ir::graph::PerCompartment;
-use nsim::ir::quantised::{Connectivity, Parts, Quantised, Units};
+use nsim::ir::quantised::connectivity::Connectivity;
+use nsim::ir::quantised::{Parts, Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 

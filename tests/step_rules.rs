@@ -11,7 +11,8 @@ use nsim::base::id::{ChannelId, CompartmentId};
 use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::ir::activity::Totals;
 use nsim::ir::graph::{Shape, Window};
-use nsim::ir::quantised::{Connectivity, Quantised};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::spikes::Engine;
 
 const FIRST: CompartmentId = CompartmentId(0);

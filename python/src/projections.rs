@@ -1,7 +1,8 @@
 //! The integers of a network's projections, as Python sees them.
 
 use nsim::ir::graph::Window;
-use nsim::ir::quantised::{Connectivity, Projection, Quantised};
+use nsim::ir::quantised::connectivity::Connectivity;
+use nsim::ir::quantised::{Projection, Quantised};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

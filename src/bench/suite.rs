@@ -38,7 +38,7 @@ use crate::bench::networks::{
     BenchNetwork, BuildError, Random, conv_10m, dvs_gesture, independent_spikes, lava_pilotnet, random,
     random_synapses, vtsnn,
 };
-use crate::ir::quantised::Connectivity;
+use crate::ir::quantised::connectivity::Connectivity;
 
 /// Steps of input: enough for spikes to reach every layer.
 pub const STEPS: u32 = 16;

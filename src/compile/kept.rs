@@ -23,7 +23,8 @@ use crate::ir::dealt::Share;
 use crate::ir::firing_rates::Rates;
 use crate::ir::partition::Partition;
 use crate::ir::placement::{Placement, Site};
-use crate::ir::quantised::{Connectivity, Parts, Population, Projection, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Parts, Population, Projection, Quantised, Units};
 
 /// Begins every entry; another layout of the bytes begins otherwise.
 const MAGIC: &[u8; 8] = b"nsim-m01";

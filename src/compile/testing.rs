@@ -9,9 +9,8 @@ use crate::base::rng;
 use crate::desc::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
 use crate::desc::target::{Chip, Target, TargetFile};
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::quantised::{
-    Connectivity, Neuron, Neurons, Parts, Population, Projection, Quantised, SynapseFormat, Units,
-};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Units};
 
 /// The limits of a Loihi core as the shipped chip has them.
 pub fn limits() -> Limits {

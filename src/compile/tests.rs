@@ -24,7 +24,8 @@ use crate::ir::firing_rates::Rates;
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{Partition, seats};
 use crate::ir::program::{AxonTarget, Parts, Program, Stored, Synapse};
-use crate::ir::quantised::{Connectivity, Neuron, Quantised, Reset, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Neuron, Quantised, Reset, Units};
 
 fn compiled(network: Quantised, limits: Limits) -> Compiled {
     compile(network, &target(2, 2, limits), &Options::default()).unwrap()

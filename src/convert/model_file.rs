@@ -6,7 +6,8 @@
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use crate::ir::graph::{Graph, Shape, Window};
-use crate::ir::quantised::{Connectivity, Neuron, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Neuron, Quantised, Units};
 
 fn shape(shape: Shape) -> Vec<u64> {
     match shape {

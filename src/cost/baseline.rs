@@ -7,8 +7,9 @@ use crate::base::units::Picoseconds;
 use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
 use crate::desc::published::baseline::{BaselineFile, DenseLayer, Mode};
 use crate::desc::spanned::parse;
-use crate::desc::target::Status;
-use crate::ir::quantised::{Connectivity, Quantised, Units};
+use crate::desc::target::constants::Status;
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Quantised, Units};
 
 /// Baselines that come with the program: name and file.
 pub const SHIPPED: &[(&str, &str)] = &[("rtx-2080-ti", include_str!("../../mapping/baselines/rtx-2080-ti.ron"))];

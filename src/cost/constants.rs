@@ -5,7 +5,7 @@
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::units::{Femtojoules, Nanowatts, Picoseconds};
-use crate::desc::target::{Constant, Constants, Status, Unit, for_each_constant};
+use crate::desc::target::constants::{Constant, Constants, Status, Unit, for_each_constant};
 
 /// The type of a constant in its least unit.
 macro_rules! integer {

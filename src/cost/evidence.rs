@@ -15,7 +15,7 @@ use crate::desc::published::evidence::{
     ConstantEvidence, EvidenceFile, Finding, Jobs, RESET_WORD_TIME, X86_BOOT_POWER,
 };
 use crate::desc::published::workload::Accounting;
-use crate::desc::target::{Constant, Constants, Status, Unit};
+use crate::desc::target::constants::{Constant, Constants, Status, Unit};
 
 /// How a preset of the median of findings is named, behind the name of the evidence.
 const PRESET: &str = "evidence";

@@ -20,7 +20,8 @@ use super::steps::groups;
 use super::{Keep, Outcome, Probe, Quantity};
 use crate::base::diagnostic::Result;
 use crate::base::id::Id;
-use crate::ir::quantised::{Connectivity, Projection, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Projection, Quantised, Units};
 use crate::ir::source_counts::SourceCounts;
 use crate::ir::spikes::Sample;
 

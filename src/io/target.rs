@@ -12,7 +12,8 @@ use super::shipped::{self, Origin, Shipped};
 use super::text::read_text;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::spanned::{Spanned, parse};
-use crate::desc::target::{Chip, Constant, Constants, Residual, Target, TargetChanges, TargetFile};
+use crate::desc::target::constants::{Constant, Constants, Residual};
+use crate::desc::target::{Chip, Target, TargetChanges, TargetFile};
 
 /// Loads a target: a path, `-`, or a shipped name.
 ///

@@ -21,7 +21,8 @@ use crate::desc::network::{Semantics, ThresholdTest};
 use crate::ir::dealt::Dealt;
 use crate::ir::partition::Seat;
 use crate::ir::placement::{Mesh, Site};
-use crate::ir::quantised::{Neuron, Population, Reset, SynapseFormat};
+use crate::ir::quantised::connectivity::SynapseFormat;
+use crate::ir::quantised::{Neuron, Population, Reset};
 
 /// An input axon of a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -19,9 +19,8 @@ use crate::desc::target::Target;
 use crate::golden::Golden;
 use crate::ir::graph::{PerCompartment, Shape};
 use crate::ir::program::Program;
-use crate::ir::quantised::{
-    Connectivity, Inconsistent, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units,
-};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Inconsistent, Neuron, Parts, Population, Projection, Quantised, Units};
 use crate::ir::spikes::Engine;
 use crate::machine::{Image, Machine, Settings};
 

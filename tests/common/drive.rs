@@ -9,7 +9,7 @@
 use nsim::base::fixed::SignMode;
 use nsim::base::id::{ChannelId, PopulationId};
 use nsim::ir::graph::Shape;
-use nsim::ir::quantised::Connectivity;
+use nsim::ir::quantised::connectivity::Connectivity;
 
 use super::{Net, format};
 

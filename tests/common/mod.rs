@@ -22,9 +22,8 @@ use nsim::io::spikes::read_source;
 use nsim::io::target::load_target;
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::program::Program;
-use nsim::ir::quantised::{
-    Connectivity, Neuron, Parts, Population, Projection, Quantised, Reset, SynapseFormat, Units,
-};
+use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim::ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Reset, Units};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 

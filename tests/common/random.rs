@@ -8,7 +8,8 @@ use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::desc::neurons::NeuronKind;
 use nsim::ir::graph::{Shape, Window};
 use nsim::ir::placement::Mesh;
-use nsim::ir::quantised::{Connectivity, Neuron, Quantised, SynapseFormat};
+use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim::ir::quantised::{Neuron, Quantised};
 use nsim::ir::spikes::Sample;
 
 use super::{Net, biased, neuron};

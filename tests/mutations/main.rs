@@ -26,7 +26,8 @@ use nsim::desc::resource::{Packing, Resource};
 use nsim::desc::target::Target;
 use nsim::io::target::load_target;
 use nsim::ir::program::{AxonTarget, Compartment, Parts, Program};
-use nsim::ir::quantised::{Quantised, SynapseFormat};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::connectivity::SynapseFormat;
 use rayon::prelude::*;
 
 /// Random networks; each is mapped in three ways, and each program is mutated once by every kind.

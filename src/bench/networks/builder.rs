@@ -8,9 +8,8 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::ir::graph::{PerCompartment, Shape};
-use crate::ir::quantised::{
-    Connectivity, Inconsistent, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units,
-};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Inconsistent, Neuron, Parts, Population, Projection, Quantised, Units};
 
 /// Threshold of a random network, in units of the weight. A driving spike gives 254 * 2^3 = 2,032 at
 /// once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.

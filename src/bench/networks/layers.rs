@@ -8,7 +8,7 @@ use crate::base::id::PopulationId;
 use crate::base::rng;
 use crate::bench::networks::builder::Builder;
 use crate::ir::graph::Window;
-use crate::ir::quantised::Connectivity;
+use crate::ir::quantised::connectivity::Connectivity;
 
 /// Layers that grow one by one.
 pub(in crate::bench) struct Layers {

@@ -40,7 +40,8 @@ use crate::base::names::named_variants;
 use crate::base::rng;
 use crate::bench::networks::builder::Builder;
 use crate::bench::networks::layers::Layers;
-use crate::ir::quantised::{Connectivity, Inconsistent, Neuron, Quantised};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Inconsistent, Neuron, Quantised};
 use crate::ir::spikes::{Sample, SampleError};
 
 /// A standard network. Its names are fixed: stored results carry them.

@@ -15,7 +15,8 @@ use crate::cost::transport::QueueMemory;
 use crate::cost::{Host, MessageRoutes, Timing, Transport};
 use crate::desc::published::workload::{PublishedFigure, Quantity, WorkloadFile};
 use crate::desc::resource::Resource;
-use crate::desc::target::{Status, Target};
+use crate::desc::target::Target;
+use crate::desc::target::constants::Status;
 use crate::ir::spikes::Engine;
 use crate::machine::{Image, Machine, Settings};
 

@@ -12,7 +12,7 @@ use crate::cost::calibrate::{Cell, Unknown, fit};
 use crate::cost::estimate::{Case, Convention, EnergyRow, estimate};
 use crate::cost::{CostTable, Deployment};
 use crate::desc::published::measurement::{FittedConstant, MeasurementsFile};
-use crate::desc::target::{Constants, Residual, Status, Unit};
+use crate::desc::target::constants::{Constants, Residual, Status, Unit};
 use crate::energy::options::DeploymentSource;
 use crate::energy::workload::Workload;
 use crate::error::Error;

@@ -85,7 +85,8 @@ mod tests {
     use crate::desc::published::workload::Accounting;
     use crate::desc::spanned::parse;
     use crate::desc::target::Target;
-    use crate::desc::target::{Chip, Constants, TargetFile};
+    use crate::desc::target::constants::Constants;
+    use crate::desc::target::{Chip, TargetFile};
     use crate::energy::job::{self, EnergyJob};
     use crate::energy::options::{DeploymentArg, DeploymentSource, tables};
     use crate::ir::activity::{CoreCounts, StepActivity};

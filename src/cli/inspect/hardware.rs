@@ -6,7 +6,8 @@ use serde_json::{Map, Value, json};
 
 use crate::cost::baseline::Baseline;
 use crate::desc::published::scenario::ScenarioFile;
-use crate::desc::target::{Chip, Constant, Constants, Target};
+use crate::desc::target::constants::{Constant, Constants};
+use crate::desc::target::{Chip, Target};
 use crate::report::inspect::{Findings, FindingsTable};
 
 fn limits_table(chip: &Chip) -> FindingsTable {

@@ -37,7 +37,8 @@ use crate::base::fixed::{Delay, SignMode};
 use crate::base::id::{ChannelId, CompartmentId, Id, PopulationId};
 use crate::compile::check::repeats::{self, messages_of};
 use crate::ir::program::{AxonTarget, Compartment, Compartments, Program};
-use crate::ir::quantised::{Population, Projection, Quantised, SynapseFormat, Units};
+use crate::ir::quantised::connectivity::SynapseFormat;
+use crate::ir::quantised::{Population, Projection, Quantised, Units};
 
 /// Synapses of the sources that are decoded together, on average: they should stay in a processor's cache.
 const PIECE_SYNAPSES: u64 = 1 << 18;

@@ -24,7 +24,8 @@ use rayon::prelude::*;
 
 use crate::base::id::{CompartmentId, IdVec, PopulationId};
 use crate::desc::network::{Semantics, ThresholdTest};
-use crate::ir::quantised::{Neuron, Population, Quantised, SynapseFormat, Units};
+use crate::ir::quantised::connectivity::SynapseFormat;
+use crate::ir::quantised::{Neuron, Population, Quantised, Units};
 
 /// Sources that one task looks at.
 const PIECE: u32 = 1 << 10;

@@ -9,7 +9,8 @@ use std::sync::Arc;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId, ProjectionId};
 use crate::ir::partition::Seat;
 use crate::ir::program::{AxonTarget, CoreImage, Program};
-use crate::ir::quantised::{Connectivity, Population, Projection, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Population, Projection, Quantised, Units};
 
 /// Sizes of one copy.
 #[derive(Debug, Clone, Copy)]

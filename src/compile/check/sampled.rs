@@ -26,7 +26,8 @@ use crate::desc::resource::{Limits, Resource};
 use crate::ir::graph::Window;
 use crate::ir::partition::Partition;
 use crate::ir::program::Compartment;
-use crate::ir::quantised::{Connectivity, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Quantised, Units};
 
 /// Compares counts and tables with synapses.
 ///

@@ -16,7 +16,8 @@ use crate::desc::resource::Limits;
 use crate::ir::partition::Partition;
 use crate::ir::placement::Placement;
 use crate::ir::program::CoreImage;
-use crate::ir::quantised::{Connectivity, Quantised};
+use crate::ir::quantised::Quantised;
+use crate::ir::quantised::connectivity::Connectivity;
 
 /// The tables of one core.
 #[derive(Debug, Clone)]

@@ -18,7 +18,8 @@ use crate::compile::frontend::prune::{Plan, prune};
 use crate::compile::{DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy};
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
-use crate::ir::quantised::{Connectivity, Parts, Quantised};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Parts, Quantised};
 
 /// Synapses above which trying changes would take too long.
 const MOST_SYNAPSES: u64 = 10_000_000;

@@ -22,7 +22,8 @@ use crate::desc::mapping::{MappedLayer, OnChip};
 use crate::desc::resource::{Limits, OutputAxons, Packing, Resource};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::partition::{CoreUsage, Partition};
-use crate::ir::quantised::{Connectivity, Quantised, SynapseFormat};
+use crate::ir::quantised::Quantised;
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 
 /// Limits with which both forms count alike.
 fn limits() -> Limits {

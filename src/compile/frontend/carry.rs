@@ -14,7 +14,8 @@
 
 use crate::base::id::{IdVec, PopulationId, ProjectionId};
 use crate::ir::graph::{self, Graph, PopulationKind, ProjectionKind};
-use crate::ir::quantised::{Connectivity, Neurons, Population, Projection, SynapseFormat, Units};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Neurons, Population, Projection, Units};
 use crate::neuron::RealForm;
 
 /// Steps over which responses are summed.

@@ -27,9 +27,8 @@ use crate::desc::network::{Semantics, WeightRounding};
 use crate::desc::neurons::{Conversion, ParameterField};
 use crate::desc::tensor::Tensor;
 use crate::ir::graph::{self, Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
-use crate::ir::quantised::{
-    Connectivity, Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, SynapseFormat, Units,
-};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};
 use crate::neuron;
 
 /// Turns real parameters into integers.

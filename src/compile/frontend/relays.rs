@@ -31,9 +31,8 @@ use crate::base::fixed::{Delay, SignMode, ThresholdMantissa, WeightBits, WeightE
 use crate::base::id::{CompartmentId, IdVec, PopulationId, ProjectionId};
 use crate::desc::network::Semantics;
 use crate::ir::graph::{PerCompartment, Shape};
-use crate::ir::quantised::{
-    Connectivity, Neuron, Note, Parts, Population, Projection, Quantised, SynapseFormat, Units,
-};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Neuron, Note, Parts, Population, Projection, Quantised, Units};
 
 /// Weight of the synapse of a relay: twice its threshold of 1 mantissa unit.
 const WEIGHT: i16 = 2;

@@ -26,9 +26,8 @@ use crate::compile::parcel::words::{Damaged, Reader, Writer};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::neurons::NeuronKind;
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::quantised::{
-    Connectivity, Neuron, Parts, Population, Projection, Pruned, Quantised, Reset, SynapseFormat, Units,
-};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Neuron, Parts, Population, Projection, Pruned, Quantised, Reset, Units};
 
 const SIGNS: [SignMode; 3] = [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory];
 const SEMANTICS: [Semantics; 3] = [Semantics::Hardware, Semantics::Lava, Semantics::Slayer];

@@ -20,7 +20,8 @@ use crate::compile::resources::packing::{self, Group, Widths};
 use crate::desc::resource::{PerResource, Resource};
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
-use crate::ir::quantised::{Connectivity, Quantised};
+use crate::ir::quantised::Quantised;
+use crate::ir::quantised::connectivity::Connectivity;
 
 /// The lists turned around: for each key below `keys`, the lists that it is in, ascending. `turn` makes of a list's number and
 /// an item the item's key and what the key's list holds.

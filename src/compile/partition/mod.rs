@@ -55,7 +55,8 @@ use crate::desc::target::Target;
 use crate::ir::activity::CoreCounts;
 use crate::ir::firing_rates::{Rates, UNIT};
 use crate::ir::partition::{CoreUsage, Partition, PartitionError, seats};
-use crate::ir::quantised::{Connectivity, Quantised};
+use crate::ir::quantised::Quantised;
+use crate::ir::quantised::connectivity::Connectivity;
 
 /// How a partition is looked for.
 #[derive(Debug, Clone, Copy)]

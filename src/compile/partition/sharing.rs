@@ -19,7 +19,8 @@ use crate::compile::partition::order::{Chips, Filler, Found};
 use crate::compile::resources::fan_out::{ALONE, slots_of_core};
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::desc::resource::Resource;
-use crate::ir::quantised::{Connectivity, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Quantised, Units};
 
 /// Compartments of a pool.
 const POOL: u32 = 1 << 13;

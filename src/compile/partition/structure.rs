@@ -65,7 +65,7 @@ fn targets(network: &Quantised, id: u32, most: usize) -> (Vec<u32>, u64) {
 mod tests {
     use super::*;
     use crate::compile::testing::{Builder, plain_format};
-    use crate::ir::quantised::Connectivity;
+    use crate::ir::quantised::connectivity::Connectivity;
 
     /// A network in which each of `n` compartments reaches those that `target(source, synapse)` says.
     fn network(n: u32, target: impl Fn(u32, u64) -> u32) -> Quantised {

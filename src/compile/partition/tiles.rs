@@ -28,7 +28,8 @@ use crate::compile::resources::packing::MOST_SLOTS;
 use crate::compile::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use crate::desc::resource::{Limits, OutputAxons, Resource};
 use crate::ir::graph::Window;
-use crate::ir::quantised::{Connectivity, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Quantised, Units};
 
 /// Grids that are tried on a core before giving up.
 const TRIALS: usize = 60;

@@ -47,7 +47,8 @@ use crate::base::id::PopulationId;
 use crate::compile::resources::by_core::{self, Key};
 use crate::compile::resources::fan_in::first_source;
 use crate::desc::resource::{Limits, OutputAxons, Resource};
-use crate::ir::quantised::{Connectivity, Projection, Quantised};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Projection, Quantised};
 
 /// Bits of an atom at most.
 const MOST_ATOM_BITS: u32 = 9;

@@ -21,7 +21,8 @@ use crate::compile::resources::receptive_field::{ReceptiveField, WindowAxis, rel
 use crate::desc::resource::Limits;
 use crate::ir::graph::Window;
 use crate::ir::partition::CoreUsage;
-use crate::ir::quantised::{Connectivity, Quantised};
+use crate::ir::quantised::Quantised;
+use crate::ir::quantised::connectivity::Connectivity;
 
 /// A projection into a layer.
 #[derive(Debug, Clone, Copy)]

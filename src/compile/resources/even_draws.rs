@@ -23,7 +23,8 @@ use crate::compile::reason::Reason;
 use crate::compile::resources::axon_sharing::Places;
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
-use crate::ir::quantised::{Connectivity, Population, Projection, Quantised};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Population, Projection, Quantised};
 
 /// The logarithm of the chance that is left for a bound to be wrong.
 const DOUBT: f64 = 45.0;

@@ -15,7 +15,8 @@ use rayon::prelude::*;
 use crate::base::id::{IdVec, PopulationId, ProjectionId};
 use crate::ir::firing_rates::Rates;
 use crate::ir::graph::Window;
-use crate::ir::quantised::{Connectivity, Population, Quantised};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Population, Quantised};
 
 /// Sources of spikes under one number: channels first, then compartments.
 #[must_use]

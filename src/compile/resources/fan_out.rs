@@ -15,7 +15,8 @@ use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::fan_in::{bundle, first_source};
 use crate::desc::resource::{Limits, OutputAxons};
 use crate::ir::firing_rates::Rates;
-use crate::ir::quantised::{Connectivity, Quantised};
+use crate::ir::quantised::Quantised;
+use crate::ir::quantised::connectivity::Connectivity;
 
 /// Compartments that one task looks at; fixed, so that nothing depends on threads.
 const PIECE: usize = 1 << 14;

@@ -1,6 +1,7 @@
 //! The distinct synapse formats of a network.
 
-use crate::ir::quantised::{Quantised, SynapseFormat};
+use crate::ir::quantised::Quantised;
+use crate::ir::quantised::connectivity::SynapseFormat;
 
 /// The distinct synapse formats of a network, ascending.
 #[derive(Debug, Clone)]

@@ -1,7 +1,7 @@
 //! How many 64-bit words of synapse memory an input axon's list takes.
 //!
 //! In comes the make-up of a list; out goes a number of words. The synapses that one spike source sends to one core are
-//! one list; those of the same [`SynapseFormat`](crate::ir::quantised::SynapseFormat) form one
+//! one list; those of the same [`SynapseFormat`](crate::ir::quantised::connectivity::SynapseFormat) form one
 //! *group* of it, and a list takes the sum of its groups. A group is stored
 //!
 //! - *dense*, without target indices, when its slots follow each other without gap or repetition; a single synapse is dense;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::names::named_variants;
 use crate::desc::spanned::Spanned;
-use crate::desc::target::Status;
+use crate::desc::target::constants::Status;
 
 /// Whether samples are passed as fast as possible or at the pace of their timesteps.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]

@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::workload::Accounting;
 use crate::desc::spanned::Spanned;
-use crate::desc::target::{Status, Unit};
+use crate::desc::target::constants::{Status, Unit};
 
 /// The time in which an x86 core sets one 32-bit word of a core's state registers to zero.
 pub const RESET_WORD_TIME: &str = "reset_word_time";

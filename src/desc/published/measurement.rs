@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use super::baseline::Mode;
 use crate::desc::spanned::Spanned;
-use crate::desc::target::Constant;
+use crate::desc::target::constants::Constant;
 
 /// One cell of a table.
 #[derive(Debug, Clone, Deserialize)]

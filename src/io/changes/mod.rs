@@ -12,7 +12,7 @@ use std::cell::RefCell;
 use std::sync::OnceLock;
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
-use crate::desc::target::{Constants, Status};
+use crate::desc::target::constants::{Constants, Status};
 
 /// One change.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -173,7 +173,8 @@ mod tests {
     use crate::ir::program::{
         AxonTarget, Compartment, Compartments, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Stored, Synapse,
     };
-    use crate::ir::quantised::{Neuron, SynapseFormat};
+    use crate::ir::quantised::Neuron;
+    use crate::ir::quantised::connectivity::SynapseFormat;
     use crate::machine::layout::image::Image;
 
     const CORES: u64 = 9;

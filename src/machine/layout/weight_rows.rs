@@ -444,7 +444,7 @@ mod tests {
     use super::*;
     use crate::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
     use crate::base::rng;
-    use crate::ir::quantised::SynapseFormat;
+    use crate::ir::quantised::connectivity::SynapseFormat;
 
     fn format(exponent: i64) -> CoreFormat {
         let exponent = WeightExponent::new(exponent).unwrap();

@@ -160,7 +160,7 @@ mod tests {
     use super::*;
     use crate::bench::published::predict::Predicted;
     use crate::desc::published::workload::{Accounting, Quantity};
-    use crate::desc::target::Status;
+    use crate::desc::target::constants::Status;
 
     fn row(left_out: bool, published: f64) -> PublishedRow {
         PublishedRow {

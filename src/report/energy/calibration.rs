@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::format::{plain, short};
 use crate::desc::published::measurement::MeasurementsFile;
-use crate::desc::target::{Residual, Unit};
+use crate::desc::target::constants::{Residual, Unit};
 use crate::report::text::{csv_text, wrapped};
 
 /// A constant that was fitted.

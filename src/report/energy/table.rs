@@ -16,7 +16,7 @@ use crate::cost::deployment::Deployment;
 use crate::cost::estimate::{Convention, EnergyRow, Estimate};
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::workload::Accounting;
-use crate::desc::target::{Constants, Status, Unit};
+use crate::desc::target::constants::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
 use crate::report::detail::Detail;
 use crate::report::text::{Column, count, csv_of, or_empty, wrapped};

@@ -2,7 +2,8 @@
 
 use serde_json::{Value, json};
 
-use crate::ir::quantised::{Connectivity, Neuron, Population, Projection, Quantised, Units};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Neuron, Population, Projection, Quantised, Units};
 
 /// Bars of a histogram of weights.
 const BARS: i32 = 32;

@@ -32,9 +32,8 @@ use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
 use crate::ir::graph::Shape;
 use crate::ir::pruned::{Kind, Row};
-use crate::ir::quantised::{
-    Connectivity, Inconsistent, Parts, Population, Projection, Pruned, Quantised, SpikeSource, Units,
-};
+use crate::ir::quantised::connectivity::Connectivity;
+use crate::ir::quantised::{Inconsistent, Parts, Population, Projection, Pruned, Quantised, SpikeSource, Units};
 use crate::ir::spikes::{Sample, Stimulus};
 
 /// Channels that a stimulus never fires.
