@@ -17,7 +17,8 @@ use self::predict::{PredictError, Predicted, predict};
 use crate::cost::evidence::ConstantSets;
 use crate::desc::published::evidence::{EvidenceFile, Jobs};
 use crate::desc::published::workload::{Accounting, FigureKind, Quantity, WorkloadFile};
-use crate::desc::target::{Constants, Status, Target};
+use crate::desc::target::Target;
+use crate::desc::target::constants::{Constants, Status};
 
 /// A printed figure and its prediction.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,11 +70,16 @@ pub fn rows(
     progress: impl Fn(),
 ) -> Result<Vec<PublishedRow>, PredictError> {
     let mut rows = Vec::new();
+    let of_all = |jobs| ConstantSets::new(evidence, base, None, jobs);
+    let (one_chip, several) = (of_all(Jobs::OneChip)?, of_all(Jobs::SeveralChips)?);
     for file in workloads {
         let jobs = Jobs::on_chips(file.deployment.chips_used);
-        let shipped = ConstantSets::new(evidence, base, None, jobs)?;
+        let shipped = match jobs {
+            Jobs::OneChip => &one_chip,
+            Jobs::SeveralChips => &several,
+        };
         let without = ConstantSets::new(evidence, base, Some(&file.work), jobs)?;
-        let predictions = predict(file, &target(&file.target.value)?, [&shipped, &without])?;
+        let predictions = predict(file, &target(&file.target.value)?, [shipped, &without])?;
         for (predictions, left_out) in predictions.into_iter().zip([false, true]) {
             for (figure, predicted) in file.figures.iter().zip(predictions) {
                 rows.push(PublishedRow {

@@ -13,7 +13,8 @@ use crate::base::rng;
 use crate::bench::networks::BuildError;
 use crate::desc::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
 use crate::ir::graph::{PerCompartment, Shape, Window};
-use crate::ir::quantised::{Connectivity, Neuron, Parts, Population, Projection, Quantised, SynapseFormat, Units};
+use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use crate::ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Units};
 use crate::ir::spikes::Sample;
 
 /// Steps before anything is counted: the slowest bias has brought most compartments to their first spike by then.

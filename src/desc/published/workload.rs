@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::names::named_variants;
 use crate::desc::spanned::Spanned;
-use crate::desc::target::Status;
+use crate::desc::target::constants::Status;
 
 /// What a measurement attributes to the chip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -110,9 +110,6 @@ pub struct Between {
     pub high: f64,
 }
 
-/// Spikes a unit and step, the mean over units and steps.
-pub type FiringRate = Between;
-
 /// A population of a workload.
 #[derive(Debug, Clone, Deserialize)]
 pub enum WorkloadPopulation {
@@ -122,8 +119,8 @@ pub enum WorkloadPopulation {
         name: String,
         /// Channels, height, width; or one number.
         shape: Vec<u32>,
-        /// How often a channel spikes.
-        rate: FiringRate,
+        /// How often a channel spikes: spikes a channel and step, the mean over channels and steps.
+        rate: Between,
     },
     /// Compartments.
     Layer {
@@ -131,8 +128,8 @@ pub enum WorkloadPopulation {
         name: String,
         /// Channels, height, width; or one number.
         shape: Vec<u32>,
-        /// How often a compartment spikes.
-        rate: FiringRate,
+        /// How often a compartment spikes: spikes a compartment and step, the mean over compartments and steps.
+        rate: Between,
     },
     /// A compartment for each unit of an input population, which spikes one step after it: what hands inputs on to other cores.
     Relay {
@@ -313,7 +310,7 @@ fn always() -> Between {
 impl WorkloadPopulation {
     /// Name, shape and rate; a relay has no rate of its own.
     #[must_use]
-    pub fn parts(&self) -> (&str, &[u32], Option<FiringRate>) {
+    pub fn parts(&self) -> (&str, &[u32], Option<Between>) {
         match self {
             WorkloadPopulation::Input { name, shape, rate } | WorkloadPopulation::Layer { name, shape, rate } => {
                 (name, shape, Some(*rate))

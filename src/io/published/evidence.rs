@@ -6,7 +6,7 @@
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::published::evidence::{EvidenceFile, HOST_CONSTANTS};
 use crate::desc::spanned::parse;
-use crate::desc::target::Constants;
+use crate::desc::target::constants::Constants;
 use crate::io::shipped;
 
 /// The evidence that ships.

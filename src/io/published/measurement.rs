@@ -6,7 +6,7 @@
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::published::measurement::MeasurementsFile;
 use crate::desc::spanned::{Spanned, parse};
-use crate::desc::target::Constants;
+use crate::desc::target::constants::Constants;
 use crate::io::shipped;
 
 /// Units of a row that a table may name.

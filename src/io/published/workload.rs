@@ -84,7 +84,7 @@ pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::desc::target::Status;
+    use crate::desc::target::constants::Status;
 
     #[test]
     fn shipped_workloads_are_well_formed_and_say_what_was_assumed() {
