@@ -26,8 +26,7 @@
 //! By b., D of a source of k is D of that of j with targets k - j copies later, by a. so is R, and parameters are equal.
 //!
 //! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing of the stages between.
-//! Sources are compared a piece at a time, `PIECE_SYNAPSES` of the network on average; memory is that of a piece for each
-//! thread.
+//! Sources are compared a piece at a time, of `synapses_of_piece` on average; memory is that of a piece for each thread.
 
 use std::ops::Range;
 
@@ -40,10 +39,14 @@ use crate::ir::program::{AxonTarget, Compartment, Compartments, Program};
 use crate::ir::quantised::connectivity::SynapseFormat;
 use crate::ir::quantised::{Population, Projection, Quantised, Units};
 
-/// Synapses of the sources that are decoded together, on average: they should stay in a processor's cache.
-const PIECE_SYNAPSES: u64 = 1 << 18;
-/// Sources that are decoded together at most.
-const MOST_SOURCES: u16 = 1 << 13;
+/// Sources that are decoded together at most: their numbers within a piece have 16 bits.
+const MOST_SOURCES: u64 = 1 << 16;
+
+/// Synapses of the sources that are decoded together, on average. On each core they are to be so many that what is loaded of its
+/// tables is read from end to end; beyond that they should stay in a processor's cache.
+fn synapses_of_piece(cores: usize) -> u64 {
+    (64 * cores as u64).clamp(1 << 16, 1 << 20)
+}
 
 /// A difference between a program and its network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -73,17 +76,25 @@ pub(super) struct SynapseCode(u64);
 
 impl SynapseCode {
     pub(super) fn new(target: CompartmentId, format: SynapseFormat, weight: i16, delay: Delay) -> Self {
+        Self::of_format(format).with(target, weight, delay)
+    }
+
+    /// What synapses of a format have in common.
+    fn of_format(format: SynapseFormat) -> Self {
         let sign = match format.sign {
             SignMode::Mixed => 0,
             SignMode::Excitatory => 1,
             SignMode::Inhibitory => 2,
         };
-        let mut code = u64::from(target.0);
-        code = code << 5 | u64::from((format.exponent.get() + 16) as u8);
-        code = code << 2 | sign;
-        code = code << 4 | u64::from(format.bits.get());
-        code = code << 6 | u64::from(delay.get());
-        SynapseCode(code << 10 | u64::from((weight + 512) as u16 & 1023))
+        let code = u64::from((format.exponent.get() + 16) as u8) << 2 | sign;
+        SynapseCode((code << 4 | u64::from(format.bits.get())) << 16)
+    }
+
+    /// A synapse of this format.
+    #[inline]
+    fn with(self, target: CompartmentId, weight: i16, delay: Delay) -> Self {
+        let weight = u64::from((weight + 512) as u16 & 1023);
+        SynapseCode(self.0 | u64::from(target.0) << 27 | u64::from(delay.get()) << 10 | weight)
     }
 }
 
@@ -122,7 +133,8 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
         let outgoing: Vec<&Projection> = network.projections().iter().filter(|p| p.source == id).collect();
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
         let size = population.shape.len();
-        let piece = (u64::from(size) * PIECE_SYNAPSES / synapses.max(1)).clamp(1, MOST_SOURCES.into()) as u32;
+        let of_piece = synapses_of_piece(program.cores().len());
+        let piece = (u64::from(size) * of_piece / synapses.max(1)).clamp(1, MOST_SOURCES) as u32;
         let failed = (0..size.div_ceil(piece))
             .into_par_iter()
             .map_init(Decoder::default, |decoder, number| {
@@ -264,6 +276,8 @@ struct Decoder {
     /// Where each source's synapses begin among the meant, and one more.
     first: Vec<usize>,
     meant: Vec<SynapseCode>,
+    /// Of the formats of a core.
+    formats: Vec<SynapseCode>,
     /// Where the next synapse of each source goes among the decoded, which have room for as many as are meant.
     next: Vec<usize>,
     decoded: Vec<SynapseCode>,
@@ -281,9 +295,9 @@ impl Decoder {
             for projection in outgoing {
                 let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
                 let wanted = |target| !part || program.holds(program.seats()[CompartmentId(first.0 + target)].core);
+                let code = SynapseCode::of_format(projection.format);
                 projection.connectivity.for_each_wanted(index, wanted, |target, weight| {
-                    let target = CompartmentId(first.0 + target);
-                    self.meant.push(SynapseCode::new(target, projection.format, weight, projection.delay));
+                    self.meant.push(code.with(CompartmentId(first.0 + target), weight, projection.delay));
                 });
             }
         }
@@ -292,7 +306,8 @@ impl Decoder {
 
     /// D(s), as far as there is room.
     fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>) {
-        let all = || (0u16..).zip(sources.clone()).map(|(source, index)| (source, messages_of(program, units, index)));
+        let all =
+            || (0..=u16::MAX).zip(sources.clone()).map(|(source, index)| (source, messages_of(program, units, index)));
         self.ends.clear();
         self.ends.resize(program.cores().len() + 1, 0);
         all().flat_map(|(_, messages)| messages).for_each(|message| self.ends[message.core.index() + 1] += 1);
@@ -315,13 +330,15 @@ impl Decoder {
         for (image, &end) in program.cores().iter().zip(&self.ends) {
             let of_core = &self.messages[begin as usize..end as usize];
             begin = end;
+            self.formats.clear();
+            self.formats.extend(image.formats.iter().map(|format| SynapseCode::of_format(format.synapse)));
             for &(axon, source) in of_core {
                 let (next, end) = (&mut self.next[usize::from(source)], self.first[usize::from(source) + 1]);
                 for synapse in image.inputs.get(usize::from(axon)).synapses() {
                     if *next < end {
                         let target = image.ids[usize::from(synapse.slot)];
-                        let format = image.formats[usize::from(synapse.format)].synapse;
-                        self.decoded[*next] = SynapseCode::new(target, format, synapse.weight, synapse.delay);
+                        let format = self.formats[usize::from(synapse.format)];
+                        self.decoded[*next] = format.with(target, synapse.weight, synapse.delay);
                     }
                     *next += 1;
                 }

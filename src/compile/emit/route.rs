@@ -352,13 +352,14 @@ fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages 
             of_core[part].iter().for_each(|source| counts[(source - from) as usize] += 1);
         }
         let mut lists = Csr::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
+        // Where the next message of each source goes; cores ascend, so lists do.
+        let mut next = lists.firsts()[..counts.len()].to_vec();
+        let items = lists.items_mut();
         for (core, (of_core, part)) in sources.iter().zip(parts()).enumerate() {
             for (axon, &source) in part.clone().zip(&of_core[part]) {
-                // Counts are now those of the messages left to write; cores ascend, so lists do.
-                let source = (source - from) as usize;
-                let place = lists.get(source).len() - counts[source] as usize;
-                lists.get_mut(source)[place] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };
-                counts[source] -= 1;
+                let next = &mut next[(source - from) as usize];
+                items[*next as usize] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };
+                *next += 1;
             }
         }
         lists
