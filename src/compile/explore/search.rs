@@ -9,7 +9,8 @@
 //! sequential one when every source spikes at once, and when all sources of one population do: over all populations and, but
 //! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
 //! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
-//! `EVERYWHERE`, also when every source spikes.
+//! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host takes as long to inject whatever the
+//! mapping, and may take most of a step.
 
 use std::time::{Duration, Instant};
 
@@ -39,7 +40,7 @@ use crate::ir::quantised::Quantised;
 const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 /// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
 /// not enough for all (`nsim bench map`). The first two are always tried.
-const SHORTEST: [u32; 7] = [8, 1, 16, 32, 4, 64, 2];
+const SHORTEST: [u32; 7] = [4, 1, 8, 32, 16, 64, 2];
 /// How much less a mean step must take to be trusted to take no longer in a burst.
 const MARGIN: f64 = 0.9;
 /// How much less it must take where no burst may take longer and that of all sources takes as much less.
@@ -112,8 +113,8 @@ enum Kept {
     /// The mapping, which has not been checked.
     Written(Box<Unchecked>),
     /// Of a symbolic mapping, which takes much memory, only where its boxes are: it is made again from there. With the name
-    /// of the placement, and the times of bursts when they are needed.
-    Symbolic { file: Box<MappingFile>, placed: &'static str, times: Vec<f64> },
+    /// of the placement, and steps in which sources spike at once when they are needed.
+    Symbolic { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
 }
 
 /// A mapping for an objective: with [`Objective::Cores`] the one that the options say, otherwise the best of several.
@@ -138,10 +139,10 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form
                 return Ok(Vec::new());
             };
             let bursts = bursts.get_or_insert_with(|| self::bursts(quantised));
-            let time = |rates: &Rates| score_at(program, placement, options.copies, rates, target).map(|s| s.step_us);
-            Ok(bursts.iter().map(time).collect::<Result<_, _>>()?)
+            let score = |rates: &Rates| score_at(program, placement, options.copies, rates, target);
+            Ok(bursts.iter().map(score).collect::<Result<_, _>>()?)
         }
-        Kept::Symbolic { times, .. } => Ok(times.clone()),
+        Kept::Symbolic { bursts, .. } => Ok(bursts.clone()),
     })?;
     let mut best = match kept {
         Kept::Written(unchecked) => unchecked.check(target)?,
@@ -330,16 +331,16 @@ impl Search<'_> {
             _ => Vec::new(),
         };
         let score = |rates: &PopulationRates| at_places.score(rates, &at_places.traffic(rates), target, options.copies);
-        let times = bursts.iter().map(|rates| Ok(score(rates)?.step_us)).collect::<Result<_>>()?;
+        let bursts = bursts.iter().map(score).collect::<Result<_, _>>()?;
         let score = score(&everywhere(all, rates))?;
         let file = Box::new(file_of_boxes(all, boxes, &placement, target.name(), options));
-        Ok((score, Kept::Symbolic { file, placed, times }))
+        Ok((score, Kept::Symbolic { file, placed, bursts }))
     }
 }
 
-/// The best of candidates, the first of which is what others are measured by; `times` are those of bursts,
-/// that of all sources first.
-fn chosen<M>(made: Vec<Made<M>>, objective: Objective, mut times: impl FnMut(&M) -> Result<Vec<f64>>) -> Result<M> {
+/// The best of candidates, the first of which is what others are measured by; `bursts` are steps in which sources spike at once, that
+/// of all sources first.
+fn chosen<M>(made: Vec<Made<M>>, objective: Objective, mut bursts: impl FnMut(&M) -> Result<Vec<Score>>) -> Result<M> {
     let mut made = made.into_iter();
     let Some(plain) = made.next() else {
         return Err(CompileError::Fault("there is no candidate".to_string()));
@@ -350,22 +351,24 @@ fn chosen<M>(made: Vec<Made<M>>, objective: Objective, mut times: impl FnMut(&M)
     if objective != Objective::Latency {
         return Ok(others.into_iter().next().unwrap_or(plain).kept);
     }
-    let least = if others.is_empty() { Vec::new() } else { times(&plain.kept)? };
+    let least = if others.is_empty() { Vec::new() } else { bursts(&plain.kept)? };
+    let times = |bursts: &[Score]| bursts.iter().map(|score| score.step_us).collect::<Vec<f64>>();
     for other in others {
-        let shorter = |part: f64| other.found.score.step_us < part * plain.found.score.step_us;
+        let shorter = |part: f64| other.found.score.on_chip_us() < part * plain.found.score.on_chip_us();
         let trusted = same_cores(&other.found, &plain.found) || shorter(MARGIN);
         // Evaluating bursts is expensive.
         if !trusted && !shorter(EVERYWHERE) {
             continue;
         }
-        let times = times(&other.kept)?;
-        tracing::debug!(candidate = ?other.found.candidate, ?times, ?least, "steps of bursts in microseconds");
-        let everywhere = || times.first().zip(least.first()).is_none_or(|(all, plain)| *all < EVERYWHERE * plain);
+        let of_other = bursts(&other.kept)?;
+        tracing::debug!(candidate = ?other.found.candidate, ?of_other, ?least, "steps of bursts");
+        let all = of_other.first().zip(least.first());
+        let everywhere = || all.is_none_or(|(all, plain)| all.on_chip_us() < EVERYWHERE * plain.on_chip_us());
         if !trusted && !everywhere() {
             continue;
         }
         let slack = if trusted { 1.0 / MARGIN } else { 1.0 };
-        if no_slower(&times, &least, slack) {
+        if no_slower(&times(&of_other), &times(&least), slack) {
             return Ok(other.kept);
         }
     }
