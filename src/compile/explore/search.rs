@@ -10,7 +10,7 @@
 //! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
 //! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
 //! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host takes as long to inject whatever the
-//! mapping, and may take most of a step.
+//! mapping, and may take most of a step. Where it does, what is saved has to be a part of the whole, too (`OF_WHOLE`).
 
 use std::time::{Duration, Instant};
 
@@ -45,6 +45,8 @@ const SHORTEST: [u32; 7] = [4, 1, 8, 32, 16, 64, 2];
 const MARGIN: f64 = 0.9;
 /// How much less it must take where no burst may take longer and that of all sources takes as much less.
 const EVERYWHERE: f64 = 0.95;
+/// How much less the whole mean step must take, injection included.
+const OF_WHOLE: f64 = 0.99;
 /// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
 const SHORT: f64 = 0.1;
 /// Populations whose bursts candidates are compared in.
@@ -354,10 +356,12 @@ fn chosen<M>(made: Vec<Made<M>>, objective: Objective, mut bursts: impl FnMut(&M
     let least = if others.is_empty() { Vec::new() } else { bursts(&plain.kept)? };
     let times = |bursts: &[Score]| bursts.iter().map(|score| score.step_us).collect::<Vec<f64>>();
     for other in others {
-        let shorter = |part: f64| other.found.score.on_chip_us() < part * plain.found.score.on_chip_us();
-        let trusted = same_cores(&other.found, &plain.found) || shorter(MARGIN);
+        let (score, of_plain) = (&other.found.score, &plain.found.score);
+        let shorter = |part: f64| score.on_chip_us() < part * of_plain.on_chip_us();
+        let matters = score.step_us < OF_WHOLE * of_plain.step_us;
+        let trusted = same_cores(&other.found, &plain.found) || matters && shorter(MARGIN);
         // Evaluating bursts is expensive.
-        if !trusted && !shorter(EVERYWHERE) {
+        if !trusted && !(matters && shorter(EVERYWHERE)) {
             continue;
         }
         let of_other = bursts(&other.kept)?;
