@@ -360,8 +360,9 @@ fn chosen<M>(made: Vec<Made<M>>, objective: Objective, mut bursts: impl FnMut(&M
         let shorter = |part: f64| score.on_chip_us() < part * of_plain.on_chip_us();
         let matters = score.step_us < OF_WHOLE * of_plain.step_us;
         let trusted = same_cores(&other.found, &plain.found) || matters && shorter(MARGIN);
-        // Evaluating bursts is expensive.
-        if !trusted && !(matters && shorter(EVERYWHERE)) {
+        let worth_bursts = trusted || matters && shorter(EVERYWHERE);
+        // Evaluating them is expensive.
+        if !worth_bursts {
             continue;
         }
         let of_other = bursts(&other.kept)?;
