@@ -437,6 +437,32 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_shorter_step_is_a_part_of_the_time_on_the_chips_and_of_the_whole() {
+        // A step of so many microseconds on the chips, of which the plain mapping takes 40, besides the host's.
+        let taken = |on_chip: f64, host_us: f64| {
+            let made = |divisor, on_chip: f64| {
+                let step_us = on_chip + host_us;
+                let score = Score {
+                    cores: 1,
+                    cores_powered: 1,
+                    energy_uj: 1.0,
+                    chip_energy_uj: 1.0,
+                    step_us,
+                    host_us,
+                    static_mw: 1.0,
+                };
+                let candidate = Candidate { strategy: Strategy::Multilevel, divisor, placed: true };
+                Made { found: Found { candidate, score }, kept: (divisor, score) }
+            };
+            let bursts = |kept: &(u32, Score)| Ok(vec![kept.1]);
+            chosen(vec![made(1, 40.0), made(4, on_chip)], Objective::Latency, bursts).unwrap().0
+        };
+        assert_eq!(taken(30.0, 160.0), 4, "a quarter less on the chips, a twentieth of the whole");
+        assert_eq!(taken(39.0, 160.0), 1, "too little on the chips");
+        assert_eq!(taken(30.0, 2_000.0), 1, "too little of the whole");
+    }
+
+    #[test]
     fn bursts_are_no_slower_all_together_and_each_but_for_slack_or_where_they_are_short() {
         let plain = [1_000.0, 400.0, 300.0, 20.0];
         assert!(no_slower(&plain, &plain, 1.0));

@@ -103,7 +103,7 @@ impl Connectivity {
                 }
             }
             Connectivity::Conv2d { window, kernel } => {
-                let (_, kh, kw) = (0, window.kernel.0, window.kernel.1);
+                let (kh, kw) = window.kernel;
                 let per_group_in = window.source.0 / window.groups;
                 let per_group_out = window.target.0 / window.groups;
                 let channel = source / (window.source.1 * window.source.2);
