@@ -67,7 +67,9 @@ fn no_mapping_of_the_suite_has_more_hops_or_cores_or_longer_steps_than_the_seque
                     assert!(hops(row) <= hops(sequential), "{what}: {} of {} hops", hops(row), hops(sequential));
                 }
             } else {
-                assert!(row.step_us <= sequential.step_us, "{what}: {} of {} us", row.step_us, sequential.step_us);
+                // Kernels are stored once, so that cores of convolutions are bound by their synapses, not by their words.
+                let most = if name == "dvs-gesture" { sequential.step_us / 2.0 } else { sequential.step_us };
+                assert!(row.step_us <= most, "{what}: {} of {} us", row.step_us, sequential.step_us);
             }
         }
     }

@@ -232,6 +232,7 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
             Some(budget_ms) => Effort::within_ms(budget_ms),
             None => Options::default().effort,
         },
+        most_synapses: None,
         share: Share::ALL,
     }
 }

@@ -114,6 +114,9 @@ pub struct Options {
     pub place: bool,
     /// What may be spent on looking for a better partition and placement.
     pub effort: Effort,
+    /// Synapses of a core at most, as far as tiles and boxes decide: a kernel is stored once, so limits of memory alone do not bound
+    /// a core's work. None: as many as its limits allow.
+    pub most_synapses: Option<u64>,
     /// For which of the processes that run it together the program is written.
     pub share: Share,
 }
@@ -127,6 +130,7 @@ impl Default for Options {
             seed: 0,
             place: true,
             effort: Effort::Work(DEFAULT_EFFORT_S),
+            most_synapses: None,
             share: Share::ALL,
         }
     }

@@ -194,7 +194,7 @@ impl Front {
         let Front { one, mut clock, .. } = front;
         let (partition, boxes) = clock.stage("partition", || match form {
             Form::Written => Ok((partition(&one, &all, target, search)?, None)),
-            Form::Symbolic => boxes::partition(&all, target, search.strategy, options.copies),
+            Form::Symbolic => boxes::partition(&all, target, options),
         })?;
         Ok(Partitioned { one, all, partition, boxes, rates: rates.copies(options.copies), clock })
     }

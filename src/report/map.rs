@@ -10,9 +10,9 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::text::{Column, count, narrowed, table_of, wrapped};
+use crate::compile::explore::choice::{Found, front};
 use crate::compile::explore::cost_estimate::Score;
 use crate::compile::explore::remedy::Remedy;
-use crate::compile::explore::search::{Found, front};
 use crate::compile::explore::traffic::Traffic;
 use crate::compile::{AddedRelays, DEFAULT_RATE, Effort, Form, Mapping, Options, Reason, place};
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};

@@ -70,8 +70,7 @@ pub fn score_of(
     target: &Target,
     copies: u32,
 ) -> Result<Score, Diagnostic> {
-    let none = || Diagnostic::new("target.constants", format!("target {} has no constants", target.name()));
-    let table = CostTable::new(target.constants().first().ok_or_else(none)?)?;
+    let table = first_constants(target)?;
     let deployment = Deployment::from_placement("packed", placement, target.chip(), copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
     // Turns are of one step, spikes of as many as rates count.
@@ -99,6 +98,15 @@ pub fn score_of(
         host_us: injection / UNIT + turn.microseconds(),
         static_mw,
     })
+}
+
+/// The first preset of a target.
+///
+/// # Errors
+/// A diagnostic when it cannot be used or there is none.
+pub fn first_constants(target: &Target) -> Result<CostTable, Diagnostic> {
+    let none = || Diagnostic::new("target.constants", format!("target {} has no constants", target.name()));
+    CostTable::new(target.constants().first().ok_or_else(none)?)
 }
 
 /// Expected counts of as many steps as rates count.

@@ -3,14 +3,7 @@
 //! Input: a network, a target and an objective. Output: the best of several *candidates*. A candidate is a strategy and
 //! the part of each core that it may fill: cores that hold half as much take half as long and are twice as many. The first
 //! candidates are always the sequential order, unplaced as the public tools leave it and placed.
-//!
-//! The expected step of mean rates is not the simulated one: spikes come in bursts, and more cores mean more messages over
-//! the busiest link in a burst. For the time of a step a candidate must therefore be no slower than the unplaced
-//! sequential one when every source spikes at once, and when all sources of one population do: over all populations and, but
-//! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
-//! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
-//! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host takes as long to inject whatever the
-//! mapping, and may take most of a step. Where it does, what is saved has to be a part of the whole, too (`OF_WHOLE`).
+//! [`choice`](crate::compile::explore::choice) says which is better.
 
 use std::time::{Duration, Instant};
 
@@ -19,15 +12,16 @@ use rayon::prelude::*;
 use crate::compile;
 use crate::compile::error::{CompileError, Result};
 use crate::compile::explore::box_costs::PlacedBoxes;
+use crate::compile::explore::bursts::{bursts, followed_us, messages, population_bursts};
+use crate::compile::explore::choice::{Bursts, Candidate, Choice, Found, Made};
 use crate::compile::explore::cost_estimate::{Score, score_at};
 use crate::compile::form::Form;
 use crate::compile::mapping::{Mapping, Synapses};
 use crate::compile::mapping_file::file_of_boxes;
 use crate::compile::options::{Effort, Objective, Options, Strategy};
-use crate::compile::partition::box_fan_out::{PopulationRates, everywhere, only};
+use crate::compile::partition::box_fan_out::{PopulationRates, everywhere};
 use crate::compile::partition::boxes::{Boxes, Layers};
 use crate::compile::reason::Reason;
-use crate::compile::resources::fan_in::first_source;
 use crate::compile::stages::{Front, Unchecked};
 use crate::desc::mapping::MappingFile;
 use crate::desc::resource::Resource;
@@ -41,20 +35,15 @@ const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
 /// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
 /// not enough for all (`nsim bench map`). The first two are always tried.
 const SHORTEST: [u32; 7] = [4, 1, 8, 32, 16, 64, 2];
-/// How much less a mean step must take to be trusted to take no longer in a burst.
-const MARGIN: f64 = 0.9;
-/// How much less it must take where no burst may take longer and that of all sources takes as much less.
-const EVERYWHERE: f64 = 0.95;
-/// How much less the whole mean step must take, injection included.
-const OF_WHOLE: f64 = 0.99;
-/// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
-const SHORT: f64 = 0.1;
-/// Populations whose bursts candidates are compared in.
-const MOST_BURSTS: usize = 16;
+/// The part that is tried when none of these is taken.
+const HALF: u32 = 2;
 /// Compartments that a second of effort allows to be cut into boxes, over all candidates.
 const COMPARTMENTS_PER_SECOND: u64 = 20_000_000;
 /// Synapses that a second of effort allows to be mapped, over all candidates.
 const SYNAPSES_PER_SECOND: u64 = 4_000_000;
+
+/// Synapses of 8 bits in a word.
+const SYNAPSES_PER_WORD: u64 = 8;
 
 /// Stages that follow once cores have their places.
 const FINISHING: [&str; 3] = ["route", "verify", "check"];
@@ -65,33 +54,6 @@ const LEAST_LEFT: f64 = 0.1;
 /// The part of what is left that the partition may take; the rest is for placing.
 const PARTITIONING: f64 = 0.7;
 
-/// A way of mapping.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-pub struct Candidate {
-    /// How compartments are grouped into cores.
-    pub strategy: Strategy,
-    /// A core is filled to one part in so many.
-    pub divisor: u32,
-    /// Whether cores are placed by traffic.
-    pub placed: bool,
-}
-
-/// A candidate that fits.
-#[derive(Debug, Clone, Copy)]
-pub struct Found {
-    /// How it was made.
-    pub candidate: Candidate,
-    /// What it is worth.
-    pub score: Score,
-}
-
-/// A candidate with its mapping.
-#[derive(Debug)]
-struct Made<M> {
-    found: Found,
-    kept: M,
-}
-
 /// A core's limits divided, but for the words that one compartment needs, as far as they are known.
 fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let limits = target.limits();
@@ -99,6 +61,12 @@ fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let compartments = (limits[Resource::Compartments] / divisor).max(1);
     let divided = limits.clone().with(Resource::Compartments, compartments).with(Resource::SynapseWords, words);
     target.clone().with_limits(divided)
+}
+
+/// The synapses of a core that is filled to a part: those of 8 bits that the part's words hold; of a whole one as many as there may be.
+fn most_synapses(target: &Target, divisor: u32) -> Option<u64> {
+    let words = u64::from(target.limits()[Resource::SynapseWords]);
+    (divisor > 1).then(|| words * SYNAPSES_PER_WORD / u64::from(divisor))
 }
 
 /// The words that one compartment alone needs, when they are all that a divided core lacks and a whole one has them.
@@ -119,6 +87,51 @@ enum Kept {
     Symbolic { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
 }
 
+/// Messages of a step that are followed to compare candidates.
+const FOLLOWED: f64 = (1 << 20) as f64;
+
+/// The bursts of what is kept of candidates, of which the first that is asked for says how many are affordable.
+struct KeptBursts<'a> {
+    target: &'a Target,
+    copies: u32,
+    rates: Option<Vec<Rates>>,
+    /// Of a compartment to spike in a step that is followed.
+    chance: Option<f64>,
+}
+
+impl<'a> KeptBursts<'a> {
+    fn new(target: &'a Target, copies: u32) -> Self {
+        KeptBursts { target, copies, rates: None, chance: None }
+    }
+}
+
+impl Bursts<Kept> for KeptBursts<'_> {
+    fn expected(&mut self, kept: &Kept) -> Result<Vec<Score>> {
+        match kept {
+            Kept::Written(unchecked) => {
+                let Mapping { quantised, placement, program: Synapses::Written(program), .. } = unchecked.mapping()
+                else {
+                    return Ok(Vec::new());
+                };
+                let bursts = self.rates.get_or_insert_with(|| bursts(quantised));
+                let score = |rates: &Rates| score_at(program, placement, self.copies, rates, self.target);
+                Ok(bursts.iter().map(score).collect::<Result<_, _>>()?)
+            }
+            Kept::Symbolic { bursts, .. } => Ok(bursts.clone()),
+        }
+    }
+
+    fn followed_us(&mut self, kept: &Kept) -> Result<Option<f64>> {
+        let Kept::Written(unchecked) = kept else { return Ok(None) };
+        let Mapping { placement, program: Synapses::Written(program), .. } = unchecked.mapping() else {
+            return Ok(None);
+        };
+        let affordable = || (FOLLOWED / messages(program).max(1) as f64).min(1.0);
+        let chance = *self.chance.get_or_insert_with(affordable);
+        Ok(Some(followed_us(program, placement, self.target, self.copies, chance)?))
+    }
+}
+
 /// A mapping for an objective: with [`Objective::Cores`] the one that the options say, otherwise the best of several.
 /// `rates` are of one copy.
 ///
@@ -133,20 +146,19 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form
         };
     }
     let begin = Instant::now();
-    let made = Search { form, front: &front, target, options, rates }.all()?;
-    let mut bursts = None;
-    let kept = chosen(made, options.objective, |kept| match kept {
-        Kept::Written(unchecked) => {
-            let Mapping { quantised, placement, program: Synapses::Written(program), .. } = unchecked.mapping() else {
-                return Ok(Vec::new());
-            };
-            let bursts = bursts.get_or_insert_with(|| self::bursts(quantised));
-            let score = |rates: &Rates| score_at(program, placement, options.copies, rates, target);
-            Ok(bursts.iter().map(score).collect::<Result<_, _>>()?)
-        }
-        Kept::Symbolic { bursts, .. } => Ok(bursts.clone()),
-    })?;
-    let mut best = match kept {
+    let search = Search { form, front: &front, target, options, rates };
+    let ways = search.ways()?;
+    let mut made = search.all(&ways, 0)?;
+    if made.is_empty() {
+        return Err(CompileError::Fault("there is no candidate".to_string()));
+    }
+    let (plain, found) = (made.remove(0), made.iter().map(|made| made.found).collect::<Vec<_>>());
+    let mut choice = Choice::new(&plain, options.objective, KeptBursts::new(target, options.copies));
+    let mut taken = choice.best_of(made)?;
+    if let (None, Some(way)) = (&taken, search.further(&ways, &found)) {
+        taken = choice.best_of(search.all(&[way], ways.len())?)?;
+    }
+    let mut best = match taken.unwrap_or(plain.kept) {
         Kept::Written(unchecked) => unchecked.check(target)?,
         Kept::Symbolic { file, placed, .. } => {
             let compared = ("compare", begin.elapsed().as_secs_f64());
@@ -204,7 +216,8 @@ fn by_the_clock(
 /// [`CompileError`] of the first candidate, when none fits.
 pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Vec<Found>> {
     let target = &*form.counted_on(target);
-    Ok(Search { form, front, target, options, rates }.all()?.into_iter().map(|made| made.found).collect())
+    let search = Search { form, front, target, options, rates };
+    Ok(search.all(&search.ways()?, 0)?.into_iter().map(|made| made.found).collect())
 }
 
 /// What candidates are made of.
@@ -225,7 +238,12 @@ impl Search<'_> {
         if self.form == Form::Symbolic {
             let layers = Layers::new(one)?;
             let most = affordable(COMPARTMENTS_PER_SECOND, u64::from(one.compartments()) * copies).max(1);
-            let may_fit = |&divisor: &u32| divisor == 1 || layers.may_fit(&divided(target, divisor, 0), copies);
+            let may_fit = |&divisor: &u32| {
+                divisor == 1 || {
+                    let most_synapses = most_synapses(target, divisor);
+                    layers.may_fit(&divided(target, divisor, 0), copies, most_synapses)
+                }
+            };
             let divisors = DIVISORS.into_iter().take(most as usize).filter(may_fit);
             return Ok(divisors.map(|divisor| (options.strategy, divisor)).collect());
         }
@@ -241,20 +259,38 @@ impl Search<'_> {
         Ok(ways)
     }
 
-    fn all(&self) -> Result<Vec<Made<Kept>>> {
-        let ways = self.ways()?;
+    /// One way more for the shortest step, where none of those that the effort allowed for is taken: cores filled to a half, unless a
+    /// quarter of a core takes no more cores than a whole one.
+    fn further(&self, ways: &[(Strategy, u32)], found: &[Found]) -> Option<(Strategy, u32)> {
+        let Search { form, options, .. } = self;
+        let way = (options.strategy, HALF);
+        let cores = |divisor| {
+            let of =
+                |found: &&Found| (found.candidate.strategy, found.candidate.divisor) == (options.strategy, divisor);
+            found.iter().find(of).map(|found| found.score.cores)
+        };
+        let wanted = options.objective == Objective::Latency
+            && options.effort.end().is_none()
+            && *form == Form::Written
+            && !ways.contains(&way)
+            && cores(1) != cores(SHORTEST[0]);
+        wanted.then_some(way)
+    }
+
+    /// What these ways come to, behind so many others; those that do not fit left out.
+    fn all(&self, ways: &[(Strategy, u32)], behind: usize) -> Result<Vec<Made<Kept>>> {
         // The effort is for all of them together.
-        let options = Options { effort: self.options.effort.shared_by(ways.len()), ..*self.options };
-        let one_way = |(number, (strategy, divisor)): (usize, (Strategy, u32))| {
+        let options = Options { effort: self.options.effort.shared_by(ways.len() + behind), ..*self.options };
+        let one_way = |(number, &(strategy, divisor)): (usize, &(Strategy, u32))| {
             // The first is tried unplaced too.
-            let places = if number == 0 && options.place { &[false, true][..] } else { &[options.place] };
+            let places = if number + behind == 0 && options.place { &[false, true][..] } else { &[options.place] };
             let made = self.mapped(&Options { strategy, ..options }, divisor, places);
             if let Err(error) = &made {
                 tracing::debug!(strategy = strategy.name(), divisor, %error, "candidate");
             }
             made
         };
-        let ways = ways.into_iter().enumerate();
+        let ways = ways.iter().enumerate();
         let made: Vec<Result<Vec<Made<Kept>>>> = match self.form {
             Form::Written if self.options.effort.end().is_none() => {
                 ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect()
@@ -268,7 +304,7 @@ impl Search<'_> {
         for (number, made) in made.into_iter().enumerate() {
             match made {
                 Ok(made) => found.extend(made),
-                Err(error) if number == 0 && (!fits || self.form == Form::Symbolic) => return Err(error),
+                Err(error) if number + behind == 0 && (!fits || self.form == Form::Symbolic) => return Err(error),
                 Err(_) => {}
             }
         }
@@ -292,6 +328,7 @@ impl Search<'_> {
     /// One partition, in these ways of placing it.
     fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>> {
         let Search { front, form, target, rates, .. } = *self;
+        let options = &Options { most_synapses: most_synapses(target, divisor), ..*options };
         let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates, form);
         let partitioned = match (partitioned(0), form) {
             (Err(error), Form::Written) => match words_for_one(&error, target) {
@@ -337,143 +374,5 @@ impl Search<'_> {
         let score = score(&everywhere(all, rates))?;
         let file = Box::new(file_of_boxes(all, boxes, &placement, target.name(), options));
         Ok((score, Kept::Symbolic { file, placed, bursts }))
-    }
-}
-
-/// The best of candidates, the first of which is what others are measured by; `bursts` are steps in which sources spike at once, that
-/// of all sources first.
-fn chosen<M>(made: Vec<Made<M>>, objective: Objective, mut bursts: impl FnMut(&M) -> Result<Vec<Score>>) -> Result<M> {
-    let mut made = made.into_iter();
-    let Some(plain) = made.next() else {
-        return Err(CompileError::Fault("there is no candidate".to_string()));
-    };
-    let better = |other: &Made<M>| other.found.score.better(&plain.found.score, objective).is_lt();
-    let mut others: Vec<Made<M>> = made.filter(better).collect();
-    others.sort_by(|a, b| a.found.score.better(&b.found.score, objective));
-    if objective != Objective::Latency {
-        return Ok(others.into_iter().next().unwrap_or(plain).kept);
-    }
-    let least = if others.is_empty() { Vec::new() } else { bursts(&plain.kept)? };
-    let times = |bursts: &[Score]| bursts.iter().map(|score| score.step_us).collect::<Vec<f64>>();
-    for other in others {
-        let (score, of_plain) = (&other.found.score, &plain.found.score);
-        let shorter = |part: f64| score.on_chip_us() < part * of_plain.on_chip_us();
-        let matters = score.step_us < OF_WHOLE * of_plain.step_us;
-        let trusted = same_cores(&other.found, &plain.found) || matters && shorter(MARGIN);
-        let worth_bursts = trusted || matters && shorter(EVERYWHERE);
-        // Evaluating them is expensive.
-        if !worth_bursts {
-            continue;
-        }
-        let of_other = bursts(&other.kept)?;
-        tracing::debug!(candidate = ?other.found.candidate, ?of_other, ?least, "steps of bursts");
-        let all = of_other.first().zip(least.first());
-        let everywhere = || all.is_none_or(|(all, plain)| all.on_chip_us() < EVERYWHERE * plain.on_chip_us());
-        if !trusted && !everywhere() {
-            continue;
-        }
-        let slack = if trusted { 1.0 / MARGIN } else { 1.0 };
-        if no_slower(&times(&of_other), &times(&least), slack) {
-            return Ok(other.kept);
-        }
-    }
-    Ok(plain.kept)
-}
-
-/// Whether two candidates hold the same compartments on the same cores.
-fn same_cores(one: &Found, other: &Found) -> bool {
-    let cores = |found: &Found| (found.candidate.strategy, found.candidate.divisor);
-    cores(one) == cores(other)
-}
-
-/// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all sources spike; those of one
-/// population, all of them together; and each of these, but for `slack` and for those that are short beside the first.
-fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
-    let (Some((all, each)), Some((all_plain, each_plain))) = (times.split_first(), plain.split_first()) else {
-        return true;
-    };
-    let short = SHORT * all_plain;
-    all <= all_plain
-        && each.iter().sum::<f64>() <= each_plain.iter().sum::<f64>()
-        && each.iter().zip(each_plain).all(|(time, plain)| *time <= (plain * slack).max(short))
-}
-
-/// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.
-fn bursts(network: &Quantised) -> Vec<Rates> {
-    let mut bursts = vec![Rates::assumed(1.0)];
-    for population in network.populations().iter().take(MOST_BURSTS) {
-        let mut spikes = vec![0u64; (network.channels() + network.compartments()) as usize];
-        let first = first_source(network, population) as usize;
-        spikes[first..first + population.shape.len() as usize].fill(1);
-        let (channels, compartments) = spikes.split_at(network.channels() as usize);
-        bursts.push(Rates::profile(channels, compartments, 1));
-    }
-    bursts
-}
-
-/// [`bursts`], at a rate for each population.
-fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
-    let once = Rates::assumed(1.0);
-    let of_one = network.populations().ids().take(MOST_BURSTS).map(|id| only(network, id, &once));
-    std::iter::once(everywhere(network, &once)).chain(of_one).collect()
-}
-
-/// Those that no other is better than in everything: cores, energy and time.
-#[must_use]
-pub fn front(found: &[Found]) -> Vec<&Found> {
-    let dominated = |one: &Found| found.iter().any(|other| other.score.dominates(&one.score));
-    let mut front: Vec<&Found> = Vec::new();
-    for one in found.iter().filter(|one| !dominated(one)) {
-        if !front.iter().any(|other| other.score == one.score) {
-            front.push(one);
-        }
-    }
-    front.sort_by(|a, b| a.score.better(&b.score, Objective::Cores));
-    front
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_shorter_step_is_a_part_of_the_time_on_the_chips_and_of_the_whole() {
-        // A step of so many microseconds on the chips, of which the plain mapping takes 40, besides the host's.
-        let taken = |on_chip: f64, host_us: f64| {
-            let made = |divisor, on_chip: f64| {
-                let step_us = on_chip + host_us;
-                let score = Score {
-                    cores: 1,
-                    cores_powered: 1,
-                    energy_uj: 1.0,
-                    chip_energy_uj: 1.0,
-                    step_us,
-                    host_us,
-                    static_mw: 1.0,
-                };
-                let candidate = Candidate { strategy: Strategy::Multilevel, divisor, placed: true };
-                Made { found: Found { candidate, score }, kept: (divisor, score) }
-            };
-            let bursts = |kept: &(u32, Score)| Ok(vec![kept.1]);
-            chosen(vec![made(1, 40.0), made(4, on_chip)], Objective::Latency, bursts).unwrap().0
-        };
-        assert_eq!(taken(30.0, 160.0), 4, "a quarter less on the chips, a twentieth of the whole");
-        assert_eq!(taken(39.0, 160.0), 1, "too little on the chips");
-        assert_eq!(taken(30.0, 2_000.0), 1, "too little of the whole");
-    }
-
-    #[test]
-    fn bursts_are_no_slower_all_together_and_each_but_for_slack_or_where_they_are_short() {
-        let plain = [1_000.0, 400.0, 300.0, 20.0];
-        assert!(no_slower(&plain, &plain, 1.0));
-        assert!(!no_slower(&[1_001.0, 400.0, 300.0, 20.0], &plain, 2.0), "when all spike there is no slack");
-        assert!(!no_slower(&[900.0, 410.0, 200.0, 20.0], &plain, 1.0));
-        assert!(no_slower(&[900.0, 410.0, 200.0, 20.0], &plain, 1.0 / MARGIN));
-        assert!(!no_slower(&[900.0, 450.0, 200.0, 20.0], &plain, 1.0 / MARGIN));
-        assert!(!no_slower(&[900.0, 410.0, 300.0, 20.0], &plain, 1.0 / MARGIN), "all populations together take longer");
-        assert!(
-            no_slower(&[900.0, 300.0, 300.0, 99.0], &plain, 1.0),
-            "a tenth of the step in which all spike is short"
-        );
     }
 }

@@ -8,15 +8,15 @@ use std::collections::BTreeSet;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::error::CompileError;
-use crate::compile::options::Strategy;
+use crate::compile::options::{Options, Strategy};
 use crate::compile::partition::box_fan_out::{self, BoxFanOut, Placed, PopulationRates};
 use crate::compile::partition::lattice::{self, Cut, Lattice};
 use crate::compile::partition::members::{Members, partition_of, row_of_chips};
+use crate::compile::partition::tiles::most_compartments;
 use crate::compile::reason::Reason;
 use crate::compile::resources::closed_form::{BoxUse, Layer};
 use crate::compile::resources::counter::Profiles;
 use crate::compile::resources::formats::Formats;
-use crate::compile::resources::packing::MOST_SLOTS;
 use crate::desc::resource::{Limits, Resource};
 use crate::desc::target::Target;
 use crate::ir::graph::PerCompartment;
@@ -78,10 +78,10 @@ impl<'n> Layers<'n> {
         vec![None; self.layers.len()].into()
     }
 
-    /// Whether the boxes of so many copies are no more than the cores of the target, before output axons are counted.
+    /// Whether the boxes of so many copies, of at most so many synapses each, are no more than the cores of the target, before output axons are counted.
     #[must_use]
-    pub fn may_fit(&self, target: &Target, copies: u64) -> bool {
-        let most = vec![target.limits()[Resource::Compartments].min(MOST_SLOTS); self.layers.len()].into();
+    pub fn may_fit(&self, target: &Target, copies: u64, most_synapses: Option<u64>) -> bool {
+        let most = most_compartments(self.network, target.limits(), most_synapses);
         let mut cuts = self.no_cuts();
         let fewest = self.fewest(&most, target.limits(), &mut cuts);
         let boxes: u64 = cuts.iter().flatten().map(|cut| u64::from(cut.lattice.boxes())).sum();
@@ -107,14 +107,18 @@ pub struct Boxes {
 }
 
 impl Boxes {
-    /// Cuts every layer into the fewest boxes, smaller where their output axons do not fit.
+    /// Cuts every layer into the fewest boxes, of at most so many synapses where that is said, smaller where their output axons do not fit.
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`].
-    pub fn fewest(network: &Layers<'_>, target: &Target, copies: u32) -> Result<Self, CompileError> {
+    pub fn fewest(
+        network: &Layers<'_>,
+        target: &Target,
+        copies: u32,
+        most_synapses: Option<u64>,
+    ) -> Result<Self, CompileError> {
         let limits = target.limits();
-        let mut most: IdVec<PopulationId, u32> =
-            vec![limits[Resource::Compartments].min(MOST_SLOTS); network.layers.len()].into();
+        let mut most = most_compartments(network.network, limits, most_synapses);
         let mut cuts = network.no_cuts();
         for round in 0.. {
             network.fewest(&most, limits, &mut cuts)?;
@@ -263,15 +267,14 @@ impl Boxes {
 pub fn partition(
     all: &Quantised,
     target: &Target,
-    strategy: Strategy,
-    copies: u32,
+    options: &Options,
 ) -> Result<(Partition, Option<Boxes>), CompileError> {
-    if strategy == Strategy::Sequential {
+    if options.strategy == Strategy::Sequential {
         let message =
             "a network that is described by its kernels is cut into boxes; there is no sequential mapping of it";
         return Err(Diagnostic::new("map.strategy", message).into());
     }
-    let boxes = Boxes::fewest(&Layers::new(all)?, target, copies)?;
+    let boxes = Boxes::fewest(&Layers::new(all)?, target, options.copies, options.most_synapses)?;
     let chips = row_of_chips(boxes.members.len(), target);
     let (partition, boxes) = boxes.into_partition(all, &chips, target.limits())?;
     Ok((partition, Some(boxes)))

@@ -71,6 +71,8 @@ pub struct Search<'a> {
     pub end: Option<Instant>,
     /// How many copies there are to be.
     pub copies: u32,
+    /// Synapses of a core at most, as far as tiles decide.
+    pub most_synapses: Option<u64>,
     /// Whether to say that cores were saved at the price of longer steps.
     pub explains: bool,
 }
@@ -81,7 +83,8 @@ impl<'a> Search<'a> {
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
         let (work, end) = (options.effort.work(WORK_PER_SECOND), options.effort.end());
         let explains = options.objective == Objective::Cores && work > 0;
-        Search { strategy: options.strategy, rates, work, end, copies: options.copies, explains }
+        let Options { strategy, copies, most_synapses, .. } = *options;
+        Search { strategy, rates, work, end, copies, most_synapses, explains }
     }
 }
 
@@ -232,7 +235,8 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
     }
     let any_spatial = spatial.iter().any(|&spatial| spatial);
-    let in_tiles = || if any_spatial { tiled(filler, &spatial, chips) } else { Default::default() };
+    let in_tiles =
+        || if any_spatial { tiled(filler, &spatial, chips, search.most_synapses) } else { Default::default() };
     let (sequential, tiled) = rayon::join(sequential, in_tiles);
     if matches!(&sequential, Ok(found) if found.members.len() == 1) {
         return sequential;
@@ -438,10 +442,15 @@ fn sorted(members: &Members, fixed: &[bool]) -> Members {
 }
 
 /// Populations over space as tiles, smaller where their output axons would not fit.
-fn tiled(filler: &Filler<'_>, spatial: &IdVec<PopulationId, bool>, chips: Chips) -> Vec<Segment> {
+fn tiled(
+    filler: &Filler<'_>,
+    spatial: &IdVec<PopulationId, bool>,
+    chips: Chips,
+    most_synapses: Option<u64>,
+) -> Vec<Segment> {
     let (network, limits) = (filler.network, filler.target.limits());
     let mut filling = Filling::new(network, &filler.fan_in, limits);
-    let mut most: IdVec<PopulationId, u32> = vec![limits[Resource::Compartments]; spatial.len()].into();
+    let mut most = tiles::most_compartments(network, limits, most_synapses);
     let mut cut: IdVec<PopulationId, Option<Vec<Segment>>> = vec![None; spatial.len()].into();
     let mut segments = Vec::new();
     for _ in 0..TILE_ROUNDS {

@@ -17,7 +17,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::base::id::{CompartmentId, PopulationId};
+use crate::base::id::{CompartmentId, IdVec, PopulationId};
 use crate::compile::partition::order::{Indices, Segment};
 use crate::compile::resources::axon_sharing::Places;
 use crate::compile::resources::closed_form::{Incoming, Layer, middle, middle_of, part};
@@ -49,6 +49,29 @@ pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
     network.populations()[population].shape.volume().is_some()
         && into.peek().is_some()
         && into.all(|p| matches!(p.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. }))
+}
+
+/// By population, the compartments that a core may hold: as many as its limits say, or fewer where their synapses are to be no more
+/// than so many.
+#[must_use]
+pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Option<u64>) -> IdVec<PopulationId, u32> {
+    let held = limits[Resource::Compartments].min(MOST_SLOTS);
+    // The synapses of a compartment whose windows are whole.
+    let mut each: IdVec<PopulationId, u64> = vec![0; network.populations().len()].into();
+    for (id, projection) in network.projections().enumerate() {
+        each[projection.target] += match &projection.connectivity {
+            Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. } => {
+                let channels = u64::from(window.source.0 / window.groups.max(1));
+                channels * u64::from(window.kernel.0) * u64::from(window.kernel.1)
+            }
+            _ => {
+                let compartments = network.populations()[projection.target].shape.len();
+                network.synapses_of(id).div_ceil(u64::from(compartments).max(1))
+            }
+        };
+    }
+    let fitting = |each: &u64| most_synapses.map_or(held, |most| (most / (*each).max(1)).clamp(1, held.into()) as u32);
+    each.iter().map(fitting).collect()
 }
 
 /// Numbers of parts into which a length is cut, each with the size of a part; parts that are no smaller are left out.
@@ -342,5 +365,28 @@ mod tests {
         // A stride beyond the kernel skips sources.
         assert_eq!(under(3, 1, 4, 1, 100), 3);
         assert_eq!(cuts(10), [(1, 10), (2, 5), (3, 4), (4, 3), (5, 2), (10, 1)]);
+    }
+
+    #[test]
+    fn compartments_are_as_many_as_their_synapses_allow() {
+        use crate::compile::testing::{Builder, limits, neurons, plain_format};
+        use crate::ir::graph::Shape;
+        let mut net = Builder::new();
+        let image = net.input_shape("image", Shape::Volume(2, 5, 5));
+        let layer = net.loihi_with("layer", Shape::Volume(4, 5, 5), neurons());
+        let out = net.loihi("out", 3);
+        let once = (1, 1);
+        let (source, target) = ((2, 5, 5), (4, 5, 5));
+        let window = Window { source, target, kernel: (3, 3), stride: once, padding: once, dilation: once, groups: 1 };
+        let kernel = vec![2; 72].into();
+        net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        net.dense(layer, out, |_, _| 2);
+        let network = net.build();
+        let most = |synapses| most_compartments(&network, &limits(), synapses).iter().copied().collect::<Vec<u32>>();
+        let all = limits()[Resource::Compartments];
+        assert_eq!(most(None), [all, all, all]);
+        // 18 synapses of a position in the middle, though those at the rim have fewer; 100 of each source.
+        assert_eq!(most(Some(180)), [180.min(all), 10, 1]);
+        assert_eq!(most(Some(5)), [5, 1, 1]);
     }
 }
