@@ -38,17 +38,15 @@ impl Form {
         }
     }
 
-    /// The target as mappings of this form are counted on it: boxes have an output axon for each compartment, because
-    /// geometry does not tell which positions of a box share a table.
+    /// The target as mappings of this form are counted on it: where sources without places are gathered in population axons, boxes
+    /// have an output axon for each compartment, because geometry tells of windows only which positions share a table.
     #[must_use]
-    pub fn counted_on(self, target: &Target) -> Cow<'_, Target> {
-        match self {
-            Form::Written => Cow::Borrowed(target),
-            Form::Symbolic => {
-                let limits = Limits { output_axons: OutputAxons::PerCompartment, ..target.limits().clone() };
-                Cow::Owned(target.clone().with_limits(limits))
-            }
+    pub fn counted_on<'t>(self, network: &Quantised, target: &'t Target) -> Cow<'t, Target> {
+        if self == Form::Written || !network.parts().gathers {
+            return Cow::Borrowed(target);
         }
+        let limits = Limits { output_axons: OutputAxons::PerCompartment, ..target.limits().clone() };
+        Cow::Owned(target.clone().with_limits(limits))
     }
 
     /// Refuses `what`, which needs every synapse, for a network that is mapped by its kernels.

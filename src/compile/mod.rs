@@ -59,8 +59,8 @@ pub fn map(
     rates: &Rates,
     form: Form,
 ) -> Result<Mapping, CompileError> {
+    let target = &*form.counted_on(front.quantised(), target);
     let placed = place(front, target, options, rates, form)?;
-    let target = &*form.counted_on(target);
     let unchecked = placed.emit(target, options)?;
     unchecked.check(target)
 }
@@ -76,7 +76,7 @@ pub fn place(
     rates: &Rates,
     form: Form,
 ) -> Result<Placed, CompileError> {
-    let target = &*form.counted_on(target);
+    let target = &*form.counted_on(front.quantised(), target);
     let partitioned = front.partition(target, options, rates, form)?;
     partitioned.place(target, options)
 }
@@ -93,7 +93,7 @@ pub fn load(
     file: &MappingFile,
     form: Form,
 ) -> Result<Mapping, CompileError> {
-    let target = &*form.counted_on(target);
+    let target = &*form.counted_on(front.quantised(), target);
     let placed = front.place_as(target, options, file, form)?;
     let unchecked = placed.emit(target, options)?;
     unchecked.check(target)

@@ -400,7 +400,7 @@ fn by_patterns(
     target: &Target,
     clock: &mut Clock,
 ) -> Result<Program> {
-    let target = &*Form::Symbolic.counted_on(target);
+    let target = &*Form::Symbolic.counted_on(network, target);
     let route = || route_boxes(network, partition, (placement, dealt), target.limits());
     let (program, sample) = clock.stage("write", route).map_err(CompileError::Fault)?;
     clock.stage("verify", || verify::verify(&program, target)).map_err(CompileError::fault)?;
@@ -507,7 +507,7 @@ impl Placed {
     /// # Errors
     /// [`CompileError::Fault`].
     pub fn compiled(self, target: &Target, options: &Options, dealt: Option<Dealt>) -> Result<Compiled> {
-        let target = &*self.form().counted_on(target);
+        let target = &*self.form().counted_on(&self.partitioned.one, target);
         let of_tables = dealt.clone().filter(|_| self.form() == Form::Written);
         let mapping = self.emit_dealt(target, options, of_tables)?.check(target)?;
         with_program_dealt(mapping, target, dealt)
@@ -536,7 +536,7 @@ impl Placed {
                     Ok((Synapses::Written(Box::new(program)), Vec::new()))
                 }
                 Some(boxes) => {
-                    let sample = sample(&quantised, &partition, &placement, &boxes.one_of_each_kind(), limits)?;
+                    let sample = sample(&quantised, &partition, &placement, &boxes.to_be_checked(), limits)?;
                     Ok((Synapses::Symbolic(Box::new(boxes)), sample))
                 }
             })

@@ -552,6 +552,22 @@ fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
 }
 
 #[test]
+fn more_sources_than_a_program_can_number_take_several_cores() {
+    // 128 channels at 20 x 33 positions are 84,480 sources of 18 x 31 compartments, on one core but for their numbers.
+    let mut builder = Builder::new();
+    let input = builder.input_shape("in", Shape::Volume(128, 20, 33));
+    let out = builder.loihi_with("out", Shape::Volume(1, 18, 31), neurons());
+    let (source, target, once) = ((128, 20, 33), (1, 18, 31), (1, 1));
+    let window = Window { source, target, kernel: (3, 3), stride: once, padding: (0, 0), dilation: once, groups: 1 };
+    let kernel = (0..128 * 9).map(|k| (k % 50) as i16 * 2 - 40).collect();
+    builder.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+    let compiled = compiled(builder.build(), limits());
+    let sources = |core: &crate::ir::program::CoreImage| core.inputs.len();
+    let most = compiled.program.cores().iter().map(sources).max();
+    assert!(compiled.partition.cores() > 1 && most.is_some_and(|most| most <= 1 << 16), "{most:?}");
+}
+
+#[test]
 fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
     let roomy = limits().with(Resource::Compartments, 512);
     let most =

@@ -336,7 +336,7 @@ pub fn compiled(
         form.require_program(front.quantised(), options.copies)?;
         let placed = match mapping {
             Some(file) => {
-                let target = &*form.counted_on(target);
+                let target = &*form.counted_on(front.quantised(), target);
                 front.place_as(target, options, file, form).map_err(|error| args.with_mapping_file(error))
             }
             None => placed(front, target, options, &Rates::assumed(DEFAULT_RATE), form),

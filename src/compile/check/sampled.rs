@@ -11,21 +11,23 @@
 //!    cores of their targets.
 //!
 //! Boxes of one kind have the same patterns of rows, columns and channels, hence the same tables but for weights; output
-//! axons also depend on where a box is, and are compared for the sampled cores only.
+//! axons also depend on where a box is, and are compared for the sampled cores only. Where they are counted by position they
+//! depend on the tables of the cores that are reached, too: those of a core that reaches sampled cores only are found from
+//! their tables, and are no more than was counted; of others it is known that they are no more than one for each compartment.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::ops::RangeInclusive;
 
 use rayon::prelude::*;
 
 use crate::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use crate::compile::check::equivalence::SynapseCode;
-use crate::compile::check::verify::verify_tables;
+use crate::compile::check::verify::{is_long, verify_tables};
 use crate::compile::emit::sample::SampledCore;
-use crate::desc::resource::{Limits, Resource};
+use crate::desc::resource::{Limits, OutputAxons, Resource};
 use crate::ir::graph::Window;
 use crate::ir::partition::Partition;
-use crate::ir::program::Compartment;
+use crate::ir::program::{Compartment, InputAxon};
 use crate::ir::quantised::connectivity::Connectivity;
 use crate::ir::quantised::{Quantised, Units};
 
@@ -44,14 +46,23 @@ pub fn check(
     if counted != meant {
         return Err(format!("the cores have {counted} synapses and the network {meant}"));
     }
+    let tables: HashMap<CoreId, &SampledCore> = sample.iter().map(|sampled| (sampled.core, sampled)).collect();
     let wrong = sample.par_iter().map(|sampled| {
         let SampledCore { core, image, .. } = sampled;
         let mut found = verify_tables(*core, image, limits).map_err(|violation| violation.to_string())?;
         check_parameters(network, partition, sampled)?;
         check_synapses(network, partition, sampled)?;
-        let (slots, most) = outputs(network, partition, chips, *core, limits);
-        (found[Resource::AxonsOut], found[Resource::AxonsOutPerCompartment]) = (slots.into(), most.into());
+        let outputs = outputs(network, partition, chips, (*core, &tables), limits);
         let counted = partition.usage()[*core];
+        found[Resource::AxonsOutPerCompartment] = outputs.most.into();
+        let slots = counted[Resource::AxonsOut];
+        let as_counted = match limits.output_axons {
+            OutputAxons::PerCompartment => slots == outputs.each,
+            OutputAxons::PerPosition { .. } => {
+                slots <= outputs.each && outputs.by_position.is_none_or(|found| found <= slots)
+            }
+        };
+        found[Resource::AxonsOut] = if as_counted { slots } else { outputs.by_position.unwrap_or(outputs.each) };
         match counted == found {
             true => Ok(()),
             false => Err(format!("{core} was counted to use {counted:?} and uses {found:?}")),
@@ -161,15 +172,30 @@ fn sources_that_may_reach(connectivity: &Connectivity, targets: &[u32], sources:
     (0..channels).flat_map(|channel| positions.iter().map(move |at| channel * height * width + at)).collect()
 }
 
-/// Output axon slots of a core's compartments together, and the most output axons of one.
+/// What a core's compartments send.
+struct Outputs {
+    /// Output axon slots together, with one output axon for each compartment and core reached, the longest that there may be.
+    each: u64,
+    /// With the same one for compartments that send to the same population axons only; none where a core is reached whose tables are
+    /// not known.
+    by_position: Option<u64>,
+    /// The most output axons of a compartment.
+    most: u32,
+}
+
 fn outputs(
     network: &Quantised,
     partition: &Partition,
     chips: &IdVec<CoreId, u32>,
-    core: CoreId,
+    (core, tables): (CoreId, &HashMap<CoreId, &SampledCore>),
     limits: &Limits,
-) -> (u32, u32) {
-    let (mut slots, mut most, mut reached) = (0, 0, Vec::new());
+) -> Outputs {
+    let more = match limits.output_axons {
+        OutputAxons::PerPosition { more_slots, .. } => more_slots,
+        OutputAxons::PerCompartment => 0,
+    };
+    let (mut each, mut by_position, mut most) = (0, Some(0), 0);
+    let (mut reached, mut lists) = (Vec::new(), BTreeSet::new());
     for &id in &partition.members()[core] {
         let (population, index) = network.population_of(id);
         reached.clear();
@@ -183,12 +209,38 @@ fn outputs(
         }
         reached.sort_unstable();
         reached.dedup();
-        let near = reached.iter().filter(|&&to| chips[to] == chips[core]).count() as u32;
-        let all = reached.len() as u32;
-        slots += near * limits.axon_out_slots + (all - near) * limits.axon_out_slots_off_chip;
-        most = most.max(all);
+        most = most.max(reached.len() as u32);
+        let plain = |to: CoreId| match chips[to] == chips[core] {
+            true => limits.axon_out_slots,
+            false => limits.axon_out_slots_off_chip,
+        };
+        each += reached.iter().map(|&to| u64::from(plain(to) + more)).sum::<u64>();
+        if !reached.iter().all(|to| tables.contains_key(to)) {
+            by_position = None;
+        }
+        let Some(sum) = &mut by_position else { continue };
+        // The population axon on each core, if it is one.
+        let of_core = |to: &CoreId| {
+            let SampledCore { image, sources, .. } = tables[to];
+            let axon = sources.binary_search(&(network.channels() + id.0)).ok()?;
+            match image.inputs.axon(axon) {
+                InputAxon::Member { axon, .. } => Some(axon),
+                InputAxon::Discrete { .. } => None,
+            }
+        };
+        let axons: Vec<Option<u16>> = reached.iter().map(of_core).collect();
+        let together: Option<Vec<(CoreId, u16)>> =
+            reached.iter().zip(&axons).map(|(&to, axon)| Some((to, (*axon)?))).collect();
+        if together.is_none_or(|together| lists.insert(together)) {
+            let slots = |(&to, axon): (&CoreId, &Option<u16>)| {
+                let long =
+                    axon.is_some_and(|axon| is_long(&tables[&to].image.inputs.populations[usize::from(axon)], limits));
+                u64::from(plain(to) + if long { more } else { 0 })
+            };
+            *sum += reached.iter().zip(&axons).map(slots).sum::<u64>();
+        }
     }
-    (slots, most)
+    Outputs { each, by_position, most }
 }
 
 #[cfg(test)]

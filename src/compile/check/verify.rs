@@ -211,7 +211,7 @@ fn verify_messages(
 }
 
 /// Whether a population axon is a pop32 axon: more atoms than a pop16 axon has, or a base that it cannot have.
-fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
+pub(super) fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
     match limits.output_axons {
         OutputAxons::PerCompartment => false,
         OutputAxons::PerPosition { atoms, .. } => axon.atoms > atoms || !axon.base.is_multiple_of(BASE_STEP),

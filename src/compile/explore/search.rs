@@ -138,7 +138,7 @@ impl Bursts<Kept> for KeptBursts<'_> {
 /// # Errors
 /// [`CompileError`].
 pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Mapping> {
-    let target = &*form.counted_on(target);
+    let target = &*form.counted_on(front.quantised(), target);
     if options.objective == Objective::Cores {
         return match options.effort {
             Effort::Work(_) => compile::map(front, target, options, rates, form),
@@ -215,7 +215,7 @@ fn by_the_clock(
 /// # Errors
 /// [`CompileError`] of the first candidate, when none fits.
 pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Vec<Found>> {
-    let target = &*form.counted_on(target);
+    let target = &*form.counted_on(front.quantised(), target);
     let search = Search { form, front, target, options, rates };
     Ok(search.all(&search.ways()?, 0)?.into_iter().map(|made| made.found).collect())
 }

@@ -25,7 +25,7 @@ use crate::ir::partition::{CoreUsage, Partition};
 use crate::ir::quantised::Quantised;
 use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 
-/// Limits with which both forms count alike.
+/// Limits with which output axons are counted by compartment.
 fn limits() -> Limits {
     Limits { output_axons: OutputAxons::PerCompartment, ..testing::limits() }
 }
@@ -137,16 +137,15 @@ fn layered(seed: u64) -> Quantised {
 
 fn small(seed: u64) -> Limits {
     let packing = if seed.is_multiple_of(2) { Packing::Nengo } else { Packing::Nxtf };
-    Limits {
-        packing,
-        ..limits().with(Resource::Compartments, 24 + (seed % 40) as u32).with(Resource::SynapseWords, 2_000)
-    }
+    // Every third counts output axons by position.
+    let all = if seed.is_multiple_of(3) { testing::limits() } else { limits() };
+    Limits { packing, ..all.with(Resource::Compartments, 24 + (seed % 40) as u32).with(Resource::SynapseWords, 2_000) }
 }
 
 #[test]
 fn counts_traffic_and_cost_are_those_of_the_written_program() {
-    let mut several = 0;
-    for seed in 0..60 {
+    let (mut several, mut by_position, mut fewer) = (0, [0, 0], 0);
+    for seed in 0..90 {
         let board = target(8, 4, small(seed));
         let options = Options {
             copies: 1 + (seed % 3) as u32,
@@ -159,7 +158,22 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         let chips = row_of_chips(made.partition.cores(), &board);
         let (members, seats) = (made.partition.members(), made.partition.seats());
         let exact = resources::exact::usage(network, members, seats, &chips, board.limits());
-        assert_eq!(made.partition.usage().as_slice(), exact.as_slice(), "seed {seed}");
+        let each = Limits { output_axons: OutputAxons::PerCompartment, ..board.limits().clone() };
+        let each = resources::exact::usage(network, members, seats, &chips, &each);
+        for ((counted, exact), each) in made.partition.usage().iter().zip(&exact).zip(&each) {
+            let of = |used: &CoreUsage| (used.with(Resource::AxonsOut, 0), used[Resource::AxonsOut]);
+            let ((counted, slots), (exact, least)) = (of(counted), of(exact));
+            assert_eq!(counted, exact, "seed {seed}");
+            match board.limits().output_axons {
+                OutputAxons::PerCompartment => assert_eq!(slots, least, "seed {seed}"),
+                // Where only some of equal positions share a table geometry counts none of them.
+                OutputAxons::PerPosition { .. } => {
+                    assert!(slots >= least, "seed {seed}: {slots} of {least}");
+                    by_position[usize::from(slots > least)] += 1;
+                    fewer += usize::from(slots < each[Resource::AxonsOut]);
+                }
+            }
+        }
         let written = compile_saved(layered(seed), &board, &options, &made.mapping_file()).unwrap();
         let of_program = traffic(&written.program, &written.rates);
         assert_eq!(made.traffic(), of_program, "seed {seed}");
@@ -184,6 +198,8 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         several += usize::from(written.partition.cores() > 8);
     }
     assert!(several > 30, "{several} networks take several cores");
+    assert!(by_position[0] > 400 && by_position[1] * 100 < by_position[0], "{by_position:?} cores");
+    assert!(fewer > 100, "{fewer} cores have fewer output axons by position");
 }
 
 #[test]
@@ -214,6 +230,11 @@ fn what_cannot_be_mapped_by_kernels_is_refused() {
     assert_eq!(Form::for_network(&layered(1), u32::MAX), Form::Symbolic);
 }
 
+/// The tables of these cores.
+fn sample_of(mapping: &Mapping, cores: &[CoreId], limits: &Limits) -> Vec<SampledCore> {
+    sample(&mapping.quantised, &mapping.partition, &mapping.placement, cores, limits).unwrap()
+}
+
 #[test]
 fn a_wrong_count_is_found() {
     let board = target(8, 4, small(2));
@@ -222,7 +243,7 @@ fn a_wrong_count_is_found() {
     let chips = row_of_chips(made.partition.cores(), &board);
     let every: Vec<CoreId> = made.partition.usage().ids().collect();
     let network = &made.quantised;
-    let sample = |cores| sample(network, &made.partition, &made.placement, cores, board.limits()).unwrap();
+    let sample = |cores: &[CoreId]| sample_of(&made, cores, board.limits());
     let checked = |change: fn(&mut CoreUsage), sample: &[SampledCore]| {
         let mut usage = made.partition.usage().clone();
         change(&mut usage[CoreId(1)]);
@@ -241,6 +262,23 @@ fn a_wrong_count_is_found() {
     ] {
         assert!(checked(change, &every).is_err());
     }
+    // By position, from the tables of the cores that are reached.
+    let by_position = target(8, 4, small(3));
+    let counted = symbolic(layered(3), &by_position, &options).unwrap();
+    let all: Vec<CoreId> = counted.partition.usage().ids().collect();
+    let tables = sample_of(&counted, &all, by_position.limits());
+
+    let with_slots = |change: fn(&mut u64)| {
+        let mut usage = counted.partition.usage().clone();
+        usage.as_mut_slice().iter_mut().for_each(|used| change(&mut used[Resource::AxonsOut]));
+        let (network, members) = (&counted.quantised, counted.partition.members().clone());
+        let partition = Partition::new(network.compartments(), members, usage, by_position.limits()).unwrap();
+        let chips = row_of_chips(partition.cores(), &by_position);
+        sampled::check(network, &partition, &chips, &tables, by_position.limits())
+    };
+    with_slots(|_| {}).unwrap();
+    assert!(with_slots(|slots| *slots = slots.saturating_sub(1)).is_err());
+    assert!(with_slots(|slots| *slots = 4_096).is_err());
     // The sum of synapses needs no core.
     assert!(checked(|used| used.synapses -= 1, &[]).is_err());
     // Tables that are not the network's.
@@ -451,7 +489,8 @@ fn programs_of_boxes_are_those_written_synapse_by_synapse() {
     for seed in 0..120 {
         let network = layered(seed);
         let most = [12, 40, 1024][seed as usize % 3];
-        let board = target(8, 8, limits().with(Resource::Compartments, most));
+        let counted = if seed.is_multiple_of(2) { testing::limits() } else { limits() };
+        let board = target(8, 8, counted.with(Resource::Compartments, most));
         let Ok(mapping) = symbolic(network, &board, &Options::default()) else { continue };
         let Mapping { quantised: all, partition, placement, .. } = &mapping;
         let meant = route(all, partition, placement, (1, None), board.limits()).unwrap();

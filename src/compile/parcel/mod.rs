@@ -149,7 +149,7 @@ pub fn open(words: Vec<u32>, target: &Target, options: &Options) -> Result<Opene
     // Writing tables is what takes most memory.
     drop(words);
     let options = &Options { copies: part.copies(), ..*options };
-    let target = &*part.form.counted_on(target);
+    let target = &*part.form.counted_on(&part.one, target);
     Ok(Opened { compiled: part.compiled(target, options)?, note })
 }
 
@@ -167,7 +167,7 @@ fn read(words: &[u32], target: &Target, share: Share) -> Result<(PlacedPart, Opt
     let mut words = Reader::new(common);
     let note = if words.is_some()? { Some(words.text()?) } else { None };
     let (form, name, number) = (words.one_of(&FORMS)?, words.one_of(&PLACEMENTS)?, words.take()?);
-    let target = &*form.counted_on(target);
+    let target = &*form.counted_on(&one, target);
     let all = copies(&one, number).map_err(CompileError::fault)?;
     let (partition, placement, dealt) = read_places(&mut words, &all, target, share)?;
     words.end()?;

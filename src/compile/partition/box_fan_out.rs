@@ -1,11 +1,11 @@
 //! What the cores of boxes send: whole boxes are reached, so destinations follow from positions.
 //!
 //! Input: layers, their cuts and the compartments of each core. Output: core by core, the distinct sets of cores that its
-//! compartments' spikes reach, with how many compartments; and the same of the input channels. Nothing is
+//! compartments' spikes reach, with how many compartments and how many output axons; and the same of the input channels. Nothing is
 //! enumerated synapse by synapse: a source position reaches some rows and some columns of boxes, and all boxes where they
 //! cross.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -13,10 +13,10 @@ use rayon::prelude::*;
 use crate::base::id::{CoreId, IdVec, PopulationId};
 use crate::compile::partition::lattice::Cut;
 use crate::compile::partition::members::Members;
-use crate::compile::resources::closed_form::Layer;
+use crate::compile::resources::closed_form::{Incoming, Layer, Membership, Side, part};
 use crate::compile::resources::fan_out::axon_slots;
 use crate::compile::resources::receptive_field::WindowAxis;
-use crate::desc::resource::Limits;
+use crate::desc::resource::{Limits, OutputAxons};
 use crate::ir::firing_rates::Rates;
 use crate::ir::quantised::Quantised;
 
@@ -30,6 +30,11 @@ pub struct Sends {
     pub to: Vec<u32>,
     /// How many sources.
     pub sources: u64,
+    /// Output axons to each of these cores: one for the sources at a position whose spikes all go to population axons, one for each source
+    /// otherwise.
+    pub axons: u64,
+    /// How many of the output axons, over all cores, lead to pop32 axons.
+    pub longer: u64,
 }
 
 /// What all sources send.
@@ -51,11 +56,29 @@ pub struct Placed {
 }
 
 /// Where one projection leads.
-enum Outlet<'a> {
-    /// Every source reaches all of these cores.
-    All(Range<u32>),
-    /// Boxes by row, by column and by channel of the source.
-    Window { to: &'a Placed, rows: Vec<Vec<u32>>, columns: Vec<Vec<u32>>, channels: Vec<Range<u32>> },
+struct Outlet<'a> {
+    to: &'a Placed,
+    /// Its number among the projections into its target.
+    projection: usize,
+    reaches: Reaches,
+}
+
+/// Which boxes the sources of a projection reach.
+enum Reaches {
+    /// Every source reaches all.
+    All,
+    /// Boxes by row and by column of the source, each with the number of the source's field there; and by channel.
+    Window { rows: Vec<Vec<(u32, u32)>>, columns: Vec<Vec<(u32, u32)>>, channels: Vec<Range<u32>> },
+}
+
+/// The cores that a source reaches, ascending, and how it is stored there.
+#[derive(Debug, Default)]
+struct Reached {
+    cores: Vec<u32>,
+    /// Whether it is a member of a population axon on each.
+    shared: bool,
+    /// On how many of a pop32 axon.
+    longer: u64,
 }
 
 /// The outlets out of a population, and its shape.
@@ -73,31 +96,36 @@ impl<'a> Outgoing<'a> {
         let mut outlets = Vec::new();
         for (target, layer) in layers.enumerate() {
             let Some(to) = &placed[target] else { continue };
-            for incoming in layer.incoming.iter().filter(|incoming| incoming.source == source) {
+            let from_source = |(_, incoming): &(usize, &Incoming)| incoming.source == source;
+            for (projection, incoming) in layer.incoming.iter().enumerate().filter(from_source) {
                 if incoming.all_to_all {
-                    outlets.push(Outlet::All(to.first..to.first + to.cut.lattice.boxes()));
+                    outlets.push(Outlet { to, projection, reaches: Reaches::All });
                     continue;
                 }
                 let window = &incoming.window;
-                let boxes = |axis: WindowAxis, length: u32, size: u32| -> Vec<Vec<u32>> {
+                let boxes = |axis: WindowAxis, lengths: (u32, u32), size: u32, side: fn(&Cut, u32) -> &Side| {
+                    let axis = axis.uniform(incoming.uniform);
                     let of = |at| {
                         let mut boxes: Vec<u32> = axis.reached(at).map(|to| to / size).collect();
                         boxes.dedup();
-                        boxes
+                        let field = |number| axis.field(at, &part(lengths.1, size, number));
+                        let in_box = |number| side(&to.cut, number).number_of(projection, &field(number));
+                        boxes.into_iter().map(|number| (number, in_box(number).unwrap_or(u32::MAX))).collect()
                     };
-                    (0..length).map(of).collect()
+                    (0..lengths.0).map(of).collect::<Vec<Vec<(u32, u32)>>>()
                 };
                 let (of_group, sources) = (window.target.0 / window.groups, window.source.0 / window.groups);
                 let channels = |channel: u32| {
                     let first = channel / sources * of_group;
                     first / to.cut.lattice.size.0..(first + of_group - 1) / to.cut.lattice.size.0 + 1
                 };
-                outlets.push(Outlet::Window {
-                    to,
-                    rows: boxes(WindowAxis::rows(window), window.source.1, to.cut.lattice.size.1),
-                    columns: boxes(WindowAxis::columns(window), window.source.2, to.cut.lattice.size.2),
+                let (size, from, onto) = (to.cut.lattice.size, window.source, window.target);
+                let reaches = Reaches::Window {
+                    rows: boxes(WindowAxis::rows(window), (from.1, onto.1), size.1, Cut::rows),
+                    columns: boxes(WindowAxis::columns(window), (from.2, onto.2), size.2, Cut::columns),
                     channels: (0..window.source.0).map(channels).collect(),
-                });
+                };
+                outlets.push(Outlet { to, projection, reaches });
             }
         }
         Outgoing { shape: layers[source].shape, outlets }
@@ -108,41 +136,62 @@ impl<'a> Outgoing<'a> {
         let (_, height, width) = self.shape;
         let plane = height * width;
         one % plane == other % plane
-            && self.outlets.iter().all(|outlet| match outlet {
-                Outlet::All(_) => true,
-                Outlet::Window { channels, .. } => {
+            && self.outlets.iter().all(|outlet| match &outlet.reaches {
+                Reaches::All => true,
+                Reaches::Window { channels, .. } => {
                     channels[(one / plane) as usize] == channels[(other / plane) as usize]
                 }
             })
     }
 
-    /// The cores that a source reaches, ascending.
-    fn reached(&self, index: u32) -> Vec<u32> {
+    /// The cores that a source reaches.
+    fn reached(&self, index: u32) -> Reached {
         let (_, height, width) = self.shape;
         let (channel, y, x) = (index / (height * width), index / width % height, index % width);
-        let mut cores = Vec::new();
-        for outlet in &self.outlets {
-            match outlet {
-                Outlet::All(all) => cores.extend(all.clone()),
-                Outlet::Window { to, rows, columns, channels } => {
-                    for &row in &rows[y as usize] {
-                        for &column in &columns[x as usize] {
-                            let of = |c| to.first + to.cut.lattice.number((c, row, column));
-                            cores.extend(channels[channel as usize].clone().map(of));
+        let mut reached = Reached { shared: true, ..Reached::default() };
+        for Outlet { to, projection, reaches } in &self.outlets {
+            let mut one = |at: (u32, u32, u32), fields: (u32, u32)| {
+                reached.cores.push(to.first + to.cut.lattice.number(at));
+                match to.cut.used(at).members[*projection].get(fields.0, fields.1) {
+                    Membership::Discrete => reached.shared = false,
+                    Membership::Short => {}
+                    Membership::Long => reached.longer += 1,
+                }
+            };
+            match reaches {
+                Reaches::All => to.cut.lattice.order().for_each(|at| one(at, (0, 0))),
+                Reaches::Window { rows, columns, channels } => {
+                    for &(row, of_rows) in &rows[y as usize] {
+                        for &(column, of_columns) in &columns[x as usize] {
+                            let of_channel = channels[channel as usize].clone();
+                            of_channel.for_each(|c| one((c, row, column), (of_rows, of_columns)));
                         }
                     }
                 }
             }
         }
-        cores.sort_unstable();
-        cores
+        reached.cores.sort_unstable();
+        reached
     }
 
-    /// What sources with these indices send.
-    fn sends(&self, indices: impl Iterator<Item = u32>) -> BTreeMap<Vec<u32>, u64> {
-        let mut sends: BTreeMap<Vec<u32>, u64> = BTreeMap::new();
+    /// What sources with these indices send, ascending by the cores that they reach.
+    fn sends(&self, indices: impl Iterator<Item = u32>) -> Vec<Sends> {
+        // By the cores that are reached; those at a position that share output axons count as one there.
+        let mut sends: BTreeMap<Vec<u32>, Sends> = BTreeMap::new();
+        let mut positions: HashSet<(u32, Vec<u32>)> = HashSet::new();
+        let (_, height, width) = self.shape;
+        let mut end = |(index, sources): (u32, u64)| {
+            let Reached { cores, shared, longer } = self.reached(index);
+            let alone = !shared || cores.is_empty();
+            let axons = match alone {
+                true => sources,
+                false => u64::from(positions.insert((index % (height * width), cores.clone()))),
+            };
+            let none = |to: &Vec<u32>| Sends { to: to.clone(), sources: 0, axons: 0, longer: 0 };
+            let sends = sends.entry(cores).or_insert_with_key(none);
+            sends.add(&Sends { to: Vec::new(), sources, axons, longer: longer * axons });
+        };
         let mut run: Option<(u32, u64)> = None;
-        let mut end = |(index, sources): (u32, u64)| *sends.entry(self.reached(index)).or_default() += sources;
         for index in indices {
             match &mut run {
                 Some((first, sources)) if self.same(*first, index) => *sources += 1,
@@ -152,12 +201,17 @@ impl<'a> Outgoing<'a> {
             }
         }
         run.into_iter().for_each(end);
-        sends
+        sends.into_values().collect()
     }
 }
 
-fn listed(sends: BTreeMap<Vec<u32>, u64>) -> Vec<Sends> {
-    sends.into_iter().map(|(to, sources)| Sends { to, sources }).collect()
+impl Sends {
+    /// Adds what other sources send to the same cores.
+    fn add(&mut self, other: &Sends) {
+        self.sources += other.sources;
+        self.axons += other.axons;
+        self.longer += other.longer;
+    }
 }
 
 /// What all sources of a network send.
@@ -179,16 +233,19 @@ pub fn fan_out(
                 let piece = |from: u32| out.sends(from..size.min(from + PIECE));
                 let starts: Vec<u32> = (0..size).step_by(PIECE as usize).collect();
                 let pieces: Vec<_> = starts.into_par_iter().map(piece).collect();
-                let mut all: BTreeMap<Vec<u32>, u64> = BTreeMap::new();
-                for (to, sources) in pieces.into_iter().flatten().filter(|(to, _)| !to.is_empty()) {
-                    *all.entry(to).or_default() += sources;
+                let mut all: BTreeMap<Vec<u32>, Sends> = BTreeMap::new();
+                for sends in pieces.into_iter().flatten().filter(|sends| !sends.to.is_empty()) {
+                    match all.get_mut(&sends.to) {
+                        Some(known) => known.add(&sends),
+                        None => drop(all.insert(sends.to.clone(), sends)),
+                    }
                 }
-                inputs[id] = listed(all);
+                inputs[id] = all.into_values().collect();
             }
             Some(Placed { cut, first: core }) => {
                 let held = &members.as_slice()[*core as usize..(core + cut.lattice.boxes()) as usize];
                 let own = population.first_compartment().map_or(0, |first| first.0);
-                cores.par_extend(held.par_iter().map(|held| listed(out.sends(held.iter().map(|id| id.0 - own)))));
+                cores.par_extend(held.par_iter().map(|held| out.sends(held.iter().map(|id| id.0 - own))));
             }
         }
     }
@@ -198,11 +255,15 @@ pub fn fan_out(
 /// Output axon slots of a core's compartments together and the most output axons of one, with cores numbered chip by chip.
 #[must_use]
 pub fn axons(core: CoreId, sends: &[Sends], chips: &IdVec<CoreId, u32>, limits: &Limits) -> (u64, u32) {
-    let slots = |sends: &Sends| axon_slots(Some(core), sends.to.iter().map(|&to| CoreId(to)), chips, limits);
-    (
-        sends.iter().map(|sends| sends.sources * u64::from(slots(sends))).sum(),
-        sends.iter().map(|sends| sends.to.len() as u32).max().unwrap_or(0),
-    )
+    let more_slots = match limits.output_axons {
+        OutputAxons::PerPosition { more_slots, .. } => u64::from(more_slots),
+        OutputAxons::PerCompartment => 0,
+    };
+    let slots = |sends: &Sends| {
+        let each = axon_slots(Some(core), sends.to.iter().map(|&to| CoreId(to)), chips, limits);
+        sends.axons * u64::from(each) + sends.longer * more_slots
+    };
+    (sends.iter().map(slots).sum(), sends.iter().map(|sends| sends.to.len() as u32).max().unwrap_or(0))
 }
 
 /// Spikes of each source of a population in as many steps as rates count.

@@ -26,6 +26,9 @@ use crate::ir::quantised::{Quantised, Units};
 /// Rounds of making boxes smaller because their output axons do not fit.
 const ROUNDS: usize = 12;
 
+/// Cores that a box reaches whose tables are written to check its output axons.
+const MOST_REACHED: usize = 64;
+
 /// Where every layer is cut; none for inputs.
 pub type Lattices = IdVec<PopulationId, Option<Lattice>>;
 
@@ -204,12 +207,21 @@ impl Boxes {
             .flat_map(|Placed { cut, first }| cut.lattice.order().map(move |at| (*first, cut.kind(at))))
     }
 
-    /// One box of each kind.
+    /// One box of each kind, and all those that one box in the middle of each layer reaches, as far as they are few; ascending.
     #[must_use]
-    pub fn one_of_each_kind(&self) -> Vec<CoreId> {
+    pub fn to_be_checked(&self) -> Vec<CoreId> {
         let mut seen = BTreeSet::new();
         let firsts = self.kinds().enumerate().filter(|(_, kind)| seen.insert(*kind));
-        firsts.map(|(core, _)| CoreId::new(core)).collect()
+        let mut cores: BTreeSet<CoreId> = firsts.map(|(core, _)| CoreId::new(core)).collect();
+        for Placed { cut, first } in self.placed.iter().flatten() {
+            let middle = first + cut.lattice.boxes() / 2;
+            let reached: BTreeSet<u32> =
+                self.sends.cores[middle as usize].iter().flat_map(|sends| sends.to.iter().copied()).collect();
+            if reached.len() <= MOST_REACHED {
+                cores.extend(reached.into_iter().chain([middle]).map(CoreId));
+            }
+        }
+        cores.into_iter().collect()
     }
 
     /// The boxes as a partition, whose members they then leave to it, with the chip of each given.

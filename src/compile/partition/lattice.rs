@@ -76,6 +76,8 @@ pub struct Cut {
     /// Where.
     pub lattice: Lattice,
     kinds: [Vec<u32>; 3],
+    /// Rows and columns of each kind.
+    sides: [Vec<Side>; 2],
     uses: HashMap<(u32, u32, u32), BoxUse>,
 }
 
@@ -115,7 +117,7 @@ impl Cut {
                 }
             }
         }
-        Cut { lattice, kinds: [of_channels, of_rows, of_columns], uses }
+        Cut { lattice, kinds: [of_channels, of_rows, of_columns], sides: [rows, columns], uses }
     }
 
     /// The first grid, in the order of boxes and then of messages, of which every box fits a core with at most so many
@@ -152,6 +154,18 @@ impl Cut {
     #[must_use]
     pub fn kind(&self, (c, y, x): (u32, u32, u32)) -> (u32, u32, u32) {
         (self.kinds[0][c as usize], self.kinds[1][y as usize], self.kinds[2][x as usize])
+    }
+
+    /// The rows of the boxes in a row of them.
+    #[must_use]
+    pub fn rows(&self, row: u32) -> &Side {
+        &self.sides[0][self.kinds[1][row as usize] as usize]
+    }
+
+    /// The columns of the boxes in a column of them.
+    #[must_use]
+    pub fn columns(&self, column: u32) -> &Side {
+        &self.sides[1][self.kinds[2][column as usize] as usize]
     }
 
     /// What the core of a box uses.

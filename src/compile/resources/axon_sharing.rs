@@ -63,7 +63,7 @@ pub const BASE_STEP: u16 = 4;
 /// Bases are below this.
 pub const BASE_END: u16 = 256;
 /// Members of population axons and discrete axons that a core of a program can number.
-const MOST_NUMBERED: u64 = 1 << 16;
+pub const MOST_NUMBERED: u64 = 1 << 16;
 /// The most atoms.
 pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
 

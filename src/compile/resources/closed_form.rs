@@ -18,7 +18,7 @@ use crate::compile::resources::counter::{CoreTotals, ListCounter, Words, skip_bi
 use crate::compile::resources::formats::Formats;
 use crate::compile::resources::packing::{Group, Widths};
 use crate::compile::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
-use crate::desc::resource::Limits;
+use crate::desc::resource::{Limits, OutputAxons};
 use crate::ir::graph::Window;
 use crate::ir::partition::CoreUsage;
 use crate::ir::quantised::Quantised;
@@ -128,6 +128,12 @@ impl Side {
         let fields = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).fields(part);
         Side { size: part.end - part.start, fields: layer.incoming.iter().map(fields).collect() }
     }
+
+    /// The number of a field among those of a projection.
+    #[must_use]
+    pub fn number_of(&self, projection: usize, field: &ReceptiveField) -> Option<u32> {
+        self.fields[projection].binary_search_by(|(other, _)| other.cmp(field)).ok().map(|at| at as u32)
+    }
 }
 
 /// A part of the channels: how many of them sources reach, and how many sources reach so many; and the last such source.
@@ -199,6 +205,35 @@ pub struct BoxUse {
     pub usage: CoreUsage,
     /// Its synapses, by where they come from.
     pub arriving: Arc<[Arriving]>,
+    /// By projection into the layer, which of its positions are population axons.
+    pub members: Arc<[Members]>,
+}
+
+/// How the lists that a position sends to a box are stored.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Membership {
+    /// Each for itself, or perhaps so: of a class of positions not all of which share their table, none is counted as a member.
+    #[default]
+    Discrete,
+    /// As those of a population axon that takes the slots of a discrete one (pop16).
+    Short,
+    /// As those of any other (pop32).
+    Long,
+}
+
+/// Which positions of a projection are members of population axons: by the numbers of their fields of rows and of columns.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Members {
+    columns: usize,
+    of: Vec<Membership>,
+}
+
+impl Members {
+    /// That of the positions with these fields.
+    #[must_use]
+    pub fn get(&self, rows: u32, columns: u32) -> Membership {
+        self.of.get(rows as usize * self.columns + columns as usize).copied().unwrap_or_default()
+    }
 }
 
 impl BoxUse {
@@ -220,6 +255,8 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
     let widths = Widths::for_core(compartments, longest, limits.packing);
     let (mut counter, mut arriving) = (ListCounter::new(formats, widths, limits), Vec::new());
     let mut classes = Classes::default();
+    // By projection and pair of fields: the classes of these positions, and whether their axons are long.
+    let mut of_fields: Vec<Vec<Tables>> = vec![Vec::new(); layer.incoming.len()];
     let mut slots: Vec<u16> = Vec::new();
     for &i in &reaching {
         let Incoming { source, format, delay, placed, all_to_all, .. } = layer.incoming[i];
@@ -263,25 +300,50 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                     if layer.by_channel { at } else { at * channels.size }
                 };
                 let Some((atoms, positions)) = placed else { continue };
-                let behind = first_slot as u16 - axon_sharing::base_of(first_slot as u16, limits);
-                if all_to_all {
+                let base = axon_sharing::base_of(first_slot as u16, limits);
+                let (of_these, atoms) = if all_to_all {
                     // Every source has weights of its own; all channels of a position reach the box.
-                    let place = place.part(positions);
+                    let (first, place) = (classes.len(), place.part(positions));
                     (0..positions).for_each(|_| classes.alone(place, atoms as u16));
+                    (first..classes.len(), atoms as u16)
                 } else {
-                    let kind = (i, relative(reached_rows), relative(reached_columns), behind);
-                    classes.add(kind, of_rows * of_columns, place, channels.last[i] as u16 + 1);
-                }
+                    let kind = (i, relative(reached_rows), relative(reached_columns), first_slot as u16 - base);
+                    let atoms = channels.last[i] as u16 + 1;
+                    let class = classes.add(kind, of_rows * of_columns, place, atoms);
+                    (class..class + 1, atoms)
+                };
+                of_fields[i].push(Tables { classes: of_these, long: axon_sharing::is_long(atoms, base, limits) });
             }
         }
         arriving.push(Arriving { source, dense, sparse });
     }
     let mut totals = CoreTotals { lists: counter.totals(), ..CoreTotals::new(compartments, longest) };
-    for (lists, classes) in totals.lists.iter_mut().zip(&classes.ways) {
-        lists.share(classes, limits);
-    }
+    let of_ways = totals.lists.iter_mut().zip(&classes.ways);
+    let sharing: Vec<Vec<u32>> = of_ways.map(|(lists, classes)| lists.share(classes, limits)).collect();
+    let way = usize::from(totals.stores_runs(limits));
+    let membership = |tables: &Tables| {
+        let shared = |class: usize| sharing[way][class] == classes.ways[way][class].places;
+        match (tables.classes.clone().all(shared), tables.long) {
+            (false, _) => Membership::Discrete,
+            (true, false) => Membership::Short,
+            (true, true) => Membership::Long,
+        }
+    };
+    let by_position = matches!(limits.output_axons, OutputAxons::PerPosition { .. });
+    let members = |(i, of): (usize, &Vec<Tables>)| match by_position {
+        true => Members { columns: columns.fields[i].len(), of: of.iter().map(membership).collect() },
+        false => Members::default(),
+    };
+    let members = of_fields.iter().enumerate().map(members).collect();
     totals.synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
-    BoxUse { usage: totals.usage(limits), arriving: arriving.into() }
+    BoxUse { usage: totals.usage(limits), arriving: arriving.into(), members }
+}
+
+/// The classes of the positions with a pair of fields, and whether their axons are pop32 axons.
+#[derive(Debug, Clone)]
+struct Tables {
+    classes: Range<usize>,
+    long: bool,
 }
 
 /// The lists of one place.
@@ -331,12 +393,18 @@ impl Classes {
         self.ways.iter_mut().enumerate().for_each(|(way, classes)| classes.push(place.class(way, atoms)));
     }
 
-    fn add(&mut self, kind: Kind, places: u64, place: Place, atoms: u16) {
+    fn len(&self) -> usize {
+        self.ways[0].len()
+    }
+
+    /// The number of the class that these places are of.
+    fn add(&mut self, kind: Kind, places: u64, place: Place, atoms: u16) -> usize {
         let at = *self.known.entry(kind).or_insert(self.ways[0].len());
         if at == self.ways[0].len() {
             self.alone(place, atoms);
             self.ways.iter_mut().for_each(|classes| classes[at].places = 0);
         }
         self.ways.iter_mut().for_each(|classes| classes[at].places += places as u32);
+        at
     }
 }

@@ -131,8 +131,11 @@ impl ListTotals {
     }
 
     /// Stores the tables of these classes instead of a list for each of their sources; returns how many places of each
-    /// class share its table.
+    /// class share its table. None does on a core of more sources than a program can number, which then has too many input axons.
     pub fn share(&mut self, classes: &[Class], limits: &Limits) -> Vec<u32> {
+        if self.axons > axon_sharing::MOST_NUMBERED {
+            return vec![0; classes.len()];
+        }
         let sharing = axon_sharing::sharing(classes, limits);
         for (class, &places) in classes.iter().zip(&sharing).filter(|(_, places)| **places > 0) {
             self.words = self.words.saturating_add_signed(-class.saving(places));
@@ -301,6 +304,9 @@ mod tests {
         let mut lists = before;
         lists.share(&[Class { places: 1, words: 1023, ..class }], &limits());
         assert_eq!(lists, before);
+        // A program numbers 65,536 sources of a core.
+        let share = |axons| ListTotals { axons, ..before }.share(&[class], &limits());
+        assert_eq!((share(65_536), share(65_537)), (vec![60], vec![0]));
     }
 
     #[test]

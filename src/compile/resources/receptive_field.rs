@@ -81,14 +81,20 @@ impl WindowAxis {
         first.min(end) as u32..end as u32
     }
 
+    /// What a source reaches of a part of the targets, counted from where the part begins.
+    #[must_use]
+    pub fn field(self, source: u32, part: &Range<u32>) -> ReceptiveField {
+        let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
+        inside.map(|(at, k)| ((at - part.start) as u16, k)).collect()
+    }
+
     /// The first source that reaches a part of the targets, and what each of them reaches of it, by its distance from the
     /// first; parts with equal patterns differ by a shift of all sources.
     #[must_use]
     pub fn pattern(self, part: &Range<u32>) -> (u32, Vec<(u32, ReceptiveField)>) {
         let (mut first, mut pattern) = (0, Vec::new());
         for source in self.under(part) {
-            let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
-            let field: ReceptiveField = inside.map(|(at, k)| ((at - part.start) as u16, k)).collect();
+            let field = self.field(source, part);
             if field.is_empty() {
                 continue;
             }
@@ -100,13 +106,12 @@ impl WindowAxis {
         (first, pattern)
     }
 
-    /// What sources reach of a part, and how many sources reach the same.
+    /// What sources reach of a part, ascending, and how many sources reach the same.
     #[must_use]
     pub fn fields(self, part: &Range<u32>) -> Vec<(ReceptiveField, u64)> {
         let mut fields: BTreeMap<ReceptiveField, u64> = BTreeMap::new();
         for source in self.under(part) {
-            let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
-            let field: ReceptiveField = inside.map(|(at, k)| ((at - part.start) as u16, k)).collect();
+            let field = self.field(source, part);
             if !field.is_empty() {
                 *fields.entry(field).or_default() += 1;
             }
