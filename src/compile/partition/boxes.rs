@@ -162,7 +162,8 @@ impl Boxes {
         unreachable!("the last round gives reasons or boxes")
     }
 
-    /// The boxes of these lattices, whether or not they fit; none may hold more than [`MOST_SLOTS`] compartments.
+    /// The boxes of these lattices, whether or not they fit; none may hold more than
+    /// [`MOST_SLOTS`](crate::compile::resources::packing::MOST_SLOTS) compartments.
     #[must_use]
     pub fn of_lattices(network: &Layers<'_>, lattices: &Lattices, limits: &Limits) -> Self {
         let cut = |(id, lattice): (PopulationId, &Option<Lattice>)| {
