@@ -6,7 +6,7 @@
 //! behind them it does not, and that is most of a step in which many compartments spike.
 
 use crate::base::diagnostic::Diagnostic;
-use crate::base::id::{CompartmentId, PopulationId};
+use crate::base::id::CompartmentId;
 use crate::base::rng;
 use crate::compile::explore::cost_estimate::first_constants;
 use crate::compile::partition::box_fan_out::{PopulationRates, everywhere, only};
@@ -43,7 +43,7 @@ pub fn bursts(network: &Quantised) -> Vec<Rates> {
 #[must_use]
 pub fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
     let once = Rates::assumed(1.0);
-    let of_one = network.populations().ids().take(MOST_BURSTS).map(|id: PopulationId| only(network, id, &once));
+    let of_one = network.populations().ids().take(MOST_BURSTS).map(|id| only(network, id, &once));
     std::iter::once(everywhere(network, &once)).chain(of_one).collect()
 }
 

@@ -144,7 +144,7 @@ fn small(seed: u64) -> Limits {
 
 #[test]
 fn counts_traffic_and_cost_are_those_of_the_written_program() {
-    let (mut several, mut by_position, mut fewer) = (0, [0, 0], 0);
+    let (mut several, mut fewer) = (0, 0);
     for seed in 0..90 {
         let board = target(8, 4, small(seed));
         let options = Options {
@@ -160,20 +160,9 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         let exact = resources::exact::usage(network, members, seats, &chips, board.limits());
         let each = Limits { output_axons: OutputAxons::PerCompartment, ..board.limits().clone() };
         let each = resources::exact::usage(network, members, seats, &chips, &each);
-        for ((counted, exact), each) in made.partition.usage().iter().zip(&exact).zip(&each) {
-            let of = |used: &CoreUsage| (used.with(Resource::AxonsOut, 0), used[Resource::AxonsOut]);
-            let ((counted, slots), (exact, least)) = (of(counted), of(exact));
-            assert_eq!(counted, exact, "seed {seed}");
-            match board.limits().output_axons {
-                OutputAxons::PerCompartment => assert_eq!(slots, least, "seed {seed}"),
-                // Where only some of equal positions share a table geometry counts none of them.
-                OutputAxons::PerPosition { .. } => {
-                    assert!(slots >= least, "seed {seed}: {slots} of {least}");
-                    by_position[usize::from(slots > least)] += 1;
-                    fewer += usize::from(slots < each[Resource::AxonsOut]);
-                }
-            }
-        }
+        assert_eq!(made.partition.usage().as_slice(), exact.as_slice(), "seed {seed}");
+        let slots = exact.iter().map(|used| used[Resource::AxonsOut]);
+        fewer += slots.zip(&each).filter(|(slots, each)| *slots < each[Resource::AxonsOut]).count();
         let written = compile_saved(layered(seed), &board, &options, &made.mapping_file()).unwrap();
         let of_program = traffic(&written.program, &written.rates);
         assert_eq!(made.traffic(), of_program, "seed {seed}");
@@ -198,7 +187,6 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         several += usize::from(written.partition.cores() > 8);
     }
     assert!(several > 30, "{several} networks take several cores");
-    assert!(by_position[0] > 400 && by_position[1] * 100 < by_position[0], "{by_position:?} cores");
     assert!(fewer > 100, "{fewer} cores have fewer output axons by position");
 }
 
@@ -267,7 +255,6 @@ fn a_wrong_count_is_found() {
     let counted = symbolic(layered(3), &by_position, &options).unwrap();
     let all: Vec<CoreId> = counted.partition.usage().ids().collect();
     let tables = sample_of(&counted, &all, by_position.limits());
-
     let with_slots = |change: fn(&mut u64)| {
         let mut usage = counted.partition.usage().clone();
         usage.as_mut_slice().iter_mut().for_each(|used| change(&mut used[Resource::AxonsOut]));
