@@ -5,7 +5,6 @@ use std::error::Error;
 use nsim::base::id::ChannelId;
 use nsim::compile::{Options, compile, front};
 use nsim::cost::CostTable;
-use nsim::cost::deployment::powered_cores;
 use nsim::cost::model::energy;
 use nsim::drive::{Keep, run_sample};
 use nsim::io::model::load_model;
@@ -24,13 +23,12 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
     run_sample(&mut machine, &Sample::new(100, &spikes, None)?, &keep, |_, _| ());
 
-    // The machine counts; energy is a function of the counts, the constants and the cores that draw power.
-    let table = CostTable::new(&load_constants("vtsnn-calibrated")?)?;
-    let powered = powered_cores(&compiled.placement, target.chip());
-    let spent = energy(&machine.take_activity(), &table, powered);
+    // The machine counts; energy is a function of the counts and the constants.
+    let table = CostTable::new(&load_constants("loihi1-evidence")?)?;
+    let spent = energy(&machine.take_activity(), &table);
     for (part, energy) in spent.parts() {
         println!("{part}: {:.3} nJ", energy.0 as f64 / 1e6);
     }
-    println!("total: {:.3} nJ in 100 steps on {powered} powered cores", spent.total().0 as f64 / 1e6);
+    println!("total: {:.3} nJ in 100 steps on {} cores", spent.total().0 as f64 / 1e6, compiled.placement.len());
     Ok(())
 }

@@ -10,12 +10,11 @@ use std::sync::Arc;
 use common::{Net, neuron, random};
 use nsim::base::id::ChannelId;
 use nsim::base::units::Picoseconds;
-use nsim::compile::{Options, compile};
+use nsim::compile::{CopyPlacement, Options, compile};
 use nsim::cost::CostTable;
-use nsim::cost::host::Host;
 use nsim::cost::model::StepTime;
 use nsim::cost::transport::QueueMemory;
-use nsim::cost::{Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
+use nsim::cost::{Deployment, Host, HostWork, MessageRoutes, MeterSettings, StepMeter, Streams, Transport};
 use nsim::desc::resource::Resource;
 use nsim::desc::target::{Chip, Target};
 use nsim::drive::Keep;
@@ -54,10 +53,11 @@ fn sample(spikes: u32) -> Sample {
     Sample::new(STEPS, &events, None).unwrap()
 }
 
-/// The time of each step with so many copies on a board, and where they are.
-fn times(target: &Target, copies: u32, spikes: u32, transport: Transport) -> (Vec<StepTime>, Deployment, CostTable) {
-    let compiled = compile(network(), target, &Options { copies, ..Options::default() }).unwrap();
-    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
+/// The time of each step of so many copies of a network, and where they are.
+fn times(target: &Target, options: &Options, spikes: u32, work: HostWork) -> (Vec<StepTime>, Deployment, CostTable) {
+    let copies = options.copies;
+    let compiled = compile(network(), target, options).unwrap();
+    let deployment = Deployment::from_placement("mapped", &compiled.placement, target, copies, work);
     let table = CostTable::new(&target.constants()[0]).unwrap();
     let routes = MessageRoutes::of_program(&compiled.program);
     let image = Image::new(&compiled.program, 1).unwrap();
@@ -65,48 +65,96 @@ fn times(target: &Target, copies: u32, spikes: u32, transport: Transport) -> (Ve
     let shown = sample(spikes).copies(copies, CHANNELS);
     let mut memory = QueueMemory::default();
     machine.begin(STEPS);
+    let timing = deployment.timing(Transport::Analytic, copies);
     let of_step = |step| {
         machine.step(shown.at(step));
-        routes
-            .step_times(machine.last_step(), std::slice::from_ref(&table), deployment.timing(transport), &mut memory)
-            .remove(0)
+        routes.step_times(machine.last_step(), std::slice::from_ref(&table), timing, &mut memory).remove(0)
     };
     let steps = (0..STEPS).map(of_step).collect();
     (steps, deployment, table)
 }
 
+fn options(copies: u32, placement: CopyPlacement) -> Options {
+    Options { copies, placement, ..Options::default() }
+}
+
 #[test]
-fn copies_change_a_step_by_what_their_chips_inject_and_no_more() {
+fn one_to_32_copies_a_chip_each_change_a_step_by_the_hops_of_chips_alone() {
+    let (target, spikes) = (load_target("nahuku-32").unwrap(), 5);
+    let (alone, ..) = times(&target, &options(1, CopyPlacement::Spread), spikes, HostWork::default());
+    for copies in [2, 5, 31, 32] {
+        let (many, deployment, table) =
+            times(&target, &options(copies, CopyPlacement::Spread), spikes, HostWork::default());
+        assert_eq!(deployment.chips_used, u64::from(copies));
+        for (one, all) in alone.iter().zip(&many) {
+            let barrier = Picoseconds(one.barrier.0 + deployment.chip_hops * table.chip_hop_time.0);
+            assert_eq!(*all, StepTime { barrier, ..*one }, "{copies} copies");
+        }
+    }
+    let (_, full, _) = times(&target, &options(32, CopyPlacement::Spread), spikes, HostWork::default());
+    assert_eq!(full.chip_hops, 10);
+}
+
+#[test]
+fn twice_the_spikes_of_a_stream_add_their_injection_and_what_cores_and_messages_take() {
+    let target = load_target("loihi1-chip").unwrap();
+    let one = options(1, CopyPlacement::Spread);
+    let (few, _, table) = times(&target, &one, 4, HostWork::default());
+    let (many, ..) = times(&target, &one, 8, HostWork::default());
+    for (few, many) in few.iter().zip(&many) {
+        assert_eq!(many.injection.0, few.injection.0 + 4 * table.injection_time.0);
+        assert_eq!((many.turn, many.barrier, many.reset), (few.turn, few.barrier, few.reset));
+        let rest = many.slowest_core.0 + many.transport.0 - few.slowest_core.0 - few.transport.0;
+        assert_eq!(many.total().0 - few.total().0, 4 * table.injection_time.0 + rest);
+    }
+}
+
+#[test]
+fn a_silent_input_costs_the_barrier_the_slowest_core_and_the_turn() {
+    let target = load_target("loihi1-chip").unwrap();
+    let (silent, ..) = times(&target, &options(1, CopyPlacement::Spread), 0, HostWork::default());
+    for step in silent {
+        let none = Picoseconds(0);
+        assert_eq!((step.injection, step.transport, step.reset), (none, none, none));
+        assert_eq!(step.total().0, step.barrier.0 + step.slowest_core.0 + step.turn.0);
+    }
+}
+
+#[test]
+fn copies_on_a_chip_share_a_stream_unless_each_has_its_own_and_nothing_is_injected_without_a_host() {
     let (target, spikes) = (board(), 5);
-    let (alone, _, table) = times(&target, 1, spikes, Transport::Analytic);
+    let (alone, ..) = times(&target, &options(1, CopyPlacement::Packed), spikes, HostWork::default());
     for copies in [32u32, 1_024] {
-        let (many, deployment, _) = times(&target, copies, spikes, Transport::Analytic);
+        let packed = options(copies, CopyPlacement::Packed);
+        let (shared, deployment, table) = times(&target, &packed, spikes, HostWork::default());
         // A copy takes a core: 1,024 of them fill 8 chips.
         assert_eq!(deployment.chips_used, u64::from(copies).div_ceil(128));
-        let host = deployment.host.unwrap();
-        assert_eq!((host.x86_cores, host.copies_in_turn), (deployment.chips_used, u64::from(copies.min(128))));
-        for (one, all) in alone.iter().zip(&many) {
-            assert_eq!(all.injection, host.injection(u64::from(spikes * copies), &table));
-            assert_eq!(all.slowest_core, one.slowest_core);
-            assert_eq!(all.barrier, table.barrier(deployment.tiles_used));
+        let own = HostWork { streams: Streams::Copies, ..HostWork::default() };
+        let (own, ..) = times(&target, &packed, spikes, own);
+        let none = HostWork { host: Host::None, ..HostWork::default() };
+        let (none, without, _) = times(&target, &packed, spikes, none);
+        assert_eq!((without.x86_cores, without.x86_chips), (0, 0));
+        for (((one, shared), own), none) in alone.iter().zip(&shared).zip(&own).zip(&none) {
+            assert_eq!(shared.injection, one.injection);
+            assert_eq!(own.injection.0, u64::from(copies.min(128)) * one.injection.0);
+            assert_eq!((none.injection.0, none.turn.0), (0, 0));
+            assert_eq!(shared.slowest_core, one.slowest_core);
             // Inputs of one chip cross its mesh together: at most one link time each.
             let messages = u64::from(spikes * copies.min(128));
             let most = one.transport.0 + messages * table.link_time.0 + 16 * table.hop_ns_time.0;
-            assert!((one.transport.0..=most).contains(&all.transport.0), "{copies}: {one:?} {all:?}");
+            assert!((one.transport.0..=most).contains(&shared.transport.0), "{copies}: {one:?} {shared:?}");
         }
     }
-    // As many chips as copies hand over as fast as one: nothing else is in the way.
-    assert_eq!(Host::even(1_024, 1_024).copies_in_turn, 1);
 }
 
 #[test]
 fn more_copies_or_more_traffic_never_cost_less() {
     let target = board();
     let priced = |copies: u32, spikes: u32| {
-        let compiled = compile(network(), &target, &Options { copies, ..Options::default() }).unwrap();
+        let compiled = compile(network(), &target, &options(copies, CopyPlacement::Packed)).unwrap();
         let found = run_priced(&compiled, &target, &[sample(spikes)]).unwrap();
-        let total = found.estimate.rows.into_iter().find(|row| row.unit == "total").unwrap();
-        (total.latency_us.unwrap(), total.energy_uj.unwrap() * f64::from(copies))
+        let total = found.estimate.rows.iter().find(|row| row.unit == "total").unwrap();
+        (total.latency_us.unwrap(), found.estimate.job.profiler().unwrap() * total.latency_us.unwrap())
     };
     let mut last = (0.0, 0.0);
     for copies in [1, 2, 7, 32, 128, 129, 256] {
@@ -141,8 +189,10 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
         let (network, target) = (random::network(seed), small_chips(seed));
         let copies = [2, 3, 7, 12][seed as usize / 4 % 4];
         let (sample, channels) = (random::sample(&network, seed), network.channels());
-        let Ok(compiled) = compile(network, &target, &Options { copies, ..Options::default() }) else { continue };
-        let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), copies);
+        let placement = CopyPlacement::ALL[seed as usize % 2];
+        let Ok(compiled) = compile(network, &target, &options(copies, placement)) else { continue };
+        let work = HostWork::default();
+        let deployment = Deployment::from_placement("mapped", &compiled.placement, &target, copies, work);
         let ends = ["vtsnn-calibrated", "davies2018"].map(|name| load_constants(name).unwrap());
         let tables: Vec<CostTable> = target
             .constants()
@@ -157,7 +207,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
         for transport in [Transport::Analytic, Transport::Queued] {
             let settings = |routes: &Arc<MessageRoutes>| MeterSettings {
                 tables: tables.clone(),
-                timing: deployment.timing(transport),
+                timing: deployment.timing(transport, copies),
                 routes: routes.clone(),
                 timestep: Picoseconds(1_000_000),
                 distribution: None,

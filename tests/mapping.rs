@@ -15,7 +15,7 @@ use nsim::base::rng;
 use nsim::bench::mapping::{MeasuredMapping, map_all};
 use nsim::bench::suite::cases;
 use nsim::compile::explore::traffic::traffic;
-use nsim::compile::{Compiled, Effort, Objective, Options, Strategy, compile, compile_saved, front};
+use nsim::compile::{Compiled, CopyPlacement, Effort, Objective, Options, Strategy, compile, compile_saved, front};
 use nsim::desc::resource::{Limits, Resource};
 use nsim::desc::target::Target;
 use nsim::io::mapping::load_mapping;
@@ -80,7 +80,7 @@ fn the_saved_mapping_of_32_copies_passes_the_checker_on_32_cores() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("mapping/results/vtsnn-slip-x32-nahuku-32.ron");
     let file = load_mapping(&path).unwrap();
     let network = load_model("vtsnn-slip").unwrap();
-    let options = Options { copies: 32, ..Options::default() };
+    let options = Options { copies: 32, placement: CopyPlacement::Packed, ..Options::default() };
     let compiled =
         compile_saved(front(&network).unwrap(), &load_target("nahuku-32").unwrap(), &options, &file).unwrap();
     assert_eq!((compiled.partition.cores(), compiled.placement.chips_used(), compiled.placed), (32, 1, "saved"));

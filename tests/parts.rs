@@ -11,7 +11,7 @@ use nsim::base::id::ChannelId;
 use nsim::base::units::{Femtojoules, Picoseconds};
 use nsim::compile::{Compiled, Options, compile};
 use nsim::cost::model::{core_time, energy};
-use nsim::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
+use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim::desc::resource::Resource;
 use nsim::desc::target::Target;
 use nsim::drive::cores::core_rows;
@@ -91,8 +91,9 @@ fn populations_and_cores_sum_to_the_totals() {
 fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: &ByPopulation, what: &str) {
     let program = &compiled.program;
     let table = CostTable::new(&target.constants()[0]).unwrap();
-    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), compiled.options.copies);
-    let timing = deployment.timing(Transport::Analytic);
+    let deployment =
+        Deployment::from_placement("mapped", &compiled.placement, target, compiled.options.copies, HostWork::default());
+    let timing = deployment.timing(Transport::Analytic, compiled.options.copies);
     let metered = Metered::new(compiled);
     let settings = MeterSettings {
         tables: vec![table],
@@ -115,10 +116,10 @@ fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: 
     assert_eq!((sum(|core| core.spikes), spikes), (totals.spikes, totals.spikes), "{what}: spikes");
     assert_eq!(sum(nsim::ir::activity::CoreCounts::synaptic_events), totals.synaptic_events, "{what}: events");
     assert_eq!(sum(|core| core.messages_in), run.activity.messages(), "{what}: messages");
-    let whole = energy(&run.activity, table, program.cores().len() as u64);
+    let whole = energy(&run.activity, table);
     let spent: Femtojoules = cores.iter().map(|row| row.spent.unwrap().energy.total()).sum();
     assert_eq!(spent.0 + whole.hop.0, whole.total().0, "{what}: energy");
-    assert_eq!(run.meter.lanes()[0].whole.energy, energy(&run.activity, table, 0).total(), "{what}: energy of steps");
+    assert_eq!(run.meter.lanes()[0].whole.energy, energy(&run.activity, table).total(), "{what}: energy of steps");
     let slowest: u64 = cores.iter().map(|row| row.spent.unwrap().slowest_steps).sum();
     assert_eq!(slowest, run.activity.steps(), "{what}: each step has a slowest core");
     for row in &cores {
@@ -164,8 +165,8 @@ fn recorded(
     format: StepFormat,
 ) -> (Run<StepMeter>, StepLayout, Vec<u8>) {
     let metered = Metered::new(compiled);
-    let (settings, deployment) = metered.offline(target).unwrap();
-    let layout = StepLayout::new(&compiled.one, deployment.cores_powered);
+    let (settings, _) = metered.offline(target).unwrap();
+    let layout = StepLayout::new(&compiled.one);
     let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
     let running =
         Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
@@ -204,8 +205,7 @@ fn assert_rows_add_up(compiled: &Compiled, target: &Target, samples: &[&Sample],
     let activity = &run.activity;
     assert_eq!(sum("synaptic_events"), activity.totals().synaptic_events, "{what}");
     assert_eq!((sum("messages"), sum("hops")), (activity.messages(), activity.hops().links()), "{what}");
-    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), compiled.options.copies);
-    for (name, part) in energy(activity, &run.meter.tables()[0], deployment.cores_powered).parts() {
+    for (name, part) in energy(activity, &run.meter.tables()[0]).parts() {
         assert_eq!(u128::from(sum(&format!("energy_pj.{name}"))), part.0, "{what}: {name}");
     }
     let time: u64 = header.iter().zip(&sums).filter(|(name, _)| name.starts_with("time_us.")).map(|(_, sum)| sum).sum();

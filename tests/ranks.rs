@@ -9,7 +9,7 @@ mod common;
 use common::random;
 use nsim::base::units::Picoseconds;
 use nsim::compile::{CompileError, Compiled, Options, compile};
-use nsim::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
+use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim::desc::resource::Resource;
 use nsim::desc::target::Target;
 use nsim::drive::decision::{EarlyExit, Rule};
@@ -121,11 +121,17 @@ impl Case {
         on_ranks(count, |rank, ranks| {
             let compiled = self.handed(share(rank, count, rank == 0), ranks);
             let metered = Metered::new(&compiled);
-            let deployment = Deployment::from_placement("packed", &compiled.placement, self.target.chip(), self.copies);
+            let deployment = Deployment::from_placement(
+                "mapped",
+                &compiled.placement,
+                &self.target,
+                self.copies,
+                HostWork::default(),
+            );
             let settings = MeterSettings {
                 tables: vec![CostTable::new(&self.target.constants()[0]).unwrap()],
                 routes: metered.routes.clone(),
-                timing: deployment.timing(Transport::Queued),
+                timing: deployment.timing(Transport::Queued, self.copies),
                 timestep: Picoseconds::from_milliseconds(1.0),
                 distribution: None,
                 by_step: None,

@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use nsim::cost::Transport;
+use nsim::cost::{Host, Streams, Transport};
 use nsim::cost::estimate::Convention;
 use nsim::desc::published::baseline::Mode;
 use nsim::desc::published::workload::Accounting;
 use nsim::drive::samples::Progress;
 use nsim::energy::evaluate::{CostOptions, Evaluated, Plan, evaluate};
-use nsim::energy::options::{DeploymentArg, HostArg};
 use nsim::energy::page;
 use nsim::energy::workload::Workload;
 use nsim::io::text::sha256;
@@ -27,10 +26,9 @@ use crate::spikes::Shown;
 use crate::work::work;
 
 /// The deployment that `deployment` names.
-pub fn plan(py: Python<'_>, model: &str, keywords: &Keywords<'_>) -> PyResult<Plan> {
+pub fn plan(py: Python<'_>, model: &str, keywords: &Keywords<'_>, copies: Option<u32>) -> PyResult<Plan> {
     let asked = keywords.path("deployment")?;
-    let asked = asked.as_deref().map_or(DeploymentArg::Packed, DeploymentArg::from);
-    Plan::new(model, &asked).map_err(|error| raised(py, error))
+    Plan::new(model, asked.as_deref(), copies).map_err(|error| raised(py, error))
 }
 
 fn options(py: Python<'_>, keywords: &Keywords<'_>) -> PyResult<CostOptions> {
@@ -45,9 +43,9 @@ fn options(py: Python<'_>, keywords: &Keywords<'_>) -> PyResult<CostOptions> {
     if let Some(transport) = keywords.one_of("transport", &Transport::ALL, Transport::name)? {
         options.transport = transport;
     }
-    if let Some(host) = keywords.one_of("host", &HostArg::ALL, HostArg::name)? {
-        options.host = host;
-    }
+    options.host = keywords.one_of("host", &Host::ALL, Host::name)?;
+    options.streams = keywords.one_of("streams", &Streams::ALL, Streams::name)?.unwrap_or_default();
+    options.reset_words = keywords.take("reset_words")?.unwrap_or(0);
     if let Some(accounting) = keywords.one_of("accounting", &Accounting::ALL, Accounting::name)? {
         options.accounting = accounting;
     }
@@ -78,14 +76,16 @@ fn priced<T: Send>(
     let long = is_long(shared, &shown);
     let (result, warnings) = work(py, long, |progress| {
         let Shown { stimulus, order } = shown;
-        let workload = Workload::new(compiled, &shared.target, stimulus, order)?;
+        // The network of a published job is mapped as that was.
+        let of_job = plan.job_mapped(compiled, &shared.target)?;
+        let workload = Workload::new(of_job.as_ref().unwrap_or(compiled), &shared.target, stimulus, order)?;
         // The processor's rows are of one copy, mapped alone.
-        let alone = match options.baselines.cpu && workload.copies > 1 {
+        let alone = match options.baselines.cpu && compiled.options.copies > 1 {
             true => Some(nsim::compile(compiled.one.clone(), &shared.target, &nsim::Options::default())?),
             false => None,
         };
-        let alone: &Program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
-        let evaluated = evaluate(plan, &workload, &options, Some(alone), |(metered, _), watched| {
+        let program: &Program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
+        let evaluated = evaluate(plan, &workload, &options, Some((&compiled.one, program)), |metered, watched| {
             workload.simulate(metered, watched, true, (progress, None))
         })?;
         let warnings = evaluated.energy.detail.warnings.clone();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim::compile::explore;
-use nsim::compile::{self, CompileError, Compiled, DEFAULT_RATE, Form, Objective, Options, Strategy, shapes};
+use nsim::compile::{self, CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Objective, Options, Strategy, shapes};
 use nsim::convert::copies::USUAL;
 use nsim::convert::prepare::integers;
 use nsim::desc::network::Network;
@@ -38,7 +38,8 @@ pub struct MappingRequest {
     file: Option<PathBuf>,
     /// Copies of the network.
     pub copies: u32,
-    options: Options,
+    /// How to map.
+    pub options: Options,
 }
 
 impl MappingRequest {
@@ -50,8 +51,10 @@ impl MappingRequest {
         let strategy = keywords.one_of("strategy", &Strategy::ALL, Strategy::name)?.unwrap_or(usual.strategy);
         let objective = keywords.one_of("objective", &Objective::ALL, Objective::name)?.unwrap_or(usual.objective);
         let seed = keywords.take("seed")?.unwrap_or(usual.seed);
+        let placement = keywords.one_of("deployment", &CopyPlacement::ALL, CopyPlacement::name)?;
+        let placement = placement.unwrap_or(usual.placement);
         let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
-        Ok(MappingRequest { target, file, copies, options: Options { strategy, objective, seed, ..usual } })
+        Ok(MappingRequest { target, file, copies, options: Options { placement, strategy, objective, seed, ..usual } })
     }
 
     fn compiled(&self, network: &Network) -> Result<(Compiled, Target), nsim::Error> {
@@ -280,8 +283,8 @@ impl Mapping {
     /// options of `nsim energy`.
     #[pyo3(
         signature = (spikes=None, **options),
-        text_signature = "($self, spikes=None, *, deployment='packed', mode='offline', convention='physical', constants=None, \
-                          transport='queued', host='board', accounting='profiler', early_exit=None, baselines=(), labels=None, \
+        text_signature = "($self, spikes=None, *, deployment=None, mode='offline', convention='physical', constants=None, \
+                          transport='queued', host=None, streams='one', reset_words=0, accounting='profiler', early_exit=None, baselines=(), labels=None, \
                           samples=None, repeat=1, seed=None, time_first=False)"
     )]
     fn energy(
@@ -291,7 +294,8 @@ impl Mapping {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Energy> {
         let keywords = Keywords::new(options)?;
-        let plan = energy::plan(py, &self.0.model, &keywords)?;
+        let plan = energy::plan(py, &self.0.model, &keywords, None)?;
+        plan.of_mapping().map_err(|error| raised(py, error))?;
         Energy::new(py, self, &plan, spikes, &keywords)
     }
 

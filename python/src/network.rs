@@ -56,8 +56,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// The mapping that is priced, and its deployment: with as many copies as in the scenario that ships for the model unless they
-    /// are given.
+    /// The mapping that is priced, and its deployment: one copy unless more are asked for.
     fn priced(
         &self,
         py: Python<'_>,
@@ -65,9 +64,10 @@ impl Network {
         copies: Option<u32>,
         keywords: &Keywords<'_>,
     ) -> PyResult<(Mapping, Plan)> {
-        let plan = energy::plan(py, &self.model, keywords)?;
+        let plan = energy::plan(py, &self.model, keywords, copies)?;
         let mut request = MappingRequest::new(target, &Keywords::new(None)?)?;
-        request.copies = copies.or(plan.copies()).unwrap_or(1);
+        request.copies = plan.mapped_copies().unwrap_or(1);
+        request.options.placement = plan.placement();
         Ok((Mapping::new(py, &self.model, &self.network, &request)?, plan))
     }
 
@@ -139,12 +139,12 @@ impl Network {
 
     /// The same network on the cores of a target.
     ///
-    /// `target` is a target file or a shipped name; `copies` (1), `strategy` ('multilevel', 'greedy', 'sequential'), `objective` ('cores',
+    /// `target` is a target file or a shipped name; `copies` (1), `deployment` ('spread', 'packed'), `strategy` ('multilevel', 'greedy', 'sequential'), `objective` ('cores',
     /// 'energy', 'energy:chip', 'latency') and `seed` (0) are those of `nsim map`; `mapping` is a file that `nsim map -o` wrote.
     /// Spike response neurons become integers as `nsim map` makes them.
     #[pyo3(
         signature = (target=None, **options),
-        text_signature = "($self, target='nahuku-32', *, copies=1, strategy='multilevel', objective='cores', seed=0, mapping=None)"
+        text_signature = "($self, target='nahuku-32', *, copies=1, deployment='spread', strategy='multilevel', objective='cores', seed=0, mapping=None)"
     )]
     fn map(&self, py: Python<'_>, target: Option<PathBuf>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Mapping> {
         let keywords = Keywords::new(options)?;
@@ -155,13 +155,13 @@ impl Network {
 
     /// What the network costs on the chip: `nsim energy`.
     ///
-    /// Without `copies` there are as many as in the scenario that ships for the model, or 1; figures are of one. `spikes` and the other
+    /// Without `copies` there is one, or with `deployment='paper'` as many as in the measured job; figures are of one. `spikes` and the other
     /// keywords are those of `Mapping.energy`.
     #[pyo3(
         signature = (spikes=None, *, target=None, copies=None, **options),
-        text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='packed', mode='offline', \
-                          convention='physical', constants=None, transport='queued', host='board', accounting='profiler', \
-                          early_exit=None, baselines=(), labels=None, samples=None, repeat=1, seed=None, time_first=False)"
+        text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='spread', mode='offline', \
+                          convention='physical', constants=None, transport='queued', host=None, streams='one', reset_words=0, \
+                          accounting='profiler', early_exit=None, baselines=(), labels=None, samples=None, repeat=1, seed=None, time_first=False)"
     )]
     fn energy(
         &self,

@@ -13,10 +13,10 @@ use crate::bench::networks::BenchNetwork;
 use crate::bench::suite::{STEPS, SuiteCase, Ways};
 use crate::compile::explore::traffic::Traffic;
 use crate::compile::{
-    CompileError, Compiled, DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy, explore,
+    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy, explore,
 };
 use crate::cost::constants::CostTable;
-use crate::cost::deployment::Deployment;
+use crate::cost::deployment::{Deployment, HostWork};
 use crate::cost::meter::{MeterSettings, StepMeter};
 use crate::cost::transport::Transport;
 use crate::desc::target::Target;
@@ -140,8 +140,14 @@ pub fn map_all(
         .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
     for &(strategy, objective, places) in ways {
         let failed = |error| MappingFailure::Compile(case.name, strategy.name(), Box::new(error));
-        let options =
-            Options { copies: case.copies, strategy, objective, effort: Effort::Work(effort_s), ..Options::default() };
+        let options = Options {
+            copies: case.copies,
+            placement: CopyPlacement::Packed,
+            strategy,
+            objective,
+            effort: Effort::Work(effort_s),
+            ..Options::default()
+        };
         reset_peak();
         let begin = Instant::now();
         // One partition serves both ways of placing it, where a second copy of it is no matter of gigabytes.
@@ -208,7 +214,8 @@ pub fn map_all(
 /// # Errors
 /// [`MappingFailure`] where it is not refused.
 pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result<Refusal, MappingFailure> {
-    let options = Options { copies: case.copies, ..Options::default() };
+    let placement = CopyPlacement::Packed;
+    let options = Options { copies: case.copies, placement, ..Options::default() };
     let form = Form::for_network(&bench.network, case.copies);
     reset_peak();
     let begin = Instant::now();
@@ -237,9 +244,10 @@ fn simulated(
     let failed = |error: &dyn std::fmt::Display| MappingFailure::Run(case.name, error.to_string());
     let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
     let table = CostTable::new(constants).map_err(|e| failed(&e))?;
-    let deployment = Deployment::from_placement("packed", &compiled.placement, target.chip(), case.copies);
+    let deployment =
+        Deployment::from_placement("mapped", &compiled.placement, target, case.copies, HostWork::for_target(target));
     let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
-    let timing = deployment.timing(Transport::default());
+    let timing = deployment.timing(Transport::default(), case.copies);
     let metered = MeterSettings::new(vec![table.clone()], timing, &compiled.program, timestep);
     let mut meter = StepMeter::new(metered);
     let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
@@ -260,10 +268,9 @@ fn simulated(
     let steps = f64::from(STEPS);
     let time: f64 = sums.time as f64 / 1e6 / steps;
     let dynamic: f64 = sums.energy.microjoules() / steps;
-    let fixed = (table.core_step_energy * deployment.cores_powered).microjoules();
     // Milliwatts times microseconds are nanojoules.
-    let powered = table.core_static_power.milliwatts() * deployment.cores_powered as f64 * time * 1e-3;
-    Ok((dynamic + fixed + powered, time))
+    let cores = table.core_static_power.milliwatts() * deployment.cores_used as f64 * time * 1e-3;
+    Ok((dynamic + cores, time))
 }
 
 /// Lets the peak of memory begin anew, where Linux allows it.

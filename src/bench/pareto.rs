@@ -23,9 +23,9 @@ use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::quantise::quantise;
 use crate::compile::{CompileError, Options, compile};
 use crate::cost::constants::CostTable;
-use crate::cost::host::Host;
 use crate::cost::meter::{MeterSettings, StepMeter};
-use crate::cost::transport::{Timing, Transport};
+use crate::cost::transport::Transport;
+use crate::cost::{Deployment, HostWork};
 use crate::desc::target::Target;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::{Keep, run_sample};
@@ -329,8 +329,9 @@ impl<'a> Subject<'a> {
         let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
         let tables = tables.map_err(|e| wrong(&e))?;
         let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
-        let host = Some(Host::even(1, 1));
-        let timing = Timing { transport, tiles_used: 1, host, followed: 1 };
+        let work = HostWork::for_target(self.target);
+        let timing =
+            Deployment::from_placement("mapped", &compiled.placement, self.target, 1, work).timing(transport, 1);
         let meter = StepMeter::new(MeterSettings::new(tables, timing, program, timestep));
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
         let output = (CompartmentId(self.output.first), self.output.count);

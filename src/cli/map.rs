@@ -7,7 +7,9 @@ use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::explore::{self, remedy};
-use crate::compile::{self, CompileError, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Reason, Strategy};
+use crate::compile::{
+    self, CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Reason, Strategy,
+};
 use crate::desc::mapping::MappingFile;
 use crate::desc::target::Target;
 use crate::drive::inputs;
@@ -25,8 +27,9 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim map                                          the shipped network on a board of 32 chips
   nsim map model.ron --target loihi1-chip           on one chip, or every reason why not
-  nsim map --copies 32 -o packed.ron                32 copies; save the mapping
-  nsim map --copies 32 --mapping packed.ron         check and use a saved mapping
+  nsim map --copies 32                              32 copies, each on a chip of its own
+  nsim map --copies 32 --deployment packed -o packed.ron   on as few cores as they fit; save the mapping
+  nsim map --mapping packed.ron                     check and use a saved mapping
   nsim map --prune static                           without what cannot change an output, which is listed
   nsim map wide.ron --relays                        with compartments that carry spikes on where output axons are few
   nsim map --objective latency --profile recordings.npy   short timesteps at the firing rates of these recordings
@@ -53,6 +56,9 @@ pub struct MapArgs {
     /// Copies of the model; 1 unless a mapping says otherwise
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
+    /// Where copies go: each on chips of its own and then more on each chip, or on as few cores as they fit
+    #[arg(long, default_value = "spread", value_parser = one_of(&CopyPlacement::ALL, CopyPlacement::name), conflicts_with = "mapping")]
+    pub deployment: CopyPlacement,
     /// What to minimise: cores, energy or latency
     #[arg(long, default_value = "cores", value_parser = one_of(&Objective::ALL, Objective::name))]
     pub objective: Objective,
@@ -149,10 +155,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     };
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
     let model = &network.file().name;
-    let scenario = io::published::scenario::shipped_for(&args.job.model)?;
-    let scenario = scenario.as_ref();
     let (target, options, remedies, relays) = (&target, &options, &remedies[..], relays.as_ref());
-    let question = Question { model, target, options, pruned, remedies, relays, scenario };
+    let question = Question { model, target, options, pruned, remedies, relays };
     let outcome = match &mapped {
         Ok(mapped) => {
             let traffic = mapped.traffic();
@@ -186,7 +190,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
 
 /// Prints why a network does not fit, where that is known before it is mapped.
 fn refuse(model: &str, target: &Target, options: &Options, reasons: &[Reason], context: Context) -> Result<Answer> {
-    let question = Question { model, target, options, pruned: &[], remedies: &[], relays: None, scenario: None };
+    let question = Question { model, target, options, pruned: &[], remedies: &[], relays: None };
     let outcome = Outcome::DoesNotFit(reasons);
     let json = || report::json(question, outcome);
     output::print(context.format, || report::text(question, outcome), json, || Ok(report::csv(outcome)))?;
@@ -223,6 +227,7 @@ fn strategy(name: &str) -> Option<Strategy> {
 fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
     Options {
         copies: args.copies.or(mapping.map(|file| file.copies)).unwrap_or(1),
+        placement: args.deployment,
         // A file may have been made by other hands than any of these.
         strategy: mapping.and_then(|file| strategy(&file.strategy)).unwrap_or(args.strategy),
         objective: args.objective,

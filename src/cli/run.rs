@@ -267,9 +267,8 @@ fn ran(
             match &args.steps {
                 Some(path) => {
                     let metered = Metered::new(compiled);
-                    let (settings, deployment) = metered.offline(target)?;
-                    let priced = (settings, deployment.cores_powered);
-                    recorded((path, batch), &compiled.one, &metered, priced, samples, running)?.into()
+                    let (settings, _) = metered.offline(target)?;
+                    recorded((path, batch), &compiled.one, &metered, settings, samples, running)?.into()
                 }
                 None => fast(&compiled.program, samples, running, || ())?.into(),
             }

@@ -28,6 +28,7 @@ pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 
+use crate::compile::place::spread::spread;
 use crate::desc::mapping::MappingFile;
 use crate::desc::network::Network;
 use crate::desc::target::Target;
@@ -36,7 +37,7 @@ use crate::ir::firing_rates::Rates;
 pub use error::CompileError;
 pub use form::Form;
 pub use mapping::{Checked, Compiled, Mapping, Synapses};
-pub use options::{DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy};
+pub use options::{CopyPlacement, DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy};
 pub use reason::Reason;
 pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked, with_program};
 
@@ -77,6 +78,13 @@ pub fn place(
     form: Form,
 ) -> Result<Placed, CompileError> {
     let target = &*form.counted_on(front.quantised(), target);
+    let one = |front: Front, options: &Options| {
+        let placed = place(front, target, options, rates, form)?;
+        Ok((placed.partitioned.partition.members().clone(), placed.placement, placed.name))
+    };
+    if let Some(spread) = spread(&front, target, options, rates, form, one)? {
+        return Ok(spread);
+    }
     let partitioned = front.partition(target, options, rates, form)?;
     partitioned.place(target, options)
 }

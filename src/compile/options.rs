@@ -41,6 +41,18 @@ pub enum Strategy {
 
 named_variants!(Strategy { Sequential = "sequential", Greedy = "greedy", Multilevel = "multilevel" });
 
+/// Where copies of a network go.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum CopyPlacement {
+    /// Each on chips of its own while there are any; then chips are filled evenly.
+    #[default]
+    Spread,
+    /// On as few cores as they fit.
+    Packed,
+}
+
+named_variants!(CopyPlacement { Spread = "spread", Packed = "packed" });
+
 /// How much may be spent on looking for a better partition and placement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
@@ -104,6 +116,8 @@ pub fn is_over(end: Option<Instant>) -> bool {
 pub struct Options {
     /// Copies of the network, at least 1.
     pub copies: u32,
+    /// Where they go.
+    pub placement: CopyPlacement,
     /// How compartments are grouped into cores.
     pub strategy: Strategy,
     /// What for.
@@ -125,6 +139,7 @@ impl Default for Options {
     fn default() -> Self {
         Options {
             copies: 1,
+            placement: CopyPlacement::default(),
             strategy: Strategy::default(),
             objective: Objective::default(),
             seed: 0,

@@ -17,7 +17,9 @@ use crate::compile::resources::exact::usage;
 use crate::compile::resources::fan_in::FanIn;
 use crate::compile::resources::incremental::{Filling, Newcomer};
 use crate::compile::testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
-use crate::compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Options, Reason, compile, explore};
+use crate::compile::{
+    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Options, Reason, compile, explore,
+};
 use crate::desc::network::{Semantics, ThresholdTest};
 use crate::desc::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
 use crate::ir::firing_rates::Rates;
@@ -149,7 +151,7 @@ fn more_copies_than_the_target_holds_is_a_reason_before_anything_large_is_made()
 
 #[test]
 fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
-    let options = Options { copies: 32, ..Options::default() };
+    let options = Options { copies: 32, placement: CopyPlacement::Packed, ..Options::default() };
     let board = target(2, 2, limits());
     let compiled = compile(slip(3150), &board, &options).unwrap();
     assert_eq!(compiled.partition.cores(), 32);

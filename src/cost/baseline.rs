@@ -133,24 +133,9 @@ impl Figures {
     /// A row of the table.
     #[must_use]
     pub fn row(&self, hardware: &str, convention: Convention, steps: Option<u32>) -> EnergyRow {
-        let total = self.static_mw + self.dynamic_mw;
-        let energy = convention.energy_uj(total, self.latency_us, steps);
-        EnergyRow {
-            hardware: hardware.to_string(),
-            unit: "total",
-            convention,
-            static_mw: Some(self.static_mw),
-            dynamic_mw: Some(self.dynamic_mw),
-            total_mw: Some(total),
-            latency_us: Some(self.latency_us),
-            energy_uj: energy,
-            edp_pjs: energy.map(|energy| energy * self.latency_us),
-            low: None,
-            high: None,
-            share: None,
-            source: self.source,
-            power_source: self.power_source,
-        }
+        let powers = (self.static_mw, Some(self.dynamic_mw));
+        let row = EnergyRow::new(hardware, "total", convention, powers, Some(self.latency_us), self.source, steps);
+        EnergyRow { power_source: self.power_source, ..row }
     }
 }
 

@@ -1,152 +1,270 @@
-//! How many cores a deployment uses, powers and keeps busy.
+//! Cores, chips and x86 cores that a job uses: what power and time depend on besides counts.
 //!
-//! Static power is charged for powered cores, which are more than those in use where power comes in tiles or chips.
+//! Input: a placement and its target, or a published job's own numbers. Output: a [`Deployment`].
+//! Invariant: each number is of all copies together.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
-use crate::cost::host::Host;
+use crate::base::units::Picoseconds;
 use crate::cost::transport::{Timing, Transport};
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
-use crate::desc::target::{Chip, PowerUnit};
+pub use crate::desc::published::scenario::{Host, Streams};
+use crate::desc::target::Target;
 use crate::ir::placement::Placement;
 
-/// The numbers of cores that static power, x86 power and the barrier depend on, for all copies together.
+/// Words that one x86 core handles in a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Words {
+    /// Number of words.
+    pub count: u64,
+    /// Timesteps of the sample.
+    pub steps: u32,
+}
+
+impl Words {
+    /// No words.
+    pub const NONE: Words = Words { count: 0, steps: 1 };
+
+    /// A step's share of their time, when each takes this long.
+    #[must_use]
+    pub fn time(self, each: Picoseconds) -> Picoseconds {
+        let whole = u128::from(each.0) * u128::from(self.count) / u128::from(self.steps.max(1));
+        Picoseconds(u64::try_from(whole).unwrap_or(u64::MAX))
+    }
+}
+
+/// What the x86 cores of a job do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HostWork {
+    /// Where input spikes come from.
+    pub host: Host,
+    /// Streams that a chip is fed.
+    pub streams: Streams,
+    /// Words of a core that are set to zero after each sample; 0: state stays.
+    pub reset_words: u64,
+    /// Timesteps of a sample.
+    pub steps_per_sample: u32,
+}
+
+impl Default for HostWork {
+    fn default() -> Self {
+        HostWork { host: Host::Stream, streams: Streams::One, reset_words: 0, steps_per_sample: 1 }
+    }
+}
+
+impl HostWork {
+    /// What x86 cores do unless it is said: they inject, where a chip has any.
+    #[must_use]
+    pub fn for_target(target: &Target) -> Self {
+        let host = if target.chip().x86_cores_in_use > 0 { Host::Stream } else { Host::None };
+        HostWork { host, ..HostWork::default() }
+    }
+}
+
+/// The numbers that power and time depend on, for all copies together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Deployment {
-    /// `packed`, `paper`, or the file it came from.
+    /// `spread`, `packed`, `paper`, or the file it came from.
     pub name: String,
-    /// Copies of the workload that share it.
+    /// Copies of the network.
     pub copies: u32,
     /// Neuron cores in use.
     pub cores_used: u64,
-    /// Neuron cores that draw static power.
-    pub cores_powered: u64,
-    /// Tiles with a core in use: they take part in the barrier.
+    /// Tiles with a core in use, on the chip that has most of them: they take part in its barrier.
     pub tiles_used: u64,
     /// Chips with a core in use.
     pub chips_used: u64,
-    /// The x86 cores in use; `None` for the chips alone.
-    pub host: Option<Host>,
+    /// Hops between chips of the barrier.
+    pub chip_hops: u64,
+    /// Chips on the board, whether in use or not.
+    pub board_chips: u64,
+    /// Where input spikes come from.
+    pub host: Host,
+    /// x86 cores that run a program.
+    pub x86_cores: u64,
+    /// Chips with such an x86 core.
+    pub x86_chips: u64,
+    /// Of the x86 cores those that inject or reset; the others wait.
+    pub x86_working: u64,
+    /// Streams that the chip with most copies is fed.
+    pub streams: u64,
+    /// Words that an x86 core sets to zero after a sample, one after the other.
+    pub reset: Words,
+    /// Words besides spikes that the host sends to a chip in a sample.
+    pub sent: Words,
+}
+
+/// Hops of a barrier between chips in use: across the board's own rectangle where it is full, else across
+/// the nearest square.
+#[must_use]
+pub fn chip_hops(chips_used: u64, (chips_x, chips_y): (u32, u32)) -> u64 {
+    let (wide, high) = (u64::from(chips_x), u64::from(chips_y));
+    if chips_used == wide * high {
+        return wide + high - 2;
+    }
+    let side = (1..).find(|side| side * side >= chips_used).unwrap_or(1).max(1);
+    (side - 1) + (chips_used.div_ceil(side).max(1) - 1)
 }
 
 impl Deployment {
-    /// The mapping's own numbers; the placement holds all copies.
+    /// A mapping's own numbers; the placement holds all copies.
     #[must_use]
-    pub fn from_placement(name: impl Into<String>, placement: &Placement, chip: &Chip, copies: u32) -> Self {
-        let chips_used = u64::from(placement.chips_used());
+    pub fn from_placement(
+        name: impl Into<String>,
+        placement: &Placement,
+        target: &Target,
+        copies: u32,
+        work: HostWork,
+    ) -> Self {
+        let mut chips = BTreeMap::<u32, (u64, std::collections::BTreeSet<(u32, u32)>)>::new();
+        for site in placement.sites() {
+            let chip = chips.entry(site.chip).or_default();
+            chip.0 += 1;
+            chip.1.insert((site.x, site.y));
+        }
+        let most_cores = chips.values().map(|(cores, _)| *cores).max().unwrap_or(0);
+        let tiles_used = chips.values().map(|(_, tiles)| tiles.len() as u64).max().unwrap_or(0);
+        let (cores_used, chips_used) = (placement.len() as u64, chips.len() as u64);
+        let each = u64::from(target.chip().x86_cores_in_use);
+        let x86_cores = chips_used * if work.host == Host::None { 0 } else { each };
+        // Copies are on a chip in proportion to its cores.
+        let on_fullest = (most_cores * u64::from(copies)).div_ceil(cores_used.max(1)).max(1);
         Deployment {
             name: name.into(),
             copies,
-            cores_used: placement.len() as u64,
-            cores_powered: powered_cores(placement, chip),
-            tiles_used: tiles_used(placement).len() as u64,
+            cores_used,
+            tiles_used,
             chips_used,
-            host: Some(host(placement, chip, copies)),
+            chip_hops: chip_hops(chips_used, (target.chips_x(), target.chips() / target.chips_x())),
+            board_chips: target.chips().into(),
+            host: work.host,
+            x86_cores,
+            x86_chips: if x86_cores > 0 { chips_used } else { 0 },
+            x86_working: x86_cores,
+            streams: if work.streams == Streams::One { 1 } else { on_fullest },
+            reset: Words {
+                count: if x86_cores > 0 { work.reset_words * most_cores } else { 0 },
+                steps: work.steps_per_sample,
+            },
+            sent: Words::NONE,
         }
     }
 
     /// The numbers of a published job.
     #[must_use]
-    pub fn from_scenario(name: impl Into<String>, scenario: &ScenarioFile) -> Self {
-        let DeployedCores { cores_used, cores_powered, tiles_used, chips_used, x86_cores } = scenario.deployment.value;
-        let copies = scenario.copies.value;
-        let host = Some(Host::even(x86_cores, copies.into()));
-        Deployment { name: name.into(), copies, cores_used, cores_powered, tiles_used, chips_used, host }
+    pub fn from_scenario(
+        name: impl Into<String>,
+        scenario: &ScenarioFile,
+        target: &Target,
+        copies: u32,
+        work: HostWork,
+    ) -> Self {
+        Deployment::from_numbers(name, scenario.deployment.value, target, copies, work)
     }
 
-    /// What the time of a step depends on here; messages are followed for the first preset alone.
+    /// Given numbers of cores, chips and x86 cores.
     #[must_use]
-    pub fn timing(&self, transport: Transport) -> Timing {
-        Timing { transport, tiles_used: self.tiles_used, host: self.host, followed: 1 }
+    pub fn from_numbers(
+        name: impl Into<String>,
+        cores: DeployedCores,
+        target: &Target,
+        copies: u32,
+        work: HostWork,
+    ) -> Self {
+        let DeployedCores { cores_used, chips_used, x86_cores } = cores;
+        let chip = target.chip();
+        let on_fullest = cores_used.div_ceil(chips_used.max(1));
+        let x86_cores = if work.host == Host::None { 0 } else { x86_cores };
+        let streams = u64::from(copies).div_ceil(chips_used.max(1));
+        Deployment {
+            name: name.into(),
+            copies,
+            cores_used,
+            tiles_used: on_fullest.div_ceil(chip.cores_per_tile.into()),
+            chips_used,
+            chip_hops: chip_hops(chips_used, (target.chips_x(), target.chips() / target.chips_x())),
+            board_chips: target.chips().into(),
+            host: work.host,
+            x86_cores,
+            x86_chips: x86_cores.min(chips_used),
+            x86_working: x86_cores,
+            streams: if work.streams == Streams::One { 1 } else { streams },
+            reset: Words {
+                count: if x86_cores > 0 { work.reset_words * on_fullest } else { 0 },
+                steps: work.steps_per_sample,
+            },
+            sent: Words::NONE,
+        }
     }
 
-    /// x86 cores in use; none where the chips are looked at alone.
+    /// Whether an x86 process takes a turn in each step.
     #[must_use]
-    pub fn x86_cores(&self) -> u64 {
-        self.host.map_or(0, |host| host.x86_cores)
+    pub fn takes_turns(&self) -> bool {
+        self.x86_cores > 0 && (self.host != Host::None || self.reset.count > 0)
     }
-}
 
-/// The x86 cores of the chips in use. Copies are on a chip in proportion to its cores.
-fn host(placement: &Placement, chip: &Chip, copies: u32) -> Host {
-    let mut cores = BTreeMap::<u32, u64>::new();
-    placement.sites().iter().for_each(|site| *cores.entry(site.chip).or_default() += 1);
-    let most = cores.values().copied().max().unwrap_or(0);
-    let (copies, x86_cores) = (u64::from(copies), u64::from(chip.x86_cores_in_use));
-    let on_one_chip = (most * copies).div_ceil((placement.len() as u64).max(1));
-    // A chip without x86 cores is served from outside, as all others.
-    let copies_in_turn = if x86_cores == 0 { copies } else { on_one_chip.div_ceil(x86_cores) };
-    Host { x86_cores: cores.len() as u64 * x86_cores, copies, copies_in_turn: copies_in_turn.max(1) }
-}
-
-/// The cores that draw static power: all those of each core, tile or chip in use.
-#[must_use]
-pub fn powered_cores(placement: &Placement, chip: &Chip) -> u64 {
-    match chip.power_unit {
-        PowerUnit::Core => placement.len() as u64,
-        PowerUnit::Chip => u64::from(placement.chips_used()) * u64::from(chip.cores),
-        PowerUnit::Tile => tiles_used(placement)
-            .into_iter()
-            .map(|(_, y, x)| {
-                // The last tile of a chip may have cores that cannot be used, and then does not power them.
-                let before = (y * chip.width + x) * chip.cores_per_tile;
-                u64::from(chip.cores.saturating_sub(before).min(chip.cores_per_tile))
-            })
-            .sum(),
+    /// What the time of a step depends on here, for steps that count the spikes of so many copies.
+    #[must_use]
+    pub fn timing(&self, transport: Transport, copies_counted: u32) -> Timing {
+        Timing {
+            transport,
+            tiles_used: self.tiles_used,
+            chip_hops: self.chip_hops,
+            turn: self.takes_turns(),
+            streams: if self.host == Host::Stream { self.streams } else { 0 },
+            copies: copies_counted.max(1).into(),
+            reset: self.reset,
+            sent: self.sent,
+        }
     }
-}
-
-/// Chip, row and column of each tile with a core in use.
-fn tiles_used(placement: &Placement) -> BTreeSet<(u32, u32, u32)> {
-    placement.sites().iter().map(|site| (site.chip, site.y, site.x)).collect()
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::base::diagnostic::SourceText;
-    use crate::desc::spanned::parse;
     use crate::ir::placement::Mesh;
 
-    pub(crate) fn loihi1() -> Chip {
-        let path = format!("{}/mapping/chips/loihi1.ron", env!("CARGO_MANIFEST_DIR"));
-        parse(&SourceText::new("loihi1", std::fs::read_to_string(path).unwrap()), "target.syntax").unwrap()
+    pub(crate) fn nahuku() -> Target {
+        crate::io::target::load_target("nahuku-32").unwrap()
     }
 
     /// The published deployment of the shipped model.
     pub(crate) fn paper() -> Deployment {
-        let path = format!("{}/mapping/scenarios/vtsnn-slip-paper.ron", env!("CARGO_MANIFEST_DIR"));
-        let source = SourceText::new("scenario", std::fs::read_to_string(path).unwrap());
-        Deployment::from_scenario("paper", &parse(&source, "scenario.syntax").unwrap())
+        let scenario = crate::io::published::scenario::shipped_for("vtsnn-slip").unwrap().unwrap();
+        Deployment::from_scenario("paper", &scenario, &nahuku(), 32, HostWork::default())
     }
 
     pub(crate) fn sequential(cores: u32) -> Placement {
-        let mesh = Mesh { chips_x: 8, chips_y: 4, width: 8, height: 4, cores_per_tile: 4, cores_per_chip: 128 };
+        let mesh = Mesh::for_target(&nahuku());
         let sites = (0..cores).map(|number| mesh.site(number).unwrap()).collect::<Vec<_>>();
         Placement::new(mesh, sites.into()).unwrap()
     }
 
     #[test]
-    fn power_comes_in_cores_tiles_or_chips() {
-        let chip = |power_unit| Chip { power_unit, ..loihi1() };
-        let placement = sequential(129);
-        assert_eq!(powered_cores(&placement, &chip(PowerUnit::Core)), 129);
-        assert_eq!(powered_cores(&placement, &chip(PowerUnit::Tile)), 132);
-        assert_eq!(powered_cores(&placement, &chip(PowerUnit::Chip)), 256);
-        let uneven = Chip { cores: 126, ..chip(PowerUnit::Tile) };
-        let mesh = Mesh { cores_per_chip: 126, ..*placement.mesh() };
-        let last = Placement::new(mesh, vec![mesh.site(125).unwrap()].into()).unwrap();
-        assert_eq!(powered_cores(&last, &uneven), 2);
+    fn barriers_cross_the_board_where_it_is_full_and_else_a_square() {
+        assert_eq!([1, 2, 5, 14, 22].map(|chips| chip_hops(chips, (8, 4))), [0, 1, 3, 6, 8]);
+        assert_eq!(chip_hops(32, (8, 4)), 10);
+        assert_eq!((chip_hops(256, (4, 64)), chip_hops(768, (12, 64))), (66, 74));
     }
 
     #[test]
-    fn the_paper_s_594_cores_take_5_chips_and_5_x86_cores_when_filled_in_order() {
-        let packed = Deployment::from_placement("packed", &sequential(594), &loihi1(), 32);
+    fn the_published_594_cores_fill_5_chips_in_order() {
+        let work = HostWork { streams: Streams::Copies, ..HostWork::default() };
+        let packed = Deployment::from_placement("packed", &sequential(594), &nahuku(), 32, work);
         let paper = paper();
-        assert_eq!((packed.cores_used, packed.chips_used, packed.x86_cores()), (594, 5, 5));
-        assert_eq!((paper.cores_used, paper.chips_used, paper.x86_cores()), (594, 5, 5));
-        // Filled without gaps they would be 149 tiles; the paper's 624 powered cores are 156.
-        assert_eq!((packed.tiles_used, packed.cores_powered), (149, 596));
-        assert_eq!(paper.cores_powered, paper.tiles_used * 4);
+        for deployment in [&packed, &paper] {
+            assert_eq!((deployment.cores_used, deployment.chips_used, deployment.x86_cores), (594, 5, 5));
+            assert_eq!((deployment.chip_hops, deployment.board_chips), (3, 32));
+        }
+        // The fullest chip has 128 of 594 cores, so 7 of 32 copies.
+        assert_eq!((packed.tiles_used, packed.streams, paper.streams), (32, 7, 1));
+    }
+
+    #[test]
+    fn without_a_host_no_x86_core_runs_and_nothing_is_injected() {
+        let work = HostWork { host: Host::None, ..HostWork::default() };
+        let alone = Deployment::from_placement("packed", &sequential(3), &nahuku(), 1, work);
+        assert_eq!((alone.x86_cores, alone.x86_chips, alone.takes_turns()), (0, 0, false));
+        assert_eq!(alone.timing(Transport::Analytic, 1).streams, 0);
     }
 }

@@ -5,9 +5,7 @@
 //! step's number in its sample. Invariant: a meter is a function of the multiset of its samples, so that meters of samples
 //! that ran in parallel give the same figures whatever the order in which they are merged.
 //!
-//! The constant energy of powered cores (equation (8)) is in no sum: it depends on the deployment, not on the activity,
-//! and [`crate::cost::estimate`] adds it. The distribution is of the whole energy of a step, so its [`StepPrice`] has to be
-//! known before.
+//! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known before.
 
 use std::sync::Arc;
 
@@ -31,7 +29,7 @@ pub struct StepSums {
     /// Time in ps when every step takes at least the timestep.
     pub paced_time: u128,
     /// The parts of `time`, in the order of [`StepTime::parts`].
-    pub parts: [u128; 5],
+    pub parts: [u128; 6],
 }
 
 impl StepSums {
@@ -64,14 +62,14 @@ pub struct Lane {
     pub until_decided: StepSums,
 }
 
-/// What one copy spends in a step beside its events: the whole energy of a step is
-/// events / `copies_counted` + `core_step_fj` + `always_mw` * time.
+/// What is spent in a step besides events: the whole energy of a step is
+/// events * `events` + `step_fj` + `always_mw` * time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepPrice {
-    /// Copies whose events are counted together.
-    pub copies_counted: f64,
-    /// Energy that is spent alike in each step, in fJ.
-    pub core_step_fj: f64,
+    /// What counted events are multiplied with: one over the copies counted, for the energy of one copy.
+    pub events: f64,
+    /// Energy that each step takes, whatever its length, in fJ.
+    pub step_fj: f64,
     /// Power that is drawn all the time.
     pub always_mw: f64,
     /// Whether each step takes at least the timestep.
@@ -90,7 +88,7 @@ pub struct StepCost {
 /// How the energy of a step is distributed over a run, in fJ of one copy.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Distribution {
-    /// Events and the energy that is alike in each step.
+    /// Events of the neuron cores.
     pub dynamic: Quantiles,
     /// That and all power that is drawn meanwhile.
     pub whole: Quantiles,
@@ -185,17 +183,17 @@ impl StepMeter {
             }
         }
         for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
-            let energy = energy_of_counts(sum, hops, 1, table, 0).total();
+            let energy = energy_of_counts(sum, hops, table).total();
             lane.whole.add(energy, time, *timestep, times.into());
             if !decided {
                 lane.until_decided.add(energy, time, *timestep, times.into());
             }
             if let Some((_, price)) = distribution.filter(|&(preset, _)| preset == number) {
                 let took = if price.paced { time.total().max(*timestep) } else { time.total() };
-                let dynamic = energy.0 as f64 / price.copies_counted + price.core_step_fj;
+                let dynamic = energy.0 as f64 * price.events;
                 self.distribution.dynamic.add(dynamic, times.into());
                 // 1 mW for 1 ps is 1 fJ.
-                self.distribution.whole.add(dynamic + price.always_mw * took.0 as f64, times.into());
+                self.distribution.whole.add(dynamic + price.step_fj + price.always_mw * took.0 as f64, times.into());
             }
             if *by_step == Some(number) {
                 let end = self.next + times as usize;
@@ -215,7 +213,7 @@ impl StepMeter {
         let table = &tables[0];
         let time = routes.step_times(step, tables, *timing, &mut self.memory)[0];
         let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
-        StepCost { energy: energy_of_counts(sum, hops, 1, table, 0).total(), time, hops, slowest: slowest(step, table) }
+        StepCost { energy: energy_of_counts(sum, hops, table).total(), time, hops, slowest: slowest(step, table) }
     }
 
     /// Adds a step by what it costs, as [`Self::add`] adds it by what it did, of a sample that is not decided before.
@@ -381,7 +379,7 @@ pub(crate) mod tests {
         fn meters_of_parts_merge_to_the_meter_of_the_whole(
             steps in proptest::collection::vec(any_step(2), 0..10), cut in 0..10usize,
         ) {
-            let price = StepPrice { copies_counted: 2.0, core_step_fj: 3e3, always_mw: 0.5, paced: false };
+            let price = StepPrice { events: 0.5, step_fj: 3e3, always_mw: 0.5, paced: false };
             let mut whole = meter(vec![table("davies2018"), table("sanafe-calibrated")], 3, Some((1, price)));
             let (mut first, mut second) = (whole.fresh(), whole.fresh());
             let mut activity = Activity::new(2);
@@ -401,7 +399,7 @@ pub(crate) mod tests {
             prop_assert_eq!(whole.slowest_steps().iter().sum::<u64>(), activity.steps());
             for (lane, table) in whole.lanes().iter().zip(whole.tables()) {
                 let Lane { whole, until_decided } = lane;
-                prop_assert_eq!(whole.energy, energy(&activity, table, 0).total());
+                prop_assert_eq!(whole.energy, energy(&activity, table).total());
                 prop_assert_eq!(whole.parts.iter().sum::<u128>(), whole.time);
                 prop_assert!(whole.paced_time >= whole.time && until_decided.time <= whole.time);
                 prop_assert_eq!(until_decided == whole, steps.len() <= 7);

@@ -25,14 +25,12 @@ pub struct Breakdown {
     pub axon_in: Femtojoules,
     /// (7) Messages under way.
     pub hop: Femtojoules,
-    /// (8) Powered cores, for each step.
-    pub core_step: Femtojoules,
 }
 
 impl Breakdown {
     /// Name and energy of every part, in a fixed order.
     #[must_use]
-    pub fn parts(&self) -> [(&'static str, Femtojoules); 8] {
+    pub fn parts(&self) -> [(&'static str, Femtojoules); 7] {
         [
             ("synapse", self.synapse),
             ("dendrite", self.dendrite),
@@ -41,7 +39,6 @@ impl Breakdown {
             ("axon_out", self.axon_out),
             ("axon_in", self.axon_in),
             ("hop", self.hop),
-            ("core_step", self.core_step),
         ]
     }
 
@@ -54,8 +51,8 @@ impl Breakdown {
 
 /// Energy of one timestep.
 #[must_use]
-pub fn step_energy(step: &StepActivity, table: &CostTable, cores_powered: u64) -> Breakdown {
-    energy_of_counts(sum_of_cores(step), step.hops, 1, table, cores_powered)
+pub fn step_energy(step: &StepActivity, table: &CostTable) -> Breakdown {
+    energy_of_counts(sum_of_cores(step), step.hops, table)
 }
 
 /// The counts of all cores in a step.
@@ -70,19 +67,13 @@ pub fn sum_of_cores(step: &StepActivity) -> CoreCounts {
 
 /// Energy of a whole run: equal to the sum over its steps.
 #[must_use]
-pub fn energy(activity: &Activity, table: &CostTable, cores_powered: u64) -> Breakdown {
-    energy_of_counts(activity.sum(), activity.hops(), activity.steps(), table, cores_powered)
+pub fn energy(activity: &Activity, table: &CostTable) -> Breakdown {
+    energy_of_counts(activity.sum(), activity.hops(), table)
 }
 
-/// Energy of the counts of all cores together in so many steps.
+/// Energy of the counts of all cores together.
 #[must_use]
-pub fn energy_of_counts(
-    sum: CoreCounts,
-    hops: HopCounts,
-    steps: u64,
-    table: &CostTable,
-    cores_powered: u64,
-) -> Breakdown {
+pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> Breakdown {
     Breakdown {
         synapse: table.synapse_dense_energy * sum.events_dense + table.synapse_sparse_energy * sum.events_sparse,
         dendrite: table.dendrite_energy * sum.visited,
@@ -94,35 +85,37 @@ pub fn energy_of_counts(
             + table.hop_ew_energy * hops.east_west
             + table.hop_ns_energy * hops.north_south
             + table.hop_chip_energy * hops.chip,
-        core_step: table.core_step_energy * cores_powered * steps,
     }
 }
 
 /// Where the time of a step goes; the parts follow each other.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StepTime {
-    /// Input spikes handed to the mesh, one copy after the other.
+    /// Spikes of the stream that an x86 core injects.
     pub injection: Picoseconds,
-    /// Output spikes read out, one after the other.
-    pub readout: Picoseconds,
+    /// The turn of the x86 cores' process.
+    pub turn: Picoseconds,
     /// The core that takes longest.
     pub slowest_core: Picoseconds,
     /// What messages add to that.
     pub transport: Picoseconds,
-    /// The barrier.
+    /// The barrier, over the tiles of a chip and between chips.
     pub barrier: Picoseconds,
+    /// A step's part of resetting state after a sample.
+    pub reset: Picoseconds,
 }
 
 impl StepTime {
     /// Name and time of every part, in a fixed order.
     #[must_use]
-    pub fn parts(&self) -> [(&'static str, Picoseconds); 5] {
+    pub fn parts(&self) -> [(&'static str, Picoseconds); 6] {
         [
             ("injection", self.injection),
-            ("readout", self.readout),
+            ("turn", self.turn),
             ("slowest core", self.slowest_core),
             ("transport", self.transport),
             ("barrier", self.barrier),
+            ("reset", self.reset),
         ]
     }
 
@@ -171,7 +164,7 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::cost::constants::tests::{preset, table};
-    use crate::cost::host::Host;
+    use crate::cost::deployment::Words;
     use crate::cost::transport::tests::{no_routes, timing};
     use crate::cost::transport::{QueueMemory, Timing, Transport};
 
@@ -204,19 +197,19 @@ pub(crate) mod tests {
 
     #[test]
     fn hand_computed_energy_with_the_calibrated_preset() {
-        let breakdown = step_energy(&step(), &table("sanafe-calibrated"), 7);
+        let breakdown = step_energy(&step(), &table("sanafe-calibrated"));
         assert_eq!(breakdown.synapse, Femtojoules(5 * 35_500 + 4 * 33_600));
         assert_eq!(breakdown.compartment, Femtojoules(5 * 51_200 + 2 * 21_600));
         assert_eq!(breakdown.spike, Femtojoules(69_300));
         assert_eq!(breakdown.axon_out, Femtojoules(2 * 111_000));
         assert_eq!(breakdown.hop, Femtojoules(3 * 3_000 + 4_200));
-        assert_eq!((breakdown.dendrite, breakdown.axon_in, breakdown.core_step), Default::default());
+        assert_eq!((breakdown.dendrite, breakdown.axon_in), Default::default());
         assert_eq!(breakdown.total(), Femtojoules(311_900 + 299_200 + 69_300 + 222_000 + 13_200));
     }
 
     #[test]
     fn hand_computed_energy_with_the_published_preset() {
-        let breakdown = step_energy(&step(), &table("davies2018"), 7);
+        let breakdown = step_energy(&step(), &table("davies2018"));
         // 9 * 23.6 + (5 * 52 + 2 * 29) + (1.7 + 3 * 3.0 + 4.0) pJ
         assert_eq!(breakdown.total(), Femtojoules(212_400 + 318_000 + 14_700));
     }
@@ -226,28 +219,27 @@ pub(crate) mod tests {
         let mut constants = preset("davies2018");
         constants.dendrite_energy.value = 1.5.into();
         constants.axon_in_energy.value = 2.25.into();
-        constants.core_step_energy.value = 10.0.into();
         constants.hop_chip_energy.value = 100.0.into();
         constants.hop_chip_time.value = 50.0.into();
-        constants.injection_time.value = 7.0.into();
-        constants.readout_time.value = 11.0.into();
+        constants.injection_time.value = 0.007.into();
+        constants.turn_time.value = 0.011.into();
+        constants.reset_word_time.value = 3.0.into();
+        constants.chip_hop_time.value = 0.1.into();
         let table = CostTable::new(&constants).unwrap();
-        let breakdown = step_energy(&step(), &table, 7);
+        let breakdown = step_energy(&step(), &table);
         assert_eq!(breakdown.dendrite, Femtojoules(5 * 1_500));
         assert_eq!(breakdown.axon_in, Femtojoules(3 * 2_250));
-        assert_eq!(breakdown.core_step, Femtojoules(7 * 10_000));
         assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
-        let read = StepActivity { spikes_out: 3, ..step() };
-        assert_eq!(
-            no_routes().step_times(
-                &read,
-                std::slice::from_ref(&table),
-                Timing { host: Some(Host::even(2, 8)), ..timing(Transport::Analytic) },
-                &mut QueueMemory::default()
-            )[0]
-            .readout,
-            Picoseconds(3 * 4 * 11_000)
-        );
+        let timing = Timing {
+            chip_hops: 3,
+            reset: Words { count: 10, steps: 4 },
+            sent: Words { count: 6, steps: 3 },
+            ..timing(Transport::Analytic)
+        };
+        let memory = &mut QueueMemory::default();
+        let long = no_routes().step_times(&step(), std::slice::from_ref(&table), timing, memory)[0];
+        assert_eq!((long.injection, long.turn), (Picoseconds(3 * 7_000), Picoseconds(11_000)));
+        assert_eq!((long.barrier, long.reset), (Picoseconds(113_000 + 300_000), Picoseconds(7_500)));
         let time = step_time(&step(), &table, 1);
         assert_eq!((time.injection, time.transport), (Picoseconds(7_000), Picoseconds(2 * 4_100 + 6_500 + 50_000)));
     }
@@ -261,15 +253,20 @@ pub(crate) mod tests {
         assert_eq!(time.slowest_core, Picoseconds(first));
         assert_eq!(time.transport, Picoseconds(2 * 4_100 + 6_500));
         assert_eq!(time.barrier, Picoseconds(1_000_000));
-        assert_eq!(time.total(), Picoseconds(first + 14_700 + 1_000_000));
+        let host = time.injection.0 + time.turn.0;
+        assert_eq!(time.total(), Picoseconds(first + 14_700 + 1_000_000 + host));
     }
 
     #[test]
     fn a_silent_step_moves_nothing_and_a_message_within_a_tile_takes_the_local_time() {
         let davies = table("davies2018");
         let mut step = StepActivity::new(1);
-        assert_eq!(step_time(&step, &davies, 1), StepTime { barrier: Picoseconds(113_000), ..Default::default() });
-        assert_eq!(step_energy(&step, &davies, 1), Breakdown::default());
+        let turn = davies.turn_time;
+        assert_eq!(
+            step_time(&step, &davies, 1),
+            StepTime { barrier: Picoseconds(113_000), turn, ..Default::default() }
+        );
+        assert_eq!(step_energy(&step, &davies), Breakdown::default());
         step.add_routes(Route::default(), 1);
         assert_eq!(step_time(&step, &davies, 1).transport, Picoseconds(2_100));
     }
@@ -309,21 +306,19 @@ pub(crate) mod tests {
     proptest! {
         #[test]
         fn the_energy_of_a_run_is_the_sum_of_its_steps(
-            steps in proptest::collection::vec(any_step(3), 0..12), powered in 0..5_000u64,
+            steps in proptest::collection::vec(any_step(3), 0..12),
         ) {
             for name in ["davies2018", "sanafe-calibrated"] {
-                let mut constants = preset(name);
-                constants.core_step_energy.value = 12.345.into();
-                let table = CostTable::new(&constants).unwrap();
+                let table = table(name);
                 let mut activity = Activity::new(3);
                 let mut sums = Breakdown::default().parts();
                 for step in &steps {
                     activity.add_steps(step, 1);
-                    for ((_, sum), (_, energy)) in sums.iter_mut().zip(step_energy(step, &table, powered).parts()) {
+                    for ((_, sum), (_, energy)) in sums.iter_mut().zip(step_energy(step, &table).parts()) {
                         *sum += energy;
                     }
                 }
-                prop_assert_eq!(energy(&activity, &table, powered).parts(), sums);
+                prop_assert_eq!(energy(&activity, &table).parts(), sums);
             }
         }
 
@@ -338,13 +333,12 @@ pub(crate) mod tests {
                     &mut core.active, &mut core.spikes, &mut core.messages_out,
                 ];
                 *counts.into_iter().nth(which).unwrap() += more;
-                let (less_energy, more_energy) = (step_energy(&step, &table, 4), step_energy(&greater, &table, 4));
+                let (less_energy, more_energy) = (step_energy(&step, &table), step_energy(&greater, &table));
                 for ((_, less), (_, more)) in less_energy.parts().into_iter().zip(more_energy.parts()) {
                     prop_assert!(less <= more);
                 }
                 prop_assert!(step_time(&step, &table, 5).total() <= step_time(&greater, &table, 5).total());
                 prop_assert!(step_time(&step, &table, 5).total() <= step_time(&step, &table, 6).total());
-                prop_assert!(step_energy(&step, &table, 4).total() <= step_energy(&step, &table, 5).total());
             }
         }
     }

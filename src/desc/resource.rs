@@ -105,7 +105,7 @@ macro_rules! resources {
         }
 
         /// Limits that take the place of others; those that are not given stay.
-        #[derive(Debug, Clone, Default, Deserialize)]
+        #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
         #[serde(deny_unknown_fields, rename = "Limits")]
         pub struct LimitChanges {
             $($(#[$doc])* pub $name: Option<u32>,)*

@@ -41,7 +41,7 @@ pub fn core_rows(program: &Program, activity: &Activity, meter: Option<&StepMete
     let spent = |meter: &StepMeter, core: usize, counts: CoreCounts| {
         let table = meter.tables().first()?;
         Some(CoreSpent {
-            energy: energy_of_counts(counts, HopCounts::default(), activity.steps(), table, 1),
+            energy: energy_of_counts(counts, HopCounts::default(), table),
             busy: core_time(&counts, table),
             slowest_steps: meter.slowest_steps().get(core).copied().unwrap_or(0),
         })

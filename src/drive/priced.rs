@@ -12,8 +12,9 @@ use crate::base::id::{CoreId, Id};
 use crate::base::units::Picoseconds;
 use crate::compile::Compiled;
 use crate::cost::estimate::{Case, Estimate, estimate, step_price};
-use crate::cost::{CostTable, Deployment, MessageRoutes, MeterSettings, StepMeter, Transport};
+use crate::cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Transport};
 use crate::desc::published::baseline::Mode;
+use crate::desc::published::workload::Accounting;
 use crate::desc::target::Target;
 use crate::ir::activity::{Activity, CoreCounts, StepActivity};
 use crate::ir::groups::CoreGroups;
@@ -112,11 +113,12 @@ impl<'c> Metered<'c> {
     /// A constant that no integer holds.
     pub fn offline(&self, target: &Target) -> Result<(MeterSettings, Deployment)> {
         let Compiled { placement, options, one, .. } = self.compiled;
-        let deployment = Deployment::from_placement("packed", placement, target.chip(), options.copies);
+        let (name, work) = (options.placement.name(), HostWork::for_target(target));
+        let deployment = Deployment::from_placement(name, placement, target, options.copies, work);
         let settings = MeterSettings {
             tables: vec![CostTable::new(&target.constants()[0])?],
             routes: self.routes.clone(),
-            timing: deployment.timing(Transport::default()),
+            timing: deployment.timing(Transport::default(), options.copies),
             timestep: Picoseconds::from_milliseconds(one.parts().timestep_ms),
             distribution: None,
             by_step: None,
@@ -234,7 +236,7 @@ pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> R
     let timestep_ms = compiled.one.parts().timestep_ms;
     let metered = Metered::new(compiled);
     let (settings, deployment) = metered.offline(target)?;
-    let price = step_price(&settings.tables[0], &deployment, copies, Mode::Offline);
+    let price = step_price(&settings.tables[0], &deployment, copies, (Mode::Offline, Accounting::Profiler));
     let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
     let run = metered

@@ -33,13 +33,12 @@ pub struct StepLayout {
     channels: Vec<u32>,
     compartments: Vec<u32>,
     populations: usize,
-    cores_powered: u64,
 }
 
 impl StepLayout {
-    /// The columns for a network, whose copies count together, with so many powered cores.
+    /// The columns for a network, whose copies count together.
     #[must_use]
-    pub fn new(network: &Quantised, cores_powered: u64) -> Self {
+    pub fn new(network: &Quantised) -> Self {
         let (mut channels, mut compartments, mut columns) = (Vec::new(), Vec::new(), Vec::new());
         let mut add = |name: String, unit| columns.push(Column { name, unit });
         for (number, population) in (0..).zip(network.populations()) {
@@ -59,7 +58,7 @@ impl StepLayout {
         for (name, _) in Breakdown::default().parts() {
             add(format!("energy_pj.{name}"), Unit::Picojoules);
         }
-        StepLayout { columns, channels, compartments, populations: network.populations().len(), cores_powered }
+        StepLayout { columns, channels, compartments, populations: network.populations().len() }
     }
 
     /// The columns.
@@ -111,8 +110,7 @@ impl<'r> Recorder<'r, '_> {
         self.cells.extend([sum.synaptic_events(), sum.messages_in, hops.links()]);
         self.cells.extend(self.meter.last_time().parts().map(|(_, part)| part.0));
         // The meter of a recorder has a preset.
-        let energy =
-            self.meter.tables().first().map(|table| energy_of_counts(sum, hops, 1, table, layout.cores_powered));
+        let energy = self.meter.tables().first().map(|table| energy_of_counts(sum, hops, table));
         let parts = energy.unwrap_or_default().parts();
         self.cells.extend(parts.map(|(_, part)| u64::try_from(part.0).unwrap_or(u64::MAX)));
     }

@@ -126,12 +126,12 @@ impl Timeline {
     pub fn new(
         metered: &Metered<'_>,
         network: &Quantised,
-        (settings, cores_powered): (MeterSettings, u64),
+        settings: MeterSettings,
         sample: &Sample,
         potentials: &[CompartmentId],
     ) -> Result<Self> {
         let (all, sample) = (sample.steps(), &sample.beginning(MOST_STEPS));
-        let layout = StepLayout::new(network, cores_powered);
+        let layout = StepLayout::new(network);
         let (settings, ranges) = (Arc::new(settings), Ranges::new(network));
         let rasters = network.populations().iter().enumerate();
         let rasters: Vec<Raster> = rasters
@@ -186,10 +186,9 @@ mod tests {
                 .collect();
             let sample = Sample::new(60, &events, None).unwrap();
             let metered = Metered::new(&compiled);
-            let (settings, deployment) = metered.offline(&board).unwrap();
+            let (settings, _) = metered.offline(&board).unwrap();
             let watched: Vec<CompartmentId> = (0..network.compartments().min(5)).map(CompartmentId).collect();
-            let priced = (settings, deployment.cores_powered);
-            let found = Timeline::new(&metered, network, priced, &sample, &watched).unwrap();
+            let found = Timeline::new(&metered, network, settings, &sample, &watched).unwrap();
             let mut golden = Golden::new(network);
             golden.begin(60);
             let width = found.layout.columns().len();

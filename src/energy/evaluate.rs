@@ -1,32 +1,42 @@
 //! From a mapped network and its samples to a priced run and its report.
 //!
-//! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A plan comes first, because the
-//! scenario that ships for a model says how many copies of it are mapped.
+//! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A plan comes first, because a
+//! published job says how many copies of it there were.
+
+use std::borrow::Cow;
 
 use crate::base::diagnostic::Diagnostic;
-use crate::cost::estimate::{Case, Convention, step_price};
-use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
+use crate::compile::{Compiled, CopyPlacement};
+use crate::cost::estimate::{ByStatus, Case, Convention, EnergyRow, estimate, step_price};
+use crate::cost::{Deployment, Host, HostWork, MeterSettings, StepMeter, Streams, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::published::workload::Accounting;
+use crate::desc::target::Target;
 use crate::drive::decision::{EarlyExit, Rule};
 use crate::drive::samples::Run;
 use crate::energy::job::{EnergyJob, per_decision, report, saved};
 use crate::energy::options::{
-    BaselineSelection, DeploymentArg, DeploymentSource, HostArg, Watts, baselines, tables, with_preset,
+    BaselineSelection, DeploymentArg, DeploymentSource, Watts, baselines, tables, with_preset,
 };
 use crate::energy::other_hardware::{self, OneCopy};
+use crate::energy::paper;
 use crate::energy::workload::Workload;
 use crate::error::Error;
 use crate::io;
 use crate::ir::program::Program;
+use crate::ir::quantised::Quantised;
 use crate::report::energy::table::EnergyReport;
 
 /// How a run is priced, and what it is compared with.
 #[derive(Debug)]
 pub struct CostOptions {
-    /// Whether the deployment's host counts.
-    pub host: HostArg,
+    /// Where input spikes come from; an x86 core of each chip where the chip has one, unless it is said.
+    pub host: Option<Host>,
+    /// Streams that a chip is fed.
+    pub streams: Streams,
+    /// Words of a core that are reset after each sample; 0: state stays.
+    pub reset_words: u64,
     /// As fast as possible, or held to the model's timestep.
     pub mode: Mode,
     /// How energy is computed.
@@ -40,7 +50,7 @@ pub struct CostOptions {
     pub gpu_command: Option<String>,
     /// A preset of the target, by name, or a file; its first when left out.
     pub constants: Option<String>,
-    /// Which measurements the evidence for constants counts.
+    /// Which power counts.
     pub accounting: Accounting,
     /// How long messages take.
     pub transport: Transport,
@@ -49,13 +59,16 @@ pub struct CostOptions {
 }
 
 impl CostOptions {
-    /// What `nsim energy` does unless it is told otherwise, compared with these other pieces of hardware: all when `None`.
+    /// What `nsim energy` does unless other options are given, compared with these other pieces of hardware: all when
+    /// `None`.
     ///
     /// # Errors
     /// A name that no baseline has.
     pub fn usual(names: Option<&[String]>) -> Result<Self, Diagnostic> {
         Ok(CostOptions {
-            host: HostArg::Board,
+            host: None,
+            streams: Streams::One,
+            reset_words: 0,
             mode: Mode::Offline,
             convention: Convention::Physical,
             baselines: baselines(names)?,
@@ -68,39 +81,102 @@ impl CostOptions {
             early_exit: None,
         })
     }
+
+    /// What the x86 cores of a target do.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a host on a chip without x86 cores.
+    fn host_work(&self, target: &Target, steps_per_sample: Option<u32>) -> Result<HostWork, Error> {
+        let has_x86 = target.chip().x86_cores_in_use > 0;
+        let usual = if has_x86 { Host::Stream } else { Host::None };
+        let host = self.host.unwrap_or(usual);
+        if host != Host::None && !has_x86 {
+            let (host, chip) = (host.name(), target.chip().hardware());
+            return Err(Error::Usage(format!("--host {host}: {chip} keeps no x86 core busy; leave --host out")));
+        }
+        let steps_per_sample = steps_per_sample.unwrap_or(1);
+        Ok(HostWork { host, streams: self.streams, reset_words: self.reset_words, steps_per_sample })
+    }
 }
 
 /// The deployment of a model, as far as it is known before mapping.
 #[derive(Debug)]
 pub struct Plan {
     asked: DeploymentArg,
+    /// Whether the deployment was given.
+    is_said: bool,
+    copies: Option<u32>,
     shipped: Option<ScenarioFile>,
     source: DeploymentSource,
 }
 
 impl Plan {
-    /// For a model, given by path or shipped name.
+    /// For a model, given by path or shipped name, and as many copies of it as are asked for.
     ///
     /// # Errors
     /// As [`DeploymentSource::load`].
-    pub fn new(model: &str, asked: &DeploymentArg) -> Result<Plan, Error> {
+    pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<Plan, Error> {
+        let asked = deployment.map_or(DeploymentArg::Mapped(CopyPlacement::default()), DeploymentArg::from);
         let shipped = io::published::scenario::shipped_for(model)?;
-        let source = DeploymentSource::load(asked, model, shipped.as_ref())?;
-        Ok(Plan { asked: asked.clone(), shipped, source })
+        let source = DeploymentSource::load(&asked, model, shipped.as_ref())?;
+        Ok(Plan { asked, is_said: deployment.is_some(), copies, shipped, source })
     }
 
     /// The published job whose deployment it is.
-    fn deployed(&self) -> Option<&ScenarioFile> {
+    #[must_use]
+    pub fn job(&self) -> Option<&ScenarioFile> {
         match &self.source {
             DeploymentSource::Scenario(_, scenario) => Some(scenario),
             _ => None,
         }
     }
 
-    /// Copies of the model in its scenario, if it has one.
+    /// Copies to be mapped: one of those of a published job or of given cores, since those say where the copies are.
     #[must_use]
-    pub fn copies(&self) -> Option<u32> {
-        self.deployed().or(self.shipped.as_ref()).map(|scenario| scenario.copies.value)
+    pub fn mapped_copies(&self) -> Option<u32> {
+        match &self.source {
+            DeploymentSource::Scenario(..) | DeploymentSource::Numbers(_) => Some(1),
+            DeploymentSource::Mapping(_, file) => self.copies.or(Some(file.copies)),
+            DeploymentSource::Mapped => self.copies,
+        }
+    }
+
+    /// Whether it can be of a mapping that there is.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where it says anew where copies go.
+    pub fn of_mapping(&self) -> Result<(), Error> {
+        match &self.asked {
+            DeploymentArg::Mapped(copies) if self.is_said => Err(Error::Usage(format!(
+                "the mapping says where its copies are: map with the deployment {}, or leave it out here",
+                copies.name()
+            ))),
+            _ => Ok(()),
+        }
+    }
+
+    /// Where the mapping's copies are to go.
+    #[must_use]
+    pub fn placement(&self) -> CopyPlacement {
+        self.asked.copies()
+    }
+
+    /// Copies of the deployment, of which so many are mapped.
+    fn copies(&self, mapped: u32) -> u32 {
+        match &self.source {
+            DeploymentSource::Scenario(_, scenario) => self.copies.unwrap_or(scenario.copies.value),
+            DeploymentSource::Numbers(_) => self.copies.unwrap_or(1),
+            DeploymentSource::Mapped | DeploymentSource::Mapping(..) => mapped,
+        }
+    }
+
+    /// The network of the published job, mapped, where the deployment is one; its inputs have compartments of their own
+    /// where those of the job had.
+    ///
+    /// # Errors
+    /// When it does not compile.
+    pub fn job_mapped(&self, compiled: &Compiled, target: &Target) -> Result<Option<Compiled>, Error> {
+        self.job().map(|scenario| paper::mapped(&compiled.one, scenario, target)).transpose()
     }
 }
 
@@ -115,8 +191,8 @@ pub struct Evaluated {
     pub deployment: Deployment,
 }
 
-/// Prices a workload. `alone` is the program of one copy, if there is one; `simulate` runs the workload under settings that so many
-/// powered cores pay for.
+/// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its program, if there is one: other
+/// hardware runs that.
 ///
 /// # Errors
 /// [`Error`] when an option does not fit the workload; those of `simulate`.
@@ -124,67 +200,82 @@ pub fn evaluate(
     plan: &Plan,
     workload: &Workload<'_>,
     options: &CostOptions,
-    alone: Option<&Program>,
-    simulate: impl FnOnce((MeterSettings, u64), Option<EarlyExit>) -> Result<Run<StepMeter>, Error>,
+    alone: Option<(&Quantised, &Program)>,
+    simulate: impl FnOnce(MeterSettings, Option<EarlyExit>) -> Result<Run<StepMeter>, Error>,
 ) -> Result<Evaluated, Error> {
     let CostOptions { mode, convention, accounting, .. } = *options;
-    let (compiled, copies, deployed) = (workload.compiled, workload.copies, plan.deployed());
-    let target = workload.target.clone();
-    let (target, preset) = with_preset(target, options.constants.as_deref(), deployed, accounting)?;
-    let (target, tables) = tables(target, preset.as_deref())?;
-    let placement = &compiled.placement;
+    let compiled = workload.compiled;
+    let (target, preset) = with_preset(workload.target.clone(), options.constants.as_deref())?;
+    let (target, table) = tables(target, preset.as_deref())?;
     let model = &compiled.one.parts().name;
-    let deployment = plan.source.deployment(model, copies, placement, &target)?;
-    let deployment = Deployment { host: deployment.host.filter(|_| options.host == HostArg::Board), ..deployment };
-    let other = match (&plan.asked, &plan.shipped) {
-        (DeploymentArg::Packed, Some(job)) if job.copies.value == copies => {
-            Some(Deployment::from_scenario("paper", job))
-        }
-        (DeploymentArg::Packed, _) => None,
-        _ => Some(Deployment::from_placement("packed", placement, target.chip(), copies)),
-    };
-    let price = step_price(&tables[0], &deployment, copies, mode);
-    let metered = workload.metered(tables, &deployment, options.transport);
+    let steps_per_sample = workload.steps_per_sample();
+    let work = options.host_work(&target, steps_per_sample)?;
+    let copies = plan.copies(workload.copies);
+    let deployment = plan.source.deployment(compiled, &target, copies, work)?;
+    let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
+    let metered = workload.metered(vec![table], &deployment, options.transport);
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
     // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
-    let run = simulate((metered, deployment.cores_powered), Some(watched))?;
-    let case = Case::new(&run.activity, &run.meter, &deployment, compiled.one.parts().timestep_ms);
-    let steps_per_sample = workload.steps_per_sample();
+    let run = simulate(metered, Some(watched))?;
+    let by_status = ByStatus::new(&target.constants()[0])?;
+    let case = Case {
+        copies_counted: workload.copies,
+        hardware: target.chip().hardware(),
+        errors: target.errors(&target.constants()[0]),
+        by_status: Some(&by_status),
+        mode,
+        accounting,
+        convention,
+        steps_per_sample,
+        ..Case::new(&run.activity, &run.meter, &deployment, compiled.one.parts().timestep_ms)
+    };
     let one = OneCopy {
-        network: &compiled.one,
-        program: alone,
+        network: alone.map_or(&compiled.one, |(network, _)| network),
+        program: alone.map(|(_, program)| program),
         samples: &workload.samples(),
         steps: steps_per_sample,
         timestep: case.timestep,
     };
-    #[cfg_attr(not(feature = "nvml"), allow(unused_mut))]
     let mut others = other_hardware::rows(&options.baselines, one, mode, convention, options.cpu_watts);
     #[cfg(feature = "nvml")]
     if let Some(command) = &options.gpu_command {
         other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
     }
-    let ends = run.meter.tables().len() - 1;
-    let by_status = CostTable::by_status(&target.constants()[0])?;
-    let by_status = Some(&by_status);
-    let case = Case { ends, by_status, mode, convention, steps_per_sample, ..case };
+    let measured_job =
+        plan.shipped.as_ref().filter(|job| job.target == target.name() && accounting == Accounting::Profiler);
+    let mut rows: Vec<(EnergyRow, Cow<'static, str>)> = Vec::new();
+    if let Some(job) = measured_job {
+        if plan.job().is_none() {
+            let as_in = paper::row(workload, job, options, &target, work)?;
+            rows.push((as_in, "the measured job, by the same constants".into()));
+        }
+        rows.extend(paper::printed(job, mode, convention, steps_per_sample)?);
+    }
+    others.rows.splice(0..0, rows.into_iter().map(|(row, source)| (row, source.into_owned())));
+    let printed = match measured_job {
+        Some(job) => paper::printed(job, mode, Convention::Published, steps_per_sample)?,
+        None => None,
+    };
     let decision = per_decision(rule, &case, &run.outcomes);
     let mut energy = report(&EnergyJob {
         model,
         target: &target,
         case,
+        estimate: estimate(&case),
         samples: run.outcomes.len() as u64,
         seed: workload.seed,
         input: &workload.origin,
         baselines: &others.rows,
         per_decision: Some(&decision),
-        other: other.as_ref(),
-        scenario: deployed,
-        accounting,
+        scenario: plan.shipped.as_ref(),
         early_exit: options.early_exit.map(|rule| saved(rule, &case, &run.outcomes)),
     });
+    energy.printed = printed.and_then(|(row, _)| Some([row.energy_uj?, row.edp_pjs?]));
     energy.notes.extend(others.notes);
+    energy.accuracy = workload.accuracy(&run.outcomes);
+    energy.labelled = workload.samples().iter().filter(|sample| sample.label().is_some()).count() as u64;
     energy.detail = workload.detail(&run);
     energy.expected = Some(workload.expected(&run)?);
     Ok(Evaluated { energy, run, deployment })

@@ -1,19 +1,16 @@
 //! From a finished run to its report.
 
-use crate::cost::Deployment;
-use crate::cost::estimate::{Case, EnergyRow, estimate, spent};
-use crate::desc::published::baseline::Mode;
+use crate::cost::estimate::{Case, EnergyRow, Estimate, spent};
 use crate::desc::published::scenario::ScenarioFile;
-use crate::desc::published::workload::Accounting;
 use crate::desc::target::Target;
 use crate::drive::Outcome;
 use crate::drive::decision::Rule;
 use crate::report::detail::Detail;
-use crate::report::energy::compared::{Comparison, Packing, PerDecision, per_sample, ratios};
+use crate::report::energy::compared::{Comparison, PerDecision, per_sample, ratios};
 use crate::report::energy::table::{EnergyReport, Saved, constant_entries};
 
 /// A finished run and what is asked about it.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct EnergyJob<'a> {
     /// The model's name.
     pub model: &'a str,
@@ -21,6 +18,8 @@ pub struct EnergyJob<'a> {
     pub target: &'a Target,
     /// Its counts and the conditions of the estimate; the first of the target's presets is its.
     pub case: Case<'a>,
+    /// Power, latency and energy by it.
+    pub estimate: Estimate,
     /// Samples that were run, repeats included.
     pub samples: u64,
     /// Seed of the input, if it was made from one.
@@ -31,12 +30,8 @@ pub struct EnergyJob<'a> {
     pub baselines: &'a [(EnergyRow, String)],
     /// The cost of a decision.
     pub per_decision: Option<&'a PerDecision>,
-    /// Other numbers of cores to compare with.
-    pub other: Option<&'a Deployment>,
-    /// The published job behind the deployment, when it is one's.
+    /// The published job of the model, if there is one.
     pub scenario: Option<&'a ScenarioFile>,
-    /// Which measurements the constants count.
-    pub accounting: Accounting,
     /// What ending samples when they are decided would save.
     pub early_exit: Option<Saved>,
 }
@@ -71,53 +66,19 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDec
     }
 }
 
-/// Static power of a copy under other numbers of cores. Time is not compared: another host would hand spikes over.
-fn packing(job: &EnergyJob<'_>, other: &Deployment) -> Option<Packing> {
-    let static_mw = |deployment| {
-        let rows = estimate(&Case { deployment, ..job.case }).rows;
-        rows.into_iter().find(|row| row.unit == "total")?.static_mw
-    };
-    Some(Packing {
-        compared_with: other.name.clone(),
-        cores_powered: [job.case.deployment.cores_powered, other.cores_powered],
-        static_mw: [static_mw(job.case.deployment)?, static_mw(other)?],
-    })
-}
-
 /// From a finished run to its report. Its notes belong on stderr when the output is for programs.
 #[must_use]
 pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
-    let estimate = estimate(&job.case);
-    let mut notes = estimate.notes.clone();
+    let estimate = job.estimate.clone();
+    let notes = estimate.notes.clone();
     let tables = job.case.meter.tables();
-    if tables[job.case.preset].injection_time.0 == 0 && job.case.mode == Mode::Offline {
-        notes.push(
-            "these constants give no time for injecting a spike, which bounds offline runs on the board: the latency is that \
-             of the neuron cores alone"
-                .to_string(),
-        );
-    }
-    if job.case.mode == Mode::Realtime {
-        notes.push(
-            "a step is held to the model's timestep; what the host adds to it is not modelled (39.9 us in the VT-SNN paper's \
-             table, which no offline figure contains)"
-                .to_string(),
-        );
-    }
-    if let Some(scenario) = job.scenario {
-        notes.push(format!("numbers of cores are {}'s; activity is this mapping's", scenario.work));
-    }
     let baselines = job.baselines.to_vec();
     let total = estimate.rows.iter().find(|row| row.unit == "total");
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
     let steps = job.case.activity.steps() as f64 / job.samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
-    let comparison = Comparison {
-        ratios,
-        per_sample: per_sample(rows, steps),
-        per_decision: job.per_decision.cloned(),
-        packing: job.other.and_then(|other| packing(job, other)),
-    };
+    let comparison =
+        Comparison { ratios, per_sample: per_sample(rows, steps), per_decision: job.per_decision.cloned() };
     EnergyReport {
         model: job.model.to_string(),
         target: job.target.name().to_string(),
@@ -129,7 +90,11 @@ pub fn report(job: &EnergyJob<'_>) -> EnergyReport {
         samples: job.samples,
         timesteps: job.case.activity.steps(),
         estimate,
-        accounting: job.accounting,
+        accounting: job.case.accounting,
+        accuracy: None,
+        labelled: 0,
+        job: job.scenario.cloned(),
+        printed: None,
         transport: job.case.meter.transport(),
         comparison,
         baselines,

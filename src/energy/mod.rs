@@ -10,4 +10,5 @@ pub mod job;
 pub mod options;
 pub mod other_hardware;
 pub mod page;
+pub mod paper;
 pub mod workload;

@@ -4,58 +4,62 @@ use std::path::PathBuf;
 
 use crate::base::diagnostic::Diagnostic;
 use crate::base::names::did_you_mean;
-use crate::base::names::named_variants;
-use crate::compile::mapping_file;
+use crate::compile::place::SAVED;
+use crate::compile::{self, CompileError, Compiled, CopyPlacement, Form, Front, Options};
 use crate::cost::baseline::{Baseline, SHIPPED};
-use crate::cost::evidence;
-use crate::cost::{CostTable, Deployment};
+use crate::cost::{CostTable, Deployment, HostWork};
 use crate::desc::mapping::MappingFile;
-use crate::desc::published::scenario::ScenarioFile;
-use crate::desc::published::workload::Accounting;
+use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::target::Target;
 use crate::error::{Error, Result};
 use crate::io;
-use crate::ir::placement::{Mesh, Placement};
 
 /// `--deployment`
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DeploymentArg {
-    /// The mapping's own cores.
-    Packed,
-    /// Those of the scenario that ships for the model.
+    /// The mapping's own cores: copies on as many chips as there are, or on as few as they fill.
+    Mapped(CopyPlacement),
+    /// The measured job of the scenario that ships for the model.
     Paper,
-    /// Those of a saved mapping or of a scenario.
+    /// The cores of a saved mapping, or the job of a scenario.
     File(PathBuf),
+    /// Cores, chips and x86 cores as given.
+    Numbers(DeployedCores),
 }
-
-/// `--host`
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum HostArg {
-    /// An x86 core on each chip in use, as on the boards.
-    Board,
-    /// None: the chips alone.
-    None,
-}
-
-named_variants!(HostArg { Board = "board", None = "none" });
 
 impl From<&str> for DeploymentArg {
     fn from(text: &str) -> Self {
-        match text {
-            "packed" => DeploymentArg::Packed,
-            "paper" => DeploymentArg::Paper,
-            path => DeploymentArg::File(path.into()),
+        if let Some(&copies) = CopyPlacement::ALL.iter().find(|copies| copies.name() == text) {
+            return DeploymentArg::Mapped(copies);
+        }
+        let numbers: Option<Vec<u64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        match (text, numbers.as_deref()) {
+            ("paper", _) => DeploymentArg::Paper,
+            (_, Some(&[cores_used, chips_used, x86_cores])) => {
+                DeploymentArg::Numbers(DeployedCores { cores_used, chips_used, x86_cores })
+            }
+            (path, _) => DeploymentArg::File(path.into()),
         }
     }
 }
 
-/// The target with the preset that is asked for in front, and that preset in integers, and behind it, for each group of constants that are wrong together, the preset with
-/// that group at the low and at the high end of its intervals.
+impl DeploymentArg {
+    /// How copies are to be mapped.
+    #[must_use]
+    pub fn copies(&self) -> CopyPlacement {
+        match self {
+            DeploymentArg::Mapped(copies) => *copies,
+            _ => CopyPlacement::default(),
+        }
+    }
+}
+
+/// The target with the preset that is asked for in front, and that preset in integers.
 ///
 /// # Errors
 /// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant that no integer holds.
-pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, Vec<CostTable>)> {
+pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, CostTable)> {
     let presets = target.constants();
     let chosen = match preset {
         None => &presets[0],
@@ -66,40 +70,15 @@ pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, Vec<CostT
         })?,
     };
     let chosen = chosen.clone();
-    let ends = evidence::ends(&io::published::evidence::shipped()?, &chosen);
-    let tables = std::iter::once(&chosen).chain(&ends).map(CostTable::new).collect::<Result<Vec<_>, _>>()?;
-    Ok((target.with_preset(chosen), tables))
+    let table = CostTable::new(&chosen)?;
+    Ok((target.with_preset(chosen), table))
 }
 
-/// The target with the preset that is asked for, which may be a file, or with that of the published job whose deployment it is;
-/// returns the preset's name.
+/// The target with the preset that is asked for, which may be a file; returns the preset's name.
 ///
 /// # Errors
-/// [`Error::Input`] when the file cannot be used, [`Error::Usage`] for the board's accounting of another preset than the evidence's.
-pub fn with_preset(
-    target: Target,
-    asked: Option<&str>,
-    scenario: Option<&ScenarioFile>,
-    accounting: Accounting,
-) -> Result<(Target, Option<String>)> {
-    let of_job = scenario.and_then(|scenario| scenario.constants.as_ref()).filter(|_| asked.is_none());
-    if let Some(name) = of_job {
-        let preset = io::target::load_constants(&name.value)?;
-        return Ok((target.with_preset(preset), Some(name.value.clone())));
-    }
-    if accounting == Accounting::Board {
-        let evidence = io::published::evidence::shipped()?;
-        let base = io::target::load_constants(&evidence.base.value)?;
-        let default = target.constants().first().map(|preset| preset.name.clone());
-        if asked.map(str::to_string).or(default) != Some(evidence::preset(&evidence, &base, Accounting::Profiler).name)
-        {
-            let advice = "--accounting board chooses among the findings of the evidence: leave out --constants, or name that preset";
-            return Err(Error::Usage(advice.to_string()));
-        }
-        let preset = evidence::preset(&evidence, &base, accounting);
-        let name = preset.name.clone();
-        return Ok((target.with_preset(preset), Some(name)));
-    }
+/// [`Error::Input`] when the file cannot be used.
+pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Option<String>)> {
     match asked {
         Some(path) if io::shipped::is_path(path) => {
             let preset = io::target::load_constants(path)?;
@@ -114,11 +93,13 @@ pub fn with_preset(
 #[derive(Debug)]
 pub enum DeploymentSource {
     /// The mapping's own cores.
-    Packed,
+    Mapped,
     /// A published job.
     Scenario(String, Box<ScenarioFile>),
     /// A saved mapping.
     Mapping(PathBuf, Box<MappingFile>),
+    /// Numbers of cores.
+    Numbers(DeployedCores),
 }
 
 impl DeploymentSource {
@@ -129,14 +110,21 @@ impl DeploymentSource {
     /// when a file cannot be used.
     pub fn load(arg: &DeploymentArg, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
         let path = match (arg, shipped) {
-            (DeploymentArg::Packed, _) => return Ok(DeploymentSource::Packed),
+            (DeploymentArg::Mapped(_), _) => return Ok(DeploymentSource::Mapped),
+            (DeploymentArg::Numbers(cores), _) => {
+                if [cores.cores_used, cores.chips_used].contains(&0) || cores.cores_used < cores.chips_used {
+                    let message = "--deployment CORES,CHIPS,X86: at least one core on each chip, such as 100,2,2";
+                    return Err(Error::Usage(message.to_string()));
+                }
+                return Ok(DeploymentSource::Numbers(*cores));
+            }
             (DeploymentArg::Paper, Some(scenario)) => {
                 return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario.clone())));
             }
             (DeploymentArg::Paper, None) => {
                 return Err(Error::Usage(format!(
-                    "--deployment paper: no scenario ships for {model}; use --deployment packed, or the file of a scenario or \
-                     of a saved mapping"
+                    "--deployment paper: no scenario ships for {model}; use spread, packed, CORES,CHIPS,X86, or the file of a \
+                     scenario or of a saved mapping"
                 )));
             }
             (DeploymentArg::File(path), _) => path,
@@ -147,79 +135,105 @@ impl DeploymentSource {
             return Ok(DeploymentSource::Scenario(path.display().to_string(), Box::new(scenario)));
         }
         let mapping = parse(&source, "mapping.syntax").map_err(|error| match error.help {
-            None => error.help("--deployment is packed, paper, a scenario, or a mapping saved by nsim map -o"),
+            None => error.help(
+                "--deployment is spread, packed, paper, CORES,CHIPS,X86, a scenario, or a mapping saved by nsim map -o",
+            ),
             Some(_) => error,
         })?;
         Ok(DeploymentSource::Mapping(path.clone(), Box::new(mapping)))
     }
 
-    /// The numbers of cores for the report. The placement holds all copies.
+    /// The numbers of cores of so many copies of a mapped network.
     ///
     /// # Errors
-    /// [`Error::Usage`] when a scenario is of another model, or it or a saved mapping of another number of copies or
-    /// another target; [`Error::Input`] when a saved mapping places cores where the target has none.
-    pub fn deployment(&self, model: &str, copies: u32, placement: &Placement, target: &Target) -> Result<Deployment> {
+    /// [`Error::Usage`] when a scenario is of another model, or a saved mapping of another number of copies or another
+    /// target; [`Error::Input`] when a saved mapping is not one of this network on this target.
+    pub fn deployment(&self, compiled: &Compiled, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
+        let model = &compiled.one.parts().name;
         match self {
-            DeploymentSource::Packed => Ok(Deployment::from_placement("packed", placement, target.chip(), copies)),
+            DeploymentSource::Mapped => {
+                // Copies that do not fit on chips of their own are packed.
+                let spread = compiled.placement.chips_used() >= copies.min(target.chips());
+                let name = match compiled.options.placement {
+                    _ if compiled.placed == SAVED => "saved mapping",
+                    CopyPlacement::Spread if spread => CopyPlacement::Spread.name(),
+                    _ => CopyPlacement::Packed.name(),
+                };
+                Ok(Deployment::from_placement(name, &compiled.placement, target, copies, work))
+            }
             DeploymentSource::Scenario(name, scenario) => {
-                if scenario.copies.value != copies {
-                    return Err(Error::Usage(format!(
-                        "--deployment {name} is of {0} copies, not {copies}: ask for {0} or use --deployment packed",
-                        scenario.copies.value
-                    )));
-                }
-                if scenario.model != model {
+                if scenario.model != *model {
                     return Err(Error::Usage(format!("--deployment {name} is of {}, not {model}", scenario.model)));
                 }
-                Ok(Deployment::from_scenario(name, scenario))
+                Ok(Deployment::from_numbers(name, scenario.deployment.value, target, copies, work))
             }
+            DeploymentSource::Numbers(cores) => Ok(Deployment::from_numbers("as given", *cores, target, copies, work)),
             DeploymentSource::Mapping(path, mapping) => {
-                if mapping.copies != copies || mapping.target != target.name() {
+                if mapping.copies != copies || mapping.target != target.name() || mapping.model != *model {
                     return Err(Error::Usage(format!(
-                        "{} holds {} copies on {}, not {copies} on {}",
+                        "{} holds {} copies of {} on {}, not {copies} of {model} on {}",
                         path.display(),
                         mapping.copies,
+                        mapping.model,
                         mapping.target,
                         target.name()
                     )));
                 }
-                let placement =
-                    mapping_file::placement(mapping, Mesh::for_target(target)).map_err(|error| error.in_file(path))?;
+                // A mapping that could not be run is no deployment either.
+                let options = Options { copies, ..Options::default() };
+                let form = Form::for_network(&compiled.one, copies);
+                let front = Front::from(compiled.one.clone());
+                let loaded = compile::load(front, target, &options, mapping, form).map_err(|error| match error {
+                    CompileError::Input(diagnostic) if diagnostic.place.is_none() => {
+                        CompileError::Input(diagnostic.in_file(path))
+                    }
+                    other => other,
+                })?;
                 let name = path.display().to_string();
-                Ok(Deployment::from_placement(name, &placement, target.chip(), copies))
+                Ok(Deployment::from_placement(name, &loaded.placement, target, copies, work))
             }
         }
     }
 }
 
 /// The baselines that are asked for.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct BaselineSelection {
     /// From files.
     pub files: Vec<Baseline>,
     /// Whether this machine's processor is measured.
     pub cpu: bool,
+    /// Whether a GPU that was not measured for the network is modelled by its roofline.
+    pub roofline: bool,
 }
 
-/// The baselines asked for: all when none is named.
+/// The baselines asked for; those of files and this machine's processor when none is named.
 ///
 /// # Errors
 /// A diagnostic for a name that does not exist.
 pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnostic> {
     let Some(names) = names else {
         let files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
-        return Ok(BaselineSelection { files, cpu: true });
+        return Ok(BaselineSelection { files, cpu: true, roofline: false });
     };
-    let files = names.iter().filter(|name| *name != CPU).map(|name| Baseline::shipped(name));
-    let files = files.collect::<Result<_, _>>().map_err(|problem: Diagnostic| {
-        let known: Vec<&str> = SHIPPED.iter().map(|&(name, _)| name).chain([CPU]).collect();
-        problem.help(format!("baselines are {}", known.join(", ")))
-    })?;
-    Ok(BaselineSelection { files, cpu: names.iter().any(|name| name == CPU) })
+    let roofline = names.iter().any(|name| name == ROOFLINE);
+    let mut files = Vec::new();
+    for name in names.iter().filter(|name| ![CPU, ROOFLINE].contains(&name.as_str())) {
+        files.push(Baseline::shipped(name).map_err(|problem: Diagnostic| {
+            let known: Vec<&str> = SHIPPED.iter().map(|&(name, _)| name).chain([CPU, ROOFLINE]).collect();
+            problem.help(format!("baselines are {}", known.join(", ")))
+        })?);
+    }
+    if roofline && files.is_empty() {
+        files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
+    }
+    Ok(BaselineSelection { files, cpu: names.iter().any(|name| name == CPU), roofline })
 }
 
 /// The name of the baseline that is measured on this machine.
 pub const CPU: &str = "cpu";
+/// The name of the baseline that models a GPU from its peak rates.
+pub const ROOFLINE: &str = "gpu-roofline";
 
 /// `--cpu-watts`: at idle and busy, in mW.
 #[derive(Debug, Clone, Copy, PartialEq)]

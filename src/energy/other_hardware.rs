@@ -10,7 +10,7 @@ use crate::bench::power::{POWERCAP, PackagePower, Power, PowerMeter};
 use crate::cost::baseline::{Figures, NetworkShape, Work};
 use crate::cost::estimate::{Convention, EnergyRow, FigureSource};
 use crate::desc::published::baseline::Mode;
-use crate::energy::options::{BaselineSelection, Watts};
+use crate::energy::options::{BaselineSelection, ROOFLINE, Watts};
 use crate::ir::program::Program;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
@@ -69,11 +69,12 @@ pub fn rows(
         match baseline.row(&shape, one.steps, one.timestep, mode, convention) {
             Ok(row) => found.rows.push((row, baseline.source())),
             Err(reason) => {
-                if let Some(row) = baseline.modelled(&work, one.steps, one.timestep, mode, convention) {
+                let modelled = || baseline.modelled(&work, one.steps, one.timestep, mode, convention);
+                if let Some(row) = asked.roofline.then(modelled).flatten() {
                     let source = "modelled from its peak rate, bandwidth, overhead a layer and power (equation 18)";
                     found.rows.push((row, format!("{source}: {reason}")));
                 } else {
-                    found.notes.push(reason);
+                    found.notes.push(format!("{reason}; --baseline {ROOFLINE} models it"));
                 }
             }
         }
@@ -116,6 +117,7 @@ fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: 
 fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>, found: &mut Rows) {
     let load_before = load();
     let available = std::thread::available_parallelism().map_or(1, usize::from);
+    let busy = load_before.filter(|load| *load > BUSY_SHARE * available as f64);
     let package = PackagePower::assumed(1);
     let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), package, IDLE);
     let samples = cpu::enough(one.samples, TIMESTEPS);
@@ -123,29 +125,27 @@ fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<
     let mut add = |name: &str, window: bool, (timed, power): (Result<Timed, String>, Power)| match timed {
         Err(reason) => found.notes.push(format!("no row for {name}: {reason}")),
         Ok(timed) => {
-            let figures = figures(timed.us_per_timestep, power, one, mode, window);
+            // The fastest repeat is the one that other programs disturbed least.
+            let figures = figures(timed.fastest, power, one, mode, window);
             let source = format!(
-                "one thread of {here}; median of {} repeats of {} timesteps, quartiles {:.3} us apart, fastest {:.3} us; {}",
+                "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us apart{}; {}",
                 timed.repeats,
                 timed.timesteps,
+                timed.us_per_timestep,
                 timed.spread,
-                timed.fastest,
+                busy.map_or(String::new(), |load| format!("; {load} of {available} processors were busy before")),
                 meter.source()
             );
-            found.rows.push((figures.row(name, convention, one.steps), source));
+            let row = EnergyRow { busy, ..figures.row(name, convention, one.steps) };
+            found.rows.push((row, source));
         }
     };
-    add("CPU, dense f32", true, meter.during(|| cpu::dense(one.network, samples, BUDGET)));
+    add("CPU, dense", true, meter.during(|| cpu::dense(one.network, samples, BUDGET)));
     match one.program {
         Some(program) => {
-            add("CPU, event-driven", false, meter.during(|| cpu::event_driven(program, samples, BUDGET)));
+            add("CPU, by events", false, meter.during(|| cpu::event_driven(program, samples, BUDGET)));
         }
-        None => found.notes.push("no row for CPU, event-driven: one copy alone could not be mapped".to_string()),
-    }
-    if let Some(load) = load_before.filter(|load| *load > BUSY_SHARE * available as f64) {
-        found.notes.push(format!(
-            "this machine was busy ({load} of {available} processors before the measurement): its own rows may be slow"
-        ));
+        None => found.notes.push("no row for CPU, by events: one copy alone could not be mapped".to_string()),
     }
     if here.profile == "debug" {
         found.notes.push("nsim was built without optimisation: its rows of the processor are slow".to_string());

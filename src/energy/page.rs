@@ -55,7 +55,7 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Trans
         let (ids, watched) = watched(network, &run.counts);
         let tables = run.meter.tables()[..1].to_vec();
         let settings = workload.metered(tables, deployment, transport);
-        let timeline = workload.timeline((settings, deployment.cores_powered), first, &ids)?;
+        let timeline = workload.timeline(settings, first, &ids)?;
         sections.sample = sample::json(network, &timeline, &watched, first, outcome);
     }
     Ok(sections)

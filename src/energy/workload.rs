@@ -6,6 +6,8 @@ use crate::compile::Compiled;
 use crate::compile::explore::cost_estimate::Score;
 use crate::cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use crate::desc::target::Target;
+use crate::drive::Outcome;
+use crate::drive::accuracy;
 use crate::drive::cores::core_rows;
 use crate::drive::decision::EarlyExit;
 use crate::drive::populations::ByPopulation;
@@ -85,7 +87,7 @@ impl<'j> Workload<'j> {
     pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
         MeterSettings {
             tables,
-            timing: deployment.timing(transport),
+            timing: deployment.timing(transport, self.copies),
             routes: self.metered.routes.clone(),
             timestep: Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms),
             distribution: None,
@@ -121,17 +123,23 @@ impl<'j> Workload<'j> {
         Ok(self.compiled.score_at(&rates, self.target)?)
     }
 
-    /// A sample step by step, which so many powered cores pay for, with the potentials of these compartments of the first copy.
+    /// Share of the samples with a label that were classified as it says; `None` without labels.
+    #[must_use]
+    pub fn accuracy(&self, outcomes: &[Outcome]) -> Option<f64> {
+        accuracy(outcomes, self.samples().into_iter().map(Sample::label))
+    }
+
+    /// A sample step by step, with the potentials of these compartments of the first copy.
     ///
     /// # Errors
     /// As [`Workload::simulate`].
     pub fn timeline(
         &self,
-        priced: (MeterSettings, u64),
+        settings: MeterSettings,
         sample: &Sample,
         potentials: &[CompartmentId],
     ) -> Result<Timeline, Error> {
-        Ok(Timeline::new(&self.metered, &self.compiled.one, priced, sample, potentials)?)
+        Ok(Timeline::new(&self.metered, &self.compiled.one, settings, sample, potentials)?)
     }
 
     /// Runs all samples.

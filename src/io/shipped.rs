@@ -98,21 +98,26 @@ pub const CONSTANTS: &[Shipped] =
     shipped!("mapping/constants": "davies2018", "loihi1-evidence", "sanafe-calibrated", "vtsnn-calibrated");
 /// Shipped tables of measurements.
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
-/// The evidence for constants.
-pub const EVIDENCE: &[Shipped] = shipped!("mapping/constants": "evidence");
 /// Shipped workloads that others measured.
 pub const WORKLOADS: &[Shipped] = shipped!(
     "mapping/workloads":
     "smnist-nahuku",
     "smnist-wolf-mountain",
-    "quartz-mnist-t8",
-    "quartz-mnist-t16",
-    "quartz-mnist-t32",
-    "quartz-mnist-t64",
-    "quartz-mnist-t128",
+    "smnist-rails",
+    "quartz-mnist-11-cores-51-steps",
+    "quartz-mnist-11-cores-91-steps",
+    "quartz-mnist-11-cores-171-steps",
+    "quartz-mnist-11-cores-331-steps",
+    "quartz-mnist-11-cores-651-steps",
+    "quartz-mnist-18-cores-50-steps",
+    "quartz-mnist-18-cores-90-steps",
+    "quartz-mnist-18-cores-170-steps",
+    "quartz-mnist-18-cores-330-steps",
+    "quartz-mnist-18-cores-650-steps",
     "quartz-cifar",
     "relnet",
     "nxtf-mnist",
+    "nxtf-mnist-april",
     "braille",
     "ntidigits",
     "blouw-base",
@@ -122,13 +127,15 @@ pub const WORKLOADS: &[Shipped] = shipped!(
     "vtsnn-realtime",
     "olfaction",
     "knn",
+    "nmnist",
+    "nmnist-auto",
 );
 
 /// Shipped scenarios.
 pub const SCENARIOS: &[Shipped] = shipped!("mapping/scenarios": "vtsnn-slip-paper");
 
 /// All of these tables.
-pub const TABLES: &[&[Shipped]] = &[MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, EVIDENCE, WORKLOADS, SCENARIOS];
+pub const TABLES: &[&[Shipped]] = &[MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, WORKLOADS, SCENARIOS];
 
 /// Where a text came from, which decides where the files that it names are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -12,7 +12,7 @@ use super::shipped::{self, Origin, Shipped};
 use super::text::read_text;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::spanned::{Spanned, parse};
-use crate::desc::target::constants::{Constant, Constants, Residual};
+use crate::desc::target::constants::{Constants, ConstantsChanges};
 use crate::desc::target::{Chip, Target, TargetChanges, TargetFile};
 
 /// Loads a target: a path, `-`, or a shipped name.
@@ -25,7 +25,7 @@ pub fn load_target(argument: &str) -> Result<Target> {
     if let Some(fields) = changes::target_fields() {
         // A change is read as a file would be that changes the target.
         let text = format!("Target(base: {:?}, name: {:?}, {fields})", argument, target.name());
-        let source = SourceText::new("<--set>", text);
+        let source = SourceText::new(SET, text);
         target = on_base(&source, Origin::Shipped, parse(&source, "set.value")?, &target)?;
     }
     target.change_constants(changes::constants)?;
@@ -39,6 +39,9 @@ pub fn load_target(argument: &str) -> Result<Target> {
 pub fn target(source: &SourceText, origin: Origin) -> Result<Target> {
     target_within(source, origin, DEEPEST)
 }
+
+/// The place of changes that were typed.
+const SET: &str = "<--set>";
 
 /// Targets that a target may be made of, one on the other.
 const DEEPEST: u32 = 8;
@@ -74,15 +77,18 @@ fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> 
 
 /// A target with changes.
 fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &Target) -> Result<Target> {
-    let chip = changes.chip(base.chip().clone());
+    let stem = source.path().file_stem().map_or_else(|| "target".into(), |stem| stem.to_string_lossy().into_owned());
+    let name = changes.name.clone().unwrap_or(stem);
+    // What is typed for a run asks what if of the same chip; a file describes another.
+    let own_name = Some(name.as_str()).filter(|_| source.path() != Path::new(SET));
+    let chip = changes.chip(base.chip().clone(), own_name);
     chip.check(source)?;
     let constants = match &changes.constants {
         None => base.constants().to_vec(),
         Some(names) => presets(source, origin, names)?,
     };
-    let stem = source.path().file_stem().map_or_else(|| "target".into(), |stem| stem.to_string_lossy().into_owned());
     let file = TargetFile {
-        name: changes.name.unwrap_or(stem),
+        name,
         notes: changes.notes.unwrap_or_default(),
         chip: chip.name.clone().into(),
         chips_x: changes.chips_x.unwrap_or_else(|| base.chips_x().into()),
@@ -143,12 +149,41 @@ pub fn parse_chip(source: &SourceText) -> Result<Chip> {
     Ok(chip)
 }
 
-/// A preset of constants from its text.
+/// A preset of constants from its text, which may say only what differs from another preset (`base`).
 ///
 /// # Errors
-/// `constants.syntax`, and what [`Constants::check`] says.
+/// `constants.syntax`, `constants.base`, and what [`Constants::check`] says.
 pub fn parse_constants(source: &SourceText) -> Result<Constants> {
-    let constants: Constants = parse(source, "constants.syntax")?;
+    constants_within(source, DEEPEST)
+}
+
+fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
+    let is_shipped = shipped::CONSTANTS.iter().any(|shipped| Path::new(shipped.path) == source.path());
+    let mut constants = if has_field(source.text(), "base") {
+        let changes: ConstantsChanges = parse(source, "constants.syntax")?;
+        let Some(deepest) = deepest.checked_sub(1) else {
+            let message = format!("constants are based on each other more than {DEEPEST} deep");
+            return Err(Diagnostic::new("constants.base", message).at(source, changes.base.span));
+        };
+        let origin = if is_shipped { Origin::Shipped } else { Origin::File };
+        let base = part(source, origin, &changes.base, "constants", "preset of constants", shipped::CONSTANTS)?;
+        let base = constants_within(&base, deepest)?;
+        let stem = source.path().file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let name = changes.name.clone().or(stem).unwrap_or_else(|| base.name.clone());
+        changes.applied(&base, name)
+    } else {
+        let mut constants: Constants = parse(source, "constants.syntax")?;
+        if !is_shipped {
+            // Whoever writes constants down has not measured how far predictions by them are off.
+            constants.errors.clear();
+        }
+        constants
+    };
+    if !is_shipped && shipped::CONSTANTS.iter().any(|shipped| shipped.name == constants.name) {
+        // A copy of a shipped preset is not that preset.
+        let stem = source.path().file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        constants.name = stem.filter(|stem| *stem != constants.name).unwrap_or(format!("{}, changed", constants.name));
+    }
     constants.check(source).map_err(|problem| match problem.place {
         Some(_) => problem,
         None => problem.in_file(source.path()),
@@ -165,37 +200,6 @@ pub fn load_constants(argument: &str) -> Result<Constants> {
     let mut constants = parse_constants(&source)?;
     changes::constants(&mut constants)?;
     Ok(constants)
-}
-
-/// A preset as a file says it, with a remark at its head.
-#[must_use]
-pub fn constants_text(constants: &Constants, remark: &str) -> String {
-    let mut out = String::new();
-    for line in remark.lines() {
-        out += &format!("// {line}\n");
-    }
-    let one = |constant: &Constant| {
-        let Constant { value, unit, source, status } = constant;
-        format!("(value: {:?}, unit: {unit:?}, source: {source:?}, status: {})", value.value, status.name())
-    };
-    out += &format!("Constants(\n    name: {:?},\n    notes: {:?},\n    barrier: [\n", constants.name, constants.notes);
-    for entry in &constants.barrier {
-        out += &format!("        (tiles: {}, time: {}),\n", entry.tiles, one(&entry.time));
-    }
-    out += "    ],\n";
-    for (name, constant) in constants.list() {
-        out += &format!("    {name}: {},\n", one(constant));
-    }
-    out += "    unused: [\n";
-    for entry in &constants.unused {
-        out +=
-            &format!("        (name: {:?}, constant: {}, why: {:?}),\n", entry.name, one(&entry.constant), entry.why);
-    }
-    out += "    ],\n    residuals: [\n";
-    for Residual { cell, printed, model, percent } in &constants.residuals {
-        out += &format!("        (cell: {cell:?}, printed: {printed:?}, model: {model:?}, percent: {percent:?}),\n");
-    }
-    out + "    ],\n)\n"
 }
 
 /// The text of a part that a target names.
@@ -233,11 +237,12 @@ fn part(
 pub(crate) mod tests {
     use super::*;
     use crate::desc::resource::Resource;
+    use crate::desc::target::constants::FigureClass;
 
     /// A small chip, for the tests of this room.
     pub(crate) const CHIP: &str = r#"Chip(
     name: "one", notes: "for tests",
-    width: 2, height: 1, cores_per_tile: 2, cores: 4, x86_cores: 0, x86_cores_in_use: 0, power_unit: Core,
+    width: 2, height: 1, cores_per_tile: 2, cores: 4, x86_cores: 0, x86_cores_in_use: 0,
     limits: (
         compartments: 1024, axons_in: 4096, axons_out: 4096, axon_out_slots: 1, axon_out_slots_off_chip: 2,
         axons_out_per_compartment: 4096, synapse_words: 16384, synapse_words_per_axon: 1024, synapses_per_entry: 60,
@@ -252,16 +257,16 @@ pub(crate) mod tests {
                 "pJ",
                 "synapse_dense_energy synapse_sparse_energy dendrite_energy compartment_energy \
                     compartment_active_energy spike_energy axon_out_energy axon_in_energy local_hop_energy \
-                    hop_ew_energy hop_ns_energy hop_chip_energy core_step_energy",
+                    hop_ew_energy hop_ns_energy hop_chip_energy",
             ),
             (
                 "ns",
                 "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time \
-                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time link_chip_time injection_time injection_step_time \
-                    readout_time",
+                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time link_chip_time",
             ),
             ("messages", "link_buffer"),
-            ("mW", "core_static_power x86_static_power x86_busy_power"),
+            ("us", "injection_time turn_time"),
+            ("mW", "core_static_power x86_clock_power"),
         ];
         let mut text = String::from(
             "Constants(name: \"c\", notes: \"\", barrier: [(tiles: 1, time: (value: 0.1, unit: us, source: \"s\", status: assumed))],\n",
@@ -303,7 +308,7 @@ pub(crate) mod tests {
         assert_eq!((error.code, error.position().unwrap().line), ("chip.syntax", 7), "{error}");
         let error =
             load(TARGET, CHIP, &constants().replacen("value: 3, unit: ns", "value: 3, unit: pJ", 1)).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().line), ("target.unit", 18), "{error}");
+        assert_eq!((error.code, error.position().unwrap().line), ("target.unit", 17), "{error}");
         let error = load(TARGET, CHIP, &constants().replacen("value: 3", "value: -3", 1)).unwrap_err();
         assert_eq!((error.code, error.position().unwrap().line), ("target.constant", 5), "{error}");
         let error = load_target("nahuku-33").unwrap_err();
@@ -311,16 +316,30 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_preset_that_is_written_reads_back() {
-        for preset in shipped::CONSTANTS {
-            let read = parse_constants(&preset.source()).unwrap();
-            let text = constants_text(&read, "one\ntwo");
-            let again = parse_constants(&SourceText::new("again.ron", text.clone())).unwrap();
-            assert!(text.starts_with("// one\n// two\nConstants(") && constants_text(&again, "one\ntwo") == text);
-            for ((name, constant), (_, other)) in read.list().into_iter().zip(again.list()) {
-                assert_eq!((constant.value.value, &constant.source), (other.value.value, &other.source), "{name}");
-            }
-        }
+    fn a_preset_says_only_what_differs_from_another_and_keeps_the_errors_of_the_rest() {
+        let read = |text: &str| parse_constants(&SourceText::new("mine.ron", text.to_string()));
+        let value = "(value: 0.3, unit: mW, source: \"me\", status: assumed)";
+        let mine = read(&format!("Constants(base: \"loihi1-evidence\", core_static_power: {value})")).unwrap();
+        let base = load_constants("loihi1-evidence").unwrap();
+        assert_eq!((mine.name.as_str(), mine.core_static_power.value.value), ("mine", 0.3));
+        assert_eq!(mine.injection_time.value.value, base.injection_time.value.value);
+        let classes = |of: &Constants| of.errors.iter().map(|error| error.class).collect::<Vec<_>>();
+        let kept: Vec<_> = classes(&base).into_iter().filter(|class| *class != FigureClass::Static).collect();
+        assert_eq!(classes(&mine), kept);
+        // A copy is not the preset itself, and nobody has measured it.
+        let copy = read(Shipped::find(shipped::CONSTANTS, "loihi1-evidence").unwrap().text).unwrap();
+        assert_eq!((copy.name.as_str(), copy.errors.len()), ("mine", 0));
+        assert_eq!(read("Constants(base: \"loihi2\")").unwrap_err().code, "target.part");
+    }
+
+    #[test]
+    fn a_chip_that_a_file_changes_goes_by_its_own_name_and_has_no_errors_of_loihi() {
+        let read = |text: &str| target(&SourceText::new("own.ron", text.to_string()), Origin::File).unwrap();
+        let board = read("Target(base: \"loihi1-chip\", chips_x: 2)");
+        let own = read("Target(base: \"loihi1-chip\", limits: (compartments: 2048), x86_cores: 0)");
+        assert_eq!((board.chip().hardware(), own.chip().hardware()), ("loihi", "own"));
+        assert_eq!((board.errors(&board.constants()[0]).len(), own.errors(&own.constants()[0]).len()), (6, 0));
+        assert_eq!(own.chip().x86_cores_in_use, 0);
     }
 
     #[test]

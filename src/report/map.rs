@@ -15,7 +15,6 @@ use crate::compile::explore::cost_estimate::Score;
 use crate::compile::explore::remedy::Remedy;
 use crate::compile::explore::traffic::Traffic;
 use crate::compile::{AddedRelays, DEFAULT_RATE, Effort, Form, Mapping, Options, Reason, place};
-use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
 use crate::ir::firing_rates::Rates;
@@ -42,8 +41,6 @@ pub struct Question<'a> {
     pub remedies: &'a [Remedy],
     /// The relays that were added to it.
     pub relays: Option<&'a AddedRelays>,
-    /// The published job of the model, to compare with.
-    pub scenario: Option<&'a ScenarioFile>,
 }
 
 /// What came out.
@@ -118,37 +115,16 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
     if let Outcome::Fits(_, traffic, score) = outcome {
         object["traffic"] = json!(traffic);
         object["expected"] = json!(score);
-        object["expected"]["static_mw_of_paper"] = json!(published_static_mw(question, &score));
     }
     object
 }
 
-/// Static power of as many copies as a published job deployed them, in milliwatts, when this is that job mapped anew.
-fn published_static_mw(question: Question<'_>, score: &Score) -> Option<f64> {
-    let Question { scenario, options, target, .. } = question;
-    let job = scenario.filter(|job| job.copies.value == options.copies && job.target == target.name())?;
-    let each = score.static_mw / score.cores_powered.max(1) as f64;
-    Some(each * job.deployment.cores_powered as f64)
-}
-
 /// The estimated cost of a mean step, for people.
-fn expected_text(question: Question<'_>, score: &Score) -> String {
-    let Score { cores_powered, energy_uj, step_us, static_mw, .. } = score;
-    let mut text = wrapped(&format!(
-        "expected of a step: {energy_uj:.4} uJ, {step_us:.3} us; static power {static_mw:.2} mW of {cores_powered} \
-         powered cores"
-    ));
-    if let Some((job, published)) = question.scenario.zip(published_static_mw(question, score)) {
-        let DeployedCores { cores_used, cores_powered, .. } = job.deployment.value;
-        text += &wrapped(&format!(
-            "{} used {cores_used} cores for {} copies ({cores_powered} powered), {published:.2} mW: {:.2} mW of static \
-             power saved",
-            job.work,
-            job.copies.value,
-            published - static_mw
-        ));
-    }
-    text
+fn expected_text(score: &Score) -> String {
+    let Score { cores, energy_uj, step_us, static_mw, .. } = score;
+    wrapped(&format!(
+        "expected of a step: {energy_uj:.4} uJ, {step_us:.3} us; static power {static_mw:.2} mW of {cores} cores"
+    ))
 }
 
 /// Candidates of mappings; those of the front are those that no other is better than in everything.
@@ -159,7 +135,7 @@ pub fn pareto_json(found: &[Found]) -> Value {
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         json!({
             "strategy": one.candidate.strategy.name(), "divisor": one.candidate.divisor, "placed": one.candidate.placed, "cores": one.score.cores,
-            "cores_powered": one.score.cores_powered, "energy_uj": one.score.energy_uj, "step_us": one.score.step_us,
+            "energy_uj": one.score.energy_uj, "step_us": one.score.step_us,
             "static_mw": one.score.static_mw, "on_front": on_front,
         })
     };
@@ -173,12 +149,11 @@ pub fn pareto_text(found: &[Found]) -> String {
         return String::new();
     }
     let front = front(found);
-    let columns: [Column<(&Found, bool)>; 8] = [
+    let columns: [Column<(&Found, bool)>; 7] = [
         ("strategy", |(one, _)| one.candidate.strategy.name().to_string()),
         ("cores filled to", |(one, _)| format!("1/{}", one.candidate.divisor)),
         ("placed", |(one, _)| if one.candidate.placed { "yes" } else { "no" }.to_string()),
         ("cores", |(one, _)| one.score.cores.to_string()),
-        ("powered", |(one, _)| one.score.cores_powered.to_string()),
         ("uJ a step", |(one, _)| format!("{:.4}", one.score.energy_uj)),
         ("us a step", |(one, _)| format!("{:.3}", one.score.step_us)),
         ("front", |(_, on_front)| if *on_front { "*" } else { "" }.to_string()),
@@ -377,7 +352,7 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 traffic.mean_link_load,
                 traffic.max_link_load
             ));
-            text += &expected_text(question, &score);
+            text += &expected_text(&score);
             let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
             text += &wrapped(&format!("ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", ")));
         }
@@ -461,6 +436,7 @@ fn table(compiled: &Mapping, target: &Target) -> String {
 mod tests {
     use super::*;
     use crate::base::diagnostic::SourceText;
+    use crate::compile::CopyPlacement;
     use crate::compile::testing::{limits, slip, target};
     use crate::compile::{CompileError, compile, explore, front as integers};
     use crate::ir::quantised::Quantised;
@@ -510,17 +486,10 @@ mod tests {
 
     #[test]
     fn both_answers_have_the_same_keys() {
-        let options = Options { copies: 3, ..Options::default() };
+        let options = Options { copies: 3, placement: CopyPlacement::Packed, ..Options::default() };
         let board = target(2, 1, limits());
-        let question = Question {
-            model: "slip",
-            target: &board,
-            options: &options,
-            pruned: &[],
-            remedies: &[],
-            relays: None,
-            scenario: None,
-        };
+        let question =
+            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], relays: None };
         let compiled = mapped(slip(3150), &board, &options).unwrap();
         let outcome = fits_with(&compiled, &board);
         let fits = json(question, outcome);
@@ -573,15 +542,8 @@ mod tests {
         let options = Options::default();
         let compiled = mapped(slip(100), &board, &options).unwrap();
         assert_eq!(compiled.partition.cores(), 62);
-        let question = Question {
-            model: "slip",
-            target: &board,
-            options: &options,
-            pruned: &[],
-            remedies: &[],
-            relays: None,
-            scenario: None,
-        };
+        let question =
+            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], relays: None };
         let spoken = text(question, fits_with(&compiled, &board));
         assert!(spoken.contains("and 42 more") && spoken.lines().count() < 40, "{spoken}");
     }

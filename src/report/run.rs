@@ -259,6 +259,9 @@ impl RunReport<'_> {
             Some(target) => format!("{} simulated on {target}, engine {}\n", parts.name, self.engine),
             None => format!("{} interpreted without cores, engine {}\n", parts.name, self.engine),
         };
+        if let Some(accuracy) = self.accuracy() {
+            out += &format!("accuracy {:.4} over {}\n", accuracy, count(self.outcomes.len() as u64, "sample"));
+        }
         out += &format!("input: {}", self.input.join(" "));
         if let Some(seed) = self.seed {
             out += &format!("  (seed {seed})");
@@ -279,9 +282,6 @@ impl RunReport<'_> {
         if self.outcomes.len() > SHOWN {
             out +=
                 &format!("{:>7} {} more; all of them with --format csv or json\n", "..", self.outcomes.len() - SHOWN);
-        }
-        if let Some(accuracy) = self.accuracy() {
-            out += &format!("\naccuracy {:.4} over {}\n", accuracy, count(self.outcomes.len() as u64, "sample"));
         }
         out += &self.early_exit_text();
         out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");

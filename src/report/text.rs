@@ -67,7 +67,7 @@ pub(super) fn markdown_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, colu
 /// The records of CSV whose cells are numbers with at most four digits; the first is the header.
 fn records(csv: &str) -> Vec<Vec<String>> {
     let short = |cell: &str| match cell.parse::<f64>() {
-        Ok(x) if x.is_finite() && cell.len() > 5 => format!("{}", four_digits(x)),
+        Ok(x) if x.is_finite() && cell.len() > 6 => format!("{}", four_digits(x)),
         _ => cell.to_string(),
     };
     let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(csv.as_bytes());
@@ -109,6 +109,7 @@ pub fn latex(csv: &str) -> String {
                 '~' => out += "\\textasciitilde{}",
                 '^' => out += "\\textasciicircum{}",
                 '\n' => out.push(' '),
+                '\u{b5}' => out += "\\textmu{}",
                 _ => out.push(c),
             }
         }

@@ -18,9 +18,8 @@ use crate::compile::{Compiled, DEFAULT_RATE, Form, explore, shapes};
 use crate::convert::copies::USUAL;
 use crate::convert::prepare::integers;
 use crate::cost::estimate::{Case, estimate};
-use crate::cost::{CostTable, Deployment, MeterSettings, Transport};
+use crate::cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use crate::desc::network::Network;
-use crate::desc::published::workload::Accounting;
 use crate::desc::target::Target;
 use crate::drive::inputs::stimulus;
 use crate::drive::priced::{Metered, SampleRun, steps_per_sample};
@@ -195,9 +194,9 @@ impl Runner {
         self.targets.get(key, || {
             within(&job.of_target, || {
                 let target = load_target(&job.target)?;
-                let (target, preset) = with_preset(target, job.constants.as_deref(), None, Accounting::Profiler)?;
-                let (target, mut tables) = tables(target, preset.as_deref())?;
-                Ok(Priced { target, table: tables.swap_remove(0) })
+                let (target, preset) = with_preset(target, job.constants.as_deref())?;
+                let (target, table) = tables(target, preset.as_deref())?;
+                Ok(Priced { target, table })
             })
         })
     }
@@ -257,8 +256,9 @@ impl Runner {
             return Err(Diagnostic::new("sweep.value", format!("input.samples: there are {all} samples")).into());
         }
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
-        let deployment =
-            Deployment::from_placement("packed", &mapped.alike.placement, target.chip(), job.options.copies);
+        let (placement, copies) = (&mapped.alike.placement, job.options.copies);
+        let work = HostWork::for_target(target);
+        let deployment = Deployment::from_placement(job.options.placement.name(), placement, target, copies, work);
         let timestep_ms = mapped.network.parts().timestep_ms;
         let place = Place { priced: &priced, deployment: &deployment, samples: &samples };
         let recorded = recorded_by(job, &mapped, scene);
@@ -324,7 +324,7 @@ impl Place<'_> {
     fn settings(&self, metered: &Metered<'_>, network: &Quantised) -> MeterSettings {
         MeterSettings {
             tables: vec![self.priced.table.clone()],
-            timing: self.deployment.timing(Transport::default()),
+            timing: self.deployment.timing(Transport::default(), self.deployment.copies),
             routes: metered.routes.clone(),
             timestep: Picoseconds::from_milliseconds(network.parts().timestep_ms),
             distribution: None,

@@ -10,7 +10,7 @@ use crate::{MODEL, has_keys, object, said, write};
 fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
     for (command, keys) in [
         ("run", ["samples", "digest", "activity", "wall_s"]),
-        ("energy", ["rows", "cores_powered", "breakdown_pj_per_timestep", "constants"]),
+        ("energy", ["rows", "cores_used", "breakdown_pj_per_timestep", "constants"]),
     ] {
         let object = object(&[command, "--target", "tiny"], 1);
         assert_eq!((&object["schema"], &object["fits"]), (&format!("nsim.{command}/1").into(), &false.into()));

@@ -1,24 +1,22 @@
 //! Published measurements beside what nsim predicts for them.
 //!
-//! Input: workload files and the evidence for constants. Output: a row for each printed figure: predicted by all evidence, and
-//! by the evidence that is left without the work itself. Each workload is compiled, simulated and priced like a user's network.
-//!
-//! Left out on purpose: sums and products of figures of a table (total power, energy-delay product), which would count what is
-//! already counted again.
+//! Input: workload files and constants with the findings of each group of authors. Output: a row for each printed figure:
+//! predicted by all findings, and without those of the work's own group. Left out on purpose: sums and products of figures of a
+//! table (total power, energy-delay product), which would count twice.
 
 pub mod cells;
 pub mod network;
 pub mod paper;
 pub mod predict;
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
-use self::predict::{PredictError, Predicted, predict};
-use crate::cost::evidence::ConstantSets;
-use crate::desc::published::evidence::{EvidenceFile, Jobs};
+use self::network::Rates;
+use self::predict::{PredictError, predict};
+use crate::cost::CostTable;
 use crate::desc::published::workload::{Accounting, FigureKind, Quantity, WorkloadFile};
 use crate::desc::target::Target;
-use crate::desc::target::constants::{Constants, Status};
+use crate::desc::target::constants::{ClassError, Constants, FigureClass, Status};
 
 /// A printed figure and its prediction.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,15 +30,17 @@ pub struct PublishedRow {
     /// The printed value, in the quantity's unit.
     pub published: f64,
     /// What nsim says.
-    pub predicted: Predicted,
-    /// Whether the evidence that comes from the work was left out.
+    pub predicted: f64,
+    /// The interval by the class of the figure, widened by rates that are assumed; `None` where no class bounds it.
+    pub interval: Option<(f64, f64)>,
+    /// Whether the findings of the work's own authors were left out.
     pub left_out: bool,
     /// Whether the figure was read where it was first printed.
     pub first_hand: bool,
-    /// What the figure attributes to the chip.
-    pub accounting: Accounting,
     /// Whether firing rates are published.
     pub activity: Status,
+    /// What had to be assumed of the workload.
+    pub assumed: Vec<String>,
     /// Where it is printed.
     pub source: String,
     /// Why the prediction is far off, where that is known.
@@ -48,50 +48,79 @@ pub struct PublishedRow {
 }
 
 impl PublishedRow {
-    /// Predicted by published.
+    /// How far the prediction is off, as a factor of at least 1.
     #[must_use]
-    pub fn ratio(&self) -> f64 {
-        self.predicted.value / self.published
+    pub fn factor(&self) -> f64 {
+        (self.predicted / self.published).max(self.published / self.predicted)
+    }
+
+    /// Which sum the figure is of.
+    #[must_use]
+    pub fn accounting(&self) -> Accounting {
+        self.quantity.accounting()
     }
 }
 
-/// The nominal coverage of the intervals.
-const COVERAGE: f64 = 0.9;
+/// Constants without what a group of authors found.
+fn without(constants: &Constants, group: &str) -> Constants {
+    let mut others = constants.clone();
+    for (name, constant) in constants.list() {
+        if let (Some(own), Some(value)) = (others.get_mut(name), constant.without(group)) {
+            own.value = value.into();
+        }
+    }
+    others
+}
 
-/// The rows of these workloads, in their order: each figure by all evidence, then without its work.
+/// The rows of these workloads, in their order: each figure by all findings, then without those of its authors, by which the
+/// model is judged. Figures that are known second-hand judge nothing, so that they have no such row.
 ///
 /// # Errors
 /// [`PredictError`] where a workload cannot be compiled or run.
 pub fn rows(
     workloads: &[WorkloadFile],
-    evidence: &EvidenceFile,
-    base: &Constants,
+    constants: &Constants,
     target: impl Fn(&str) -> Result<Target, PredictError>,
     progress: impl Fn(),
 ) -> Result<Vec<PublishedRow>, PredictError> {
     let mut rows = Vec::new();
-    let of_all = |jobs| ConstantSets::new(evidence, base, None, jobs);
-    let (one_chip, several) = (of_all(Jobs::OneChip)?, of_all(Jobs::SeveralChips)?);
     for file in workloads {
-        let jobs = Jobs::on_chips(file.deployment.chips_used);
-        let shipped = match jobs {
-            Jobs::OneChip => &one_chip,
-            Jobs::SeveralChips => &several,
+        let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
+        let target = target(&file.target.value)?;
+        let values = predict(file, &target, Rates::Value, &tables)?;
+        // A published rate has no range.
+        let ends = match file.activity {
+            Status::Published => None,
+            _ => Some([Rates::Low, Rates::High].map(|end| predict(file, &target, end, &tables))),
         };
-        let without = ConstantSets::new(evidence, base, Some(&file.work), jobs)?;
-        let predictions = predict(file, &target(&file.target.value)?, [shipped, &without])?;
-        for (predictions, left_out) in predictions.into_iter().zip([false, true]) {
-            for (figure, predicted) in file.figures.iter().zip(predictions) {
+        let ends = ends.map(|[low, high]| Ok::<_, PredictError>([low?, high?])).transpose()?;
+        let ways = if file.first_hand { 2 } else { 1 };
+        for (which, left_out) in [false, true].into_iter().take(ways).enumerate() {
+            for (number, figure) in file.figures.iter().enumerate() {
+                let predicted = values[which][number];
+                let at = |end: usize| ends.as_ref().map_or(predicted, |ends| ends[end][which][number]);
+                let class = figure.quantity.class();
+                let error = class.and_then(|class| constants.errors.iter().find(|error| error.class == class));
+                // A rate and the model are wrong independently: their factors add up in squares.
+                let interval = error.map(|error| {
+                    let model = error.within_80.ln();
+                    let reach = |end: f64| model.hypot((end / predicted).ln()).exp();
+                    (
+                        predicted / reach(at(0).min(at(1)).min(predicted)),
+                        predicted * reach(at(0).max(at(1)).max(predicted)),
+                    )
+                });
                 rows.push(PublishedRow {
                     work: file.work.clone(),
                     workload: file.name.clone(),
                     quantity: figure.quantity,
                     published: figure.published.value,
                     predicted,
+                    interval,
                     left_out,
                     first_hand: file.first_hand,
-                    accounting: figure.accounting,
                     activity: file.activity,
+                    assumed: file.assumed.clone(),
                     source: figure.source.clone(),
                     cause: figure.cause.clone(),
                 });
@@ -99,116 +128,66 @@ pub fn rows(
         }
         progress();
     }
-    widen(&mut rows);
     Ok(rows)
 }
 
-/// Works that must have printed figures of a group before they are judged by themselves, the predicted work not counted.
-const LEAST_WORKS: usize = 3;
-
-/// Quantities that the same constants and assumptions make wrong.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum QuantityGroup {
-    CoreStatic,
-    CoreDynamic,
-    X86Static,
-    X86Dynamic,
-    Dynamic,
-    Time,
-}
-
-fn group(quantity: Quantity) -> QuantityGroup {
-    match quantity {
-        Quantity::CoreStaticPower => QuantityGroup::CoreStatic,
-        Quantity::CoreDynamicPower | Quantity::CoreStepEnergy => QuantityGroup::CoreDynamic,
-        Quantity::X86StaticPower => QuantityGroup::X86Static,
-        Quantity::X86DynamicPower => QuantityGroup::X86Dynamic,
-        Quantity::DynamicPower | Quantity::InferenceDynamicEnergy => QuantityGroup::Dynamic,
-        Quantity::StepTime | Quantity::SpikingTime => QuantityGroup::Time,
-    }
-}
-
-/// Widens the interval of each row by how far the model missed figures of other works: constants and rates are not all that
-/// can be wrong. The factor is the least by which nine in ten of the first-hand figures left out of other works, of the same group, lie
-/// within; of all energies and powers where fewer than [`LEAST_WORKS`] others have printed one of the group (split conformal prediction
-/// with works as groups, by categories, without the correction for few figures: Vovk, Gammerman and Shafer 2005, chapter 4; what the
-/// intervals then hold is counted by [`held`]). Without categories the power of an x86 core, on which five
-/// works agree to a quarter, would have the interval of the static power of cores, on which they differ eleven-fold.
-fn widen(rows: &mut [PublishedRow]) {
-    let is_time = |row: &PublishedRow| row.quantity.kind() == FigureKind::Time;
-    // By how much more an interval would have to reach out to hold its figure.
-    let missing = |row: &PublishedRow| {
-        let Predicted { low, high, .. } = row.predicted;
-        (row.published / high).max(low / row.published).max(1.0)
-    };
-    let factors: Vec<f64> = rows
-        .iter()
-        .map(|row| {
-            let counts = |other: &&PublishedRow| other.left_out && other.first_hand && other.work != row.work;
-            let others: Vec<&PublishedRow> =
-                rows.iter().filter(counts).filter(|other| is_time(other) == is_time(row)).collect();
-            let own: Vec<&PublishedRow> =
-                others.iter().copied().filter(|other| group(other.quantity) == group(row.quantity)).collect();
-            let works: BTreeSet<&str> = own.iter().map(|other| other.work.as_str()).collect();
-            let judged = if works.len() < LEAST_WORKS { others } else { own };
-            let mut missed: Vec<f64> = judged.into_iter().map(missing).collect();
-            missed.sort_by(f64::total_cmp);
-            let held = (COVERAGE * missed.len() as f64).ceil() as usize;
-            missed.get(held.saturating_sub(1)).copied().unwrap_or(1.0)
-        })
-        .collect();
-    for (row, factor) in rows.iter_mut().zip(factors) {
-        row.predicted.low /= factor;
-        row.predicted.high *= factor;
-    }
-}
-
-/// How well predictions held.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Held {
-    /// Figures counted.
-    pub figures: usize,
-    /// Their works.
-    pub works: usize,
-    /// Median of |ratio - 1| of energies and powers.
-    pub energy_error: Option<f64>,
-    /// Of times.
-    pub time_error: Option<f64>,
-    /// Share of figures inside their intervals.
-    pub inside: f64,
-    /// Median of how far an interval reaches to its farther side, as a factor.
-    pub width: f64,
-    /// Figures that are off by more than 2.5 times.
-    pub far: usize,
-}
-
-/// How well predictions held of first-hand figures, with their works left out or by all evidence; `None` without any.
+/// The median factor of each work's figures of some kinds, its authors' findings left out.
 #[must_use]
-pub fn held(rows: &[PublishedRow], left_out: bool) -> Option<Held> {
-    let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out == left_out && row.first_hand).collect();
-    let error = |time: bool| {
-        let own = counted.iter().filter(|row| (row.quantity.kind() == FigureKind::Time) == time);
-        median(own.map(|row| (row.ratio() - 1.0).abs()).collect())
-    };
-    let within = |row: &&&PublishedRow| (row.predicted.low..=row.predicted.high).contains(&row.published);
-    let width =
-        |row: &&PublishedRow| (row.predicted.high / row.predicted.value).max(row.predicted.value / row.predicted.low);
-    Some(Held {
-        figures: counted.len(),
-        works: counted.iter().map(|row| &row.work).collect::<BTreeSet<_>>().len(),
-        energy_error: error(false),
-        time_error: error(true),
-        inside: counted.iter().filter(within).count() as f64 / counted.len().max(1) as f64,
-        width: median(counted.iter().map(width).collect())?,
-        far: counted.iter().filter(|row| !(0.4..=2.5).contains(&row.ratio())).count(),
-    })
+pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64> {
+    let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    let counted = |row: &&PublishedRow| row.left_out;
+    for row in rows.iter().filter(counted).filter(|row| (row.quantity.kind() == FigureKind::Time) == time) {
+        by_work.entry(&row.work).or_default().push(row.factor());
+    }
+    by_work.into_iter().filter_map(|(work, factors)| Some((work, middle(factors)?))).collect()
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    match values.len() % 2 {
-        1 => Some(values[middle]),
-        _ => Some((values.get(middle.checked_sub(1)?)? + values.get(middle)?) / 2.0),
-    }
+/// The geometric mean.
+#[must_use]
+pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
+    let count = factors.len();
+    (count > 0).then(|| (factors.map(f64::ln).sum::<f64>() / count as f64).exp())
+}
+
+fn middle(factors: Vec<f64>) -> Option<f64> {
+    crate::desc::target::constants::median(factors)
+}
+
+/// How far predictions of each class were off: at the finite-sample rank of the works' largest errors, as split conformal
+/// prediction with works as groups has it (Vovk, Gammerman and Shafer 2005, chapter 4).
+#[must_use]
+pub fn class_errors(rows: &[PublishedRow]) -> Vec<ClassError> {
+    let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out).collect();
+    let step = |row: &PublishedRow| {
+        let same = |other: &&&PublishedRow| other.workload == row.workload && other.quantity == Quantity::StepTime;
+        counted.iter().find(same).map(|step| step.predicted / step.published)
+    };
+    let of_class = |class: FigureClass| {
+        let mut worst: BTreeMap<&str, f64> = BTreeMap::new();
+        for row in &counted {
+            let ratio = row.predicted / row.published;
+            let ratio = match class {
+                // The energy of a step is the power of the cores times its time.
+                FigureClass::CoreEnergy if row.quantity == Quantity::CoreDynamicPower => {
+                    step(row).map(|time| ratio * time)
+                }
+                _ => (row.quantity.class() == Some(class)).then_some(ratio),
+            };
+            if let Some(ratio) = ratio {
+                let most = worst.entry(&row.work).or_insert(1.0);
+                *most = most.max(ratio).max(1.0 / ratio);
+            }
+        }
+        let mut sorted: Vec<f64> = worst.into_values().collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |level: f64| sorted.get(((sorted.len() + 1) as f64 * level).ceil() as usize - 1).copied();
+        let rounded = |factor: f64| (factor * 100.0).ceil() / 100.0;
+        Some(ClassError {
+            class,
+            works: sorted.len() as u32,
+            within_80: rounded(at(0.8)?),
+            within_90: at(0.9).map(rounded),
+        })
+    };
+    FigureClass::ALL.into_iter().filter_map(of_class).collect()
 }

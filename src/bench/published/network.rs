@@ -11,20 +11,21 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::bench::networks::BuildError;
+use crate::compile::frontend::relays::{one_to_one, relay};
 use crate::desc::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use crate::ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Units};
 use crate::ir::spikes::Sample;
 
-/// Steps before anything is counted: the slowest bias has brought most compartments to their first spike by then.
-pub const WARM_UP: u32 = 128;
 /// Steps that are counted.
 pub const COUNTED: u32 = 128;
+/// Steps before anything is counted at most.
+const MOST_WARM_UP: u32 = 4_096;
 
 /// Which end of the range of each rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RateEnd {
+pub enum Rates {
     /// The rates themselves.
     Value,
     /// The least.
@@ -33,23 +34,28 @@ pub enum RateEnd {
     High,
 }
 
-impl RateEnd {
+impl Rates {
     /// The value of a range at this end.
     #[must_use]
     pub fn of_range(self, rate: Between) -> f64 {
         match self {
-            RateEnd::Value => rate.value,
-            RateEnd::Low => rate.low,
-            RateEnd::High => rate.high,
+            Rates::Value => rate.value,
+            Rates::Low => rate.low,
+            Rates::High => rate.high,
         }
     }
 }
 
+/// Steps before anything is counted: twice as many as the slowest compartment waits for its first spike.
+#[must_use]
+pub fn warm_up(file: &WorkloadFile, rates: Rates) -> u32 {
+    let layers = file.populations.iter().filter(|population| matches!(population, WorkloadPopulation::Layer { .. }));
+    let rates = layers.filter_map(|layer| Some(rates.of_range(layer.parts().2?))).filter(|&rate| rate > 0.0);
+    rates.map(|rate| (2.0 / rate).ceil() as u32).max().unwrap_or(0).clamp(COUNTED, MOST_WARM_UP)
+}
+
 /// Threshold mantissa of every compartment: a threshold of 1,280,000, far above what weights of 2 sum up to.
 const THRESHOLD: i64 = 20_000;
-
-/// A weight by which one spike makes a relay spike: 254 * 64 is above its threshold of 64.
-const RELAY_WEIGHT: i16 = 254;
 
 /// A bias that makes a compartment fire once in `1 / rate` steps, in mantissa and exponent.
 fn bias(rate: f64) -> Result<(BiasMantissa, BiasExponent), BuildError> {
@@ -57,11 +63,6 @@ fn bias(rate: f64) -> Result<(BiasMantissa, BiasExponent), BuildError> {
     let exponent = (0..7).find(|exponent| wanted / f64::from(1u32 << exponent) <= 4_095.0).unwrap_or(7);
     let mantissa = (wanted / f64::from(1u32 << exponent)).round().min(4_095.0);
     Ok((BiasMantissa::new(mantissa as i64)?, BiasExponent::new(exponent)?))
-}
-
-/// Compartments that spike in the step after their input's, and are at rest otherwise.
-fn relays() -> Result<PerCompartment<Neuron>, BuildError> {
-    Ok(PerCompartment::Same(Neuron { vth: ThresholdMantissa::new(1)?, ..Neuron::PLAIN }))
 }
 
 fn neurons(units: u32, rate: f64, seed: u64) -> Result<PerCompartment<Neuron>, BuildError> {
@@ -98,8 +99,9 @@ fn local(sources: u32, targets: u32, fan_out: u32, reach: u32, seed: u64) -> Con
 ///
 /// # Errors
 /// [`BuildError`] where the shapes of a convolution do not fit each other.
-pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), BuildError> {
+pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), BuildError> {
     let mut parts = Parts::empty(&file.name);
+    let all_steps = warm_up(file, end) + COUNTED;
     let (mut channels, mut compartments, mut input) = (0u32, 0u32, Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
         let (name, sides, rate) = population.parts();
@@ -114,7 +116,7 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
                 channels += units;
                 let spikes = |channel: u32, step: u32| rng::unit(13, u64::from(channel), u64::from(step)) < own_rate;
                 for channel in first..channels {
-                    let steps = (0..WARM_UP + COUNTED).filter(|&step| spikes(channel, step));
+                    let steps = (0..all_steps).filter(|&step| spikes(channel, step));
                     input.extend(steps.map(|step| (step, ChannelId(channel))));
                 }
                 Units::Input(ChannelId(first))
@@ -123,7 +125,11 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
                 let first = CompartmentId(compartments);
                 compartments += units;
                 // A relay has no rate: its input makes it spike.
-                let neurons = if rate.is_some() { neurons(units, own_rate, index as u64)? } else { relays()? };
+                let neurons = if rate.is_some() {
+                    neurons(units, own_rate, index as u64)?
+                } else {
+                    PerCompartment::Same(relay()?)
+                };
                 Units::Compartments { first, neurons, start_step: 0 }
             }
         };
@@ -171,17 +177,13 @@ pub fn build(file: &WorkloadFile, end: RateEnd) -> Result<(Quantised, Sample), B
     for population in &file.populations {
         if let WorkloadPopulation::Relay { name, of, shape } = population {
             let units: u32 = shape.iter().product();
-            let connectivity = Connectivity::Sparse {
-                first: (0..=u64::from(units)).collect::<Vec<_>>().into(),
-                targets: (0..units).collect::<Vec<_>>().into(),
-                weights: vec![RELAY_WEIGHT; units as usize].into(),
-            };
+            let connectivity = one_to_one(units);
             let (source, target, name) = (place(of), place(name), format!("{of} -> {name}"));
             parts.projections.push(Projection { name, source, target, format, delay: Delay::new(0)?, connectivity });
         }
     }
     let network = Quantised::new(parts)?;
-    let sample = Sample::new(WARM_UP + COUNTED, &input, None)?;
+    let sample = Sample::new(all_steps, &input, None)?;
     Ok((network, sample))
 }
 
@@ -197,15 +199,16 @@ mod tests {
         for file in
             workload::shipped().unwrap().iter().filter(|file| ["braille", "nxtf-mnist"].contains(&file.name.as_str()))
         {
-            let (network, sample) = build(file, RateEnd::Value).unwrap();
+            let (network, sample) = build(file, Rates::Value).unwrap();
             let mut engine = Golden::new(&network);
-            engine.begin(WARM_UP + COUNTED);
+            let before_steps = warm_up(file, Rates::Value);
+            engine.begin(before_steps + COUNTED);
             let mut run = |from: u32, to: u32| {
                 (from..to).for_each(|step| engine.step(sample.at(step)));
                 engine.totals().spikes
             };
-            let before = run(0, WARM_UP);
-            let spikes = (run(WARM_UP, WARM_UP + COUNTED) - before) as f64;
+            let before = run(0, before_steps);
+            let spikes = (run(before_steps, before_steps + COUNTED) - before) as f64;
             let layers = file.populations.iter().filter(|p| matches!(p, WorkloadPopulation::Layer { .. }));
             let expected: f64 = layers
                 .map(|p| f64::from(p.parts().1.iter().product::<u32>()) * p.parts().2.unwrap().value)

@@ -13,8 +13,8 @@ use crate::cli::process::ranks;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::parcel::Opened;
 use crate::compile::{
-    self, CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Placed, Reason, explore, kept,
-    mapping_file,
+    self, CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Mapping, Options, Placed, Reason, explore,
+    kept, mapping_file,
 };
 use crate::convert::copies;
 use crate::convert::prepare::{has_srm, integers};
@@ -52,6 +52,9 @@ pub struct JobArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub copies: CopiesArgs,
+    /// Where copies of the model are mapped.
+    #[arg(skip)]
+    pub placement: CopyPlacement,
 }
 
 impl JobArgs {
@@ -61,7 +64,8 @@ impl JobArgs {
         let target = "nahuku-32".to_string();
         let prune = PruneArgs { prune: Vec::new() };
         let copies = CopiesArgs { delayed_copies: copies::USUAL as u32 };
-        JobArgs { model: model.to_string(), target, mapping: None, relays: false, prune, copies }
+        let placement = CopyPlacement::default();
+        JobArgs { model: model.to_string(), target, mapping: None, relays: false, prune, copies, placement }
     }
 
     /// An error about the saved mapping, with its file and what to do.
@@ -261,7 +265,8 @@ fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&
     let target = io::target::load_target(&args.target)?;
     let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let copies = copies.or(mapping.as_ref().map(|file| file.copies)).unwrap_or(1);
-    let options = Options { copies, share: ranks::share(), ..Options::default() };
+    let (placement, share) = (args.placement, ranks::share());
+    let options = Options { copies, placement, share, ..Options::default() };
     if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
         // Copies share nothing, so one of them is the whole of what a run shows.
         tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);

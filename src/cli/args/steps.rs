@@ -38,7 +38,7 @@ pub fn recorded(
     (path, batch): (&Path, &mut Batch),
     network: &Quantised,
     metered: &Metered<'_>,
-    (settings, cores_powered): (MeterSettings, u64),
+    settings: MeterSettings,
     samples: &[&Sample],
     running: Running<'_>,
 ) -> Result<Run<StepMeter>, Error> {
@@ -49,7 +49,7 @@ pub fn recorded(
         return Err(Error::Usage(format!("--steps {}: {message}", path.display())));
     }
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
-    let layout = StepLayout::new(network, cores_powered);
+    let layout = StepLayout::new(network);
     if ranks::several().is_some_and(|ranks| ranks.rank() > 0) {
         // Rank 0 hears of all steps; the others take part in its groups of samples.
         let mut nowhere = std::io::sink();

@@ -13,7 +13,7 @@ use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use crate::cost::baseline::{Baseline, SHIPPED, Work};
 use crate::cost::estimate::{Case, estimate};
-use crate::cost::{CostTable, Deployment, MeterSettings, Transport};
+use crate::cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use crate::energy::options::Watts;
 use crate::error::Error;
 use crate::report::bench::batch::BatchReport;
@@ -72,7 +72,8 @@ fn on_chip(args: &BatchArgs, job: &Job, context: Context) -> Result<OnChip, Erro
     let steps = whole(workload.steps_per_sample())?;
     let copies = workload.compiled.options.copies;
     let table = CostTable::new(&workload.target.constants()[0])?;
-    let deployment = Deployment::from_placement("packed", &workload.compiled.placement, workload.target.chip(), copies);
+    let (placement, target) = (&workload.compiled.placement, workload.target);
+    let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
     let settings: MeterSettings = workload.metered(vec![table], &deployment, Transport::default());
     let run = simulate(&workload, settings, None, true, context)?;
     let timestep_ms = workload.compiled.one.parts().timestep_ms;

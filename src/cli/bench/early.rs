@@ -9,7 +9,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use crate::cost::estimate::{Case, spent_by_step_uj};
-use crate::cost::{CostTable, Deployment, MeterSettings, Transport};
+use crate::cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::energy::workload::Workload;
 use crate::error::Error;
@@ -88,8 +88,9 @@ fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) ->
 /// [`Error`] for samples of several lengths or without labels.
 pub(super) fn timed(workload: &Workload<'_>, realtime: bool, context: Context) -> Result<Trial, Error> {
     let table = CostTable::new(&workload.target.constants()[0])?;
-    let (placement, chip) = (&workload.compiled.placement, workload.target.chip());
-    let deployment = Deployment::from_placement("packed", placement, chip, workload.copies);
+    let placement = &workload.compiled.placement;
+    let work = HostWork::for_target(workload.target);
+    let deployment = Deployment::from_placement("mapped", placement, workload.target, workload.copies, work);
     let metered = workload.metered(vec![table], &deployment, Transport::default());
     let run = simulate(workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {

@@ -6,19 +6,19 @@ use crate::bench::published::predict::PredictError;
 use crate::bench::published::rows;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cost::evidence::preset;
-use crate::desc::published::workload::Accounting;
 use crate::error::Error;
 use crate::io;
-use crate::io::published::{evidence, workload};
+use crate::io::published::workload;
 use crate::report::bench::published::PublishedReport;
+
+/// The constants whose findings are left out work by work.
+const CONSTANTS: &str = "loihi1-evidence";
 
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench published                            every published figure, predicted with and without its own work
   nsim bench published --only vt-snn              of one work
   nsim bench published --plot published.pdf       published against predicted, with intervals
-  nsim bench published --preset constants.ron     the median of the evidence, to be edited and used
   nsim bench published --format csv > rows.csv    a row a figure";
 
 /// Energies, powers and times that others measured on the chip, beside what nsim predicts for their workloads: once by all that
@@ -32,9 +32,6 @@ pub struct PublishedArgs {
     /// Write a chart of published against predicted figures
     #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
     plot: Option<PathBuf>,
-    /// Write the preset that all evidence comes to: the median of the findings of each constant
-    #[arg(long, value_name = "FILE.ron")]
-    preset: Option<PathBuf>,
 }
 
 impl From<PredictError> for Error {
@@ -51,13 +48,11 @@ impl From<PredictError> for Error {
 /// # Errors
 /// [`Error`] when no workload has the name, or the chart cannot be written.
 pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
-    let taken = output::check_files(&args.preset, &args.plot, context)?;
-    let evidence = evidence::shipped()?;
-    let base = io::target::load_constants(&evidence.base.value)?;
+    let taken = output::check_files(None, &args.plot, context)?;
+    let constants = io::target::load_constants(CONSTANTS)?;
     let workloads = workload::shipped()?;
-    // Intervals follow from how far other works were missed: all are predicted whatever is shown.
     let mut rows = output::with_progress(context, workloads.len(), "workloads", |done| {
-        rows(&workloads, &evidence, &base, |name| Ok(io::target::load_target(name)?), done)
+        rows(&workloads, &constants, |name| Ok(io::target::load_target(name)?), done)
     })?;
     if let Some(only) = &args.only {
         let only = only.to_lowercase();
@@ -69,17 +64,9 @@ pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
         }
     }
     let report = PublishedReport { rows: &rows };
-    let mut batch = io::write::Batch::new(context.force);
     if let Some(path) = &args.plot {
-        let picture = output::picture_bytes(path, &report.svg())?;
-        batch.add(path, |out| out.write_all(&picture))?;
+        output::write_picture(path, &report.svg(), context)?;
     }
-    if let Some(path) = &args.preset {
-        let constants = preset(&evidence, &base, Accounting::Profiler);
-        let text = io::target::constants_text(&constants, "Written by: nsim bench published --preset FILE");
-        batch.add(path, |out| out.write_all(text.as_bytes()))?;
-    }
-    batch.commit()?;
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     }

@@ -7,28 +7,29 @@ use clap::Args;
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::{Switch, one_of};
-use crate::cost::Transport;
+use crate::cost::{Host, Streams, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::Convention;
 use crate::desc::published::workload::Accounting;
 use crate::drive::decision::Rule;
-use crate::energy::options::{DeploymentArg, HostArg, Watts};
+use crate::energy::options::Watts;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim energy                                     the default model with the copies of its scenario, packed
+  nsim energy                                     the default model, one copy on one chip
   nsim energy --full                              with parts, intervals, sources and notes
-  nsim energy --deployment paper --mode realtime  with the published numbers of cores, held to 1 ms steps
+  nsim energy --deployment paper --mode realtime  the measured job of the model, held to 1 ms steps
+  nsim energy --copies 32 --deployment packed     32 copies on as few cores as they fit
+  nsim energy --accounting rails                  what a power meter on the board shows
   nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
   nsim energy --early-exit certain                what ending decided samples would save
-  nsim energy --constants davies2018 --baseline   the other preset, and no baseline
+  nsim energy --constants davies2018 --baseline   other constants, and no baseline
+  nsim energy --set constants.injection_time=0.4us  one constant changed
   nsim energy --transport analytic                no queues: the longest route and the busiest link
-  nsim energy --host none                         the chips alone, without what hands spikes over
+  nsim energy --host none                         the neuron cores alone, without x86 cores
   nsim energy --steps steps.csv                   a row a timestep: where spikes, time and energy go
-  nsim energy --plot energy.pdf                   a chart of where the energy goes
-  nsim energy --copies 1 --export-sanafe DIR      the same program for SANA-FE
-  nsim energy --calibrate vtsnn-offline -o my.ron fit constants to a table, then use them: --constants my.ron
-  nsim energy --calibrate vtsnn-realtime          a table that names nothing to fit is only compared
+  nsim energy --plot energy.pdf                   power, time and energy of all hardware side by side
+  nsim energy --export-sanafe DIR                 the same program for SANA-FE
   nsim energy slip-tactile --input tactile=recording.npy --format json";
 
 /// What is run, on what, and how it is priced: what `nsim energy` and `nsim report` have in common.
@@ -40,25 +41,33 @@ pub struct CostArgs {
     /// What the network is shown.
     #[command(flatten)]
     pub input: InputArgs,
-    /// Copies of the model on the target; figures are of one [default: those of --mapping, else those
-    /// of the scenario that ships for the model, else 1]
+    /// Copies of the model on the target; figures are of one [default: those of --mapping, else 1; those of the
+    /// measured job with --deployment paper]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// Numbers of cores used and powered: of this mapping, of the scenario that ships for the model, or of the file of a
-    /// saved mapping or a scenario
-    #[arg(help_heading = "Cost model", long, value_name = "packed|paper|FILE", default_value = "packed")]
-    pub deployment: DeploymentArg,
-    /// What hands spikes over and takes them back: the x86 core of each chip in use, or nothing, for the chips alone
-    #[arg(help_heading = "Cost model", long, default_value = "board", value_parser = one_of(&HostArg::ALL, HostArg::name))]
-    pub host: HostArg,
+    /// Where copies are: each on chips of its own and then more on each chip (spread), or on as few cores as they fit
+    /// (packed); as in the measured job of the model (paper); numbers of cores, chips and x86 cores; or the file of a
+    /// saved mapping or a scenario [default: spread]
+    #[arg(help_heading = "Cost model", long, value_name = "spread|packed|paper|FILE|CORES,CHIPS,X86")]
+    pub deployment: Option<String>,
+    /// Where input spikes come from: a computer through an x86 core of each chip, that x86 core's memory, or nothing,
+    /// for the neuron cores alone [default: stream where the chip has x86 cores]
+    #[arg(help_heading = "Cost model", long, value_parser = one_of(&Host::ALL, Host::name))]
+    pub host: Option<Host>,
+    /// Input streams of a chip: one that its copies share, or one for each copy
+    #[arg(help_heading = "Cost model", long, default_value = "one", value_parser = one_of(&Streams::ALL, Streams::name))]
+    pub streams: Streams,
+    /// Words of 32 bits of each core that an x86 core sets to zero after a sample, such as 10496
+    #[arg(help_heading = "Cost model", long, value_name = "WORDS", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=1 << 20))]
+    pub reset_words: u64,
     /// As fast as possible, or held to the model's timestep
     #[arg(help_heading = "Cost model", long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
     pub mode: Mode,
     /// Energy as power x latency, or as the VT-SNN paper computes it
     #[arg(help_heading = "Cost model", long, default_value = "physical", value_parser = one_of(&Convention::ALL, Convention::name))]
     pub convention: Convention,
-    /// Other hardware to compare with: cpu (measured here), or a name of mapping/baselines; all when left out, none when
-    /// given without a name
+    /// Other hardware to compare with: cpu (measured here), a GPU measured for this model, or gpu-roofline (modelled from
+    /// its peak rates); the first two when left out, none when given without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
     /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
@@ -71,8 +80,7 @@ pub struct CostArgs {
     /// Preset of constants: of those that the target names (its first when left out), or a file
     #[arg(help_heading = "Cost model", long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
-    /// Which measurements the evidence for constants counts, where it has both: what NxSDK's profiler attributes, or what a
-    /// board's rails draw above idle
+    /// Which power counts: what Intel's profiler attributes to the job, or what a meter shows of the whole board
     #[arg(help_heading = "Cost model", long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
     pub accounting: Accounting,
     /// How long messages take: every message through finite buffers, or the longest route and the busiest link
@@ -93,7 +101,7 @@ pub struct EnergyArgs {
     /// What is run and priced.
     #[command(flatten)]
     pub cost: CostArgs,
-    /// A chart of where the energy goes
+    /// A chart of power, time and energy of all hardware
     #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
     pub plot: Option<PathBuf>,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part
@@ -102,12 +110,6 @@ pub struct EnergyArgs {
     /// The mapped program, its chip and the first sample as files for SANA-FE
     #[arg(long, value_name = "DIR")]
     pub export_sanafe: Option<PathBuf>,
-    /// Fit the constants that tables of measurements name to all of their cells, instead of a report; -o takes the preset
-    #[arg(long, value_name = "TABLE", num_args = 1..)]
-    pub calibrate: Vec<String>,
-    /// The file that --calibrate writes
-    #[arg(short, long, value_name = "FILE", requires = "calibrate")]
-    pub output: Option<PathBuf>,
     /// Print the whole report, not its headline: parts, intervals, comparisons, sources, notes
     #[arg(long)]
     pub full: bool,

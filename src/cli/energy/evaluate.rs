@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::args::CostArgs;
-use super::workload::{simulate, simulate_recorded, workload};
+use super::workload::{simulate, simulate_recorded, workload, workload_of};
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
@@ -28,30 +28,42 @@ pub fn evaluate(
 ) -> Result<Answer, Error> {
     ranks::price();
     let options = options(args)?;
-    let plan = Plan::new(&args.job.model, &args.deployment)?;
-    let copies = args.copies.or(plan.copies().filter(|_| args.job.mapping.is_none()));
-    let job = match jobs::prepare_probed(&args.job, Wanted::Mapped, copies, &[])? {
+    let plan = Plan::new(&args.job.model, args.deployment.as_deref(), args.copies)?;
+    if args.job.mapping.is_some() {
+        plan.of_mapping()?;
+    }
+    let copies = plan.mapped_copies();
+    let mapped_as = JobArgs { placement: plan.placement(), ..args.job.clone() };
+    let job = match jobs::prepare_probed(&mapped_as, Wanted::Mapped, copies, &[])? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
             let copies = copies.unwrap_or(1);
             return refusal.say(nothing(copies, args.mode, args.convention), context);
         }
     };
-    let workload = workload(&job, &args.input)?;
-    let alone = match options.baselines.cpu && workload.copies > 1 {
+    // The network of a published job is mapped as that was.
+    let of_job = match job.mapped() {
+        Some((compiled, target)) => plan.job_mapped(compiled, target)?.map(|compiled| (compiled, target)),
+        None => None,
+    };
+    let workload = match &of_job {
+        Some((compiled, target)) => workload_of((compiled, target), &job, &args.input)?,
+        None => workload(&job, &args.input)?,
+    };
+    let alone = match options.baselines.cpu && (workload.copies > 1 || of_job.is_some()) {
         true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, 1)?),
         false => None,
     };
     let alone = match &alone {
-        None => Some(&workload.compiled.program),
-        Some(Prepared::Ready(job)) => job.program(),
+        None => Some((&workload.compiled.one, &workload.compiled.program)),
+        Some(Prepared::Ready(job)) => job.mapped().map(|(compiled, _)| (&compiled.one, &compiled.program)),
         Some(Prepared::DoesNotFit(_)) => None,
     };
     let skip = args.skip == Switch::On;
     let mut evaluated = evaluate::evaluate(&plan, &workload, &options, alone, |metered, watched| match steps {
         Some(steps) => simulate_recorded(&workload, metered, watched, skip, steps, context),
         None => {
-            let run = simulate(&workload, metered.0, watched, skip, context)?;
+            let run = simulate(&workload, metered, watched, skip, context)?;
             ranks::leave_to_first();
             Ok(run)
         }
@@ -65,6 +77,8 @@ pub fn evaluate(
 fn options(args: &CostArgs) -> Result<CostOptions, Error> {
     Ok(CostOptions {
         host: args.host,
+        streams: args.streams,
+        reset_words: args.reset_words,
         mode: args.mode,
         convention: args.convention,
         baselines: baselines(args.baseline.as_deref())?,

@@ -8,7 +8,9 @@ use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::cli::process::ranks;
+use crate::compile::Compiled;
 use crate::cost::{MeterSettings, StepMeter};
+use crate::desc::target::Target;
 use crate::drive::decision::EarlyExit;
 use crate::drive::samples::{Run, Running};
 use crate::drive::{Keep, inputs};
@@ -25,6 +27,18 @@ pub fn workload<'j>(job: &'j Job, input: &InputArgs) -> Result<Workload<'j>, Err
     let Some((compiled, target)) = job.mapped() else {
         return Err(Error::Fault("energy needs a mapped job".to_string()));
     };
+    workload_of((compiled, target), job, input)
+}
+
+/// The same of another mapping of the job's network.
+///
+/// # Errors
+/// As [`workload`].
+pub fn workload_of<'j>(
+    (compiled, target): (&'j Compiled, &'j Target),
+    job: &Job,
+    input: &InputArgs,
+) -> Result<Workload<'j>, Error> {
     let stimulus = inputs::stimulus(&compiled.one, &input.sources()?, job.scene(), input.seed)?;
     let order = select_numbers(stimulus.samples.len(), input)?;
     let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
@@ -48,13 +62,13 @@ pub fn simulate(
     })
 }
 
-/// The same with a row for each timestep in a file, which so many powered cores pay for.
+/// The same with a row for each timestep in a file.
 ///
 /// # Errors
 /// As [`simulate`]; when the file cannot be written.
 pub fn simulate_recorded(
     workload: &Workload<'_>,
-    (settings, cores_powered): (MeterSettings, u64),
+    settings: MeterSettings,
     early_exit: Option<EarlyExit>,
     skip: bool,
     steps: &Path,
@@ -66,8 +80,8 @@ pub fn simulate_recorded(
     let run = output::with_progress(context, samples.len(), "samples", |progress| {
         let running =
             Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks: ranks::several() };
-        let (network, priced) = (&workload.compiled.one, (settings, cores_powered));
-        recorded((steps, &mut batch), network, workload.meter(), priced, &samples, running)
+        let network = &workload.compiled.one;
+        recorded((steps, &mut batch), network, workload.meter(), settings, &samples, running)
     })?;
     ranks::leave_to_first();
     batch.commit()?;

@@ -27,7 +27,7 @@ fn constants_table(presets: &[Constants]) -> FindingsTable {
     let mut rows = Vec::new();
     for preset in presets {
         let mut add = |name: String, constant: &Constant| {
-            let Constant { value, unit, status, source } = constant;
+            let Constant { value, unit, status, source, findings: _ } = constant;
             rows.push(json!([preset.name, name, value.value, unit, status, source]));
         };
         for (name, constant) in preset.list() {
@@ -46,7 +46,7 @@ fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {
         ("cores_per_tile", json!(chip.cores_per_tile)),
         ("cores_per_chip", json!(chip.cores)),
         ("x86_cores_per_chip", json!(chip.x86_cores)),
-        ("power_unit", json!(chip.power_unit)),
+        ("x86_cores_in_use", json!(chip.x86_cores_in_use)),
         ("chip_notes", json!(chip.notes)),
     ]
 }
@@ -85,11 +85,8 @@ pub(super) fn scenario_findings(scenario: &ScenarioFile) -> Findings {
             ("target", json!(scenario.target)),
             ("copies", json!(scenario.copies.value)),
             ("cores_used", json!(cores.cores_used)),
-            ("cores_powered", json!(cores.cores_powered)),
-            ("tiles_used", json!(cores.tiles_used)),
             ("chips_used", json!(cores.chips_used)),
             ("x86_cores", json!(cores.x86_cores)),
-            ("convention", json!(scenario.convention)),
             ("measured", json!(measured)),
             ("source", json!(scenario.source)),
             ("notes", json!(scenario.notes)),

@@ -201,8 +201,8 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     };
     let metered = Metered::new(workload.compiled);
     let drawn = |ids: &[CompartmentId]| {
-        let (settings, deployment) = metered.offline(workload.target)?;
-        workload.timeline((settings, deployment.cores_powered), sample, ids)
+        let (settings, _) = metered.offline(workload.target)?;
+        workload.timeline(settings, sample, ids)
     };
     let number = cost.input.samples.as_ref().map_or(0, |range| range.0.start);
     let label = sample.label().map_or(String::new(), |label| {

@@ -11,7 +11,7 @@ use crate::base::rng;
 use crate::compile::explore::cost_estimate::first_constants;
 use crate::compile::partition::box_fan_out::{PopulationRates, everywhere, only};
 use crate::compile::resources::fan_in::first_source;
-use crate::cost::deployment::Deployment;
+use crate::cost::deployment::{Deployment, HostWork};
 use crate::cost::transport::{MessageRoutes, QueueMemory, Transport};
 use crate::desc::target::Target;
 use crate::ir::activity::StepActivity;
@@ -66,7 +66,7 @@ pub fn followed_us(
     chance: f64,
 ) -> Result<f64, Diagnostic> {
     let tables = [first_constants(target)?];
-    let deployment = Deployment::from_placement("packed", placement, target.chip(), copies);
+    let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
     let mut step = StepActivity::new(program.cores().len());
     for (counts, image) in step.cores.as_mut_slice().iter_mut().zip(program.cores()) {
         let compartments = image.compartments.len() as u64;
@@ -74,7 +74,7 @@ pub fn followed_us(
     }
     let spikes = |&id: &u32| rng::unit(SEED, id.into(), 0) < chance;
     step.fired = (0..program.compartments()).filter(spikes).map(CompartmentId).collect();
-    let timing = deployment.timing(Transport::Queued);
+    let timing = deployment.timing(Transport::Queued, copies);
     let times = MessageRoutes::of_program(program).step_times(&step, &tables, timing, &mut QueueMemory::default());
     Ok(times.iter().map(|time| time.total().microseconds()).sum())
 }

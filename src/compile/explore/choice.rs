@@ -192,15 +192,7 @@ mod tests {
     fn taken(host_us: f64, others: &[(u32, f64, f64)]) -> Option<u32> {
         let made = |(divisor, on_chip, followed): (u32, f64, f64)| {
             let step_us = on_chip + host_us;
-            let score = Score {
-                cores: 1,
-                cores_powered: 1,
-                energy_uj: 1.0,
-                chip_energy_uj: 1.0,
-                step_us,
-                host_us,
-                static_mw: 1.0,
-            };
+            let score = Score { cores: 1, energy_uj: 1.0, chip_energy_uj: 1.0, step_us, host_us, static_mw: 1.0 };
             let candidate = Candidate { strategy: Strategy::Multilevel, divisor, placed: true };
             Made { found: Found { candidate, score }, kept: (divisor, score, followed) }
         };

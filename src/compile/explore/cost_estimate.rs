@@ -17,8 +17,10 @@ use crate::base::units::Picoseconds;
 use crate::compile::explore::traffic::{Traffic, parts, traffic};
 use crate::compile::options::Objective;
 use crate::cost::constants::CostTable;
-use crate::cost::deployment::Deployment;
+use crate::cost::deployment::{Deployment, HostWork};
+use crate::cost::estimate::job_power;
 use crate::cost::model::{core_time, route_time, step_energy};
+use crate::cost::transport::Transport;
 use crate::desc::target::Target;
 use crate::ir::activity::{CoreCounts, StepActivity};
 use crate::ir::firing_rates::{Rates, UNIT};
@@ -30,9 +32,7 @@ use crate::ir::program::{AxonTarget, Program};
 pub struct Score {
     /// Cores in use.
     pub cores: u64,
-    /// Cores that draw static power: all of a tile in use, where power comes in tiles.
-    pub cores_powered: u64,
-    /// Energy of a mean step in microjoules: events, powered cores, and x86 cores in use.
+    /// Energy of a mean step in microjoules: events, static power of cores, and x86 cores in use.
     pub energy_uj: f64,
     /// The same without x86 cores.
     pub chip_energy_uj: f64,
@@ -41,7 +41,7 @@ pub struct Score {
     /// Of it, that in which the host injects: no mapping changes it but by its chips.
     #[serde(skip)]
     pub host_us: f64,
-    /// Static power of the powered cores in milliwatts.
+    /// Static power of the cores in use in milliwatts.
     pub static_mw: f64,
 }
 
@@ -71,32 +71,30 @@ pub fn score_of(
     copies: u32,
 ) -> Result<Score, Diagnostic> {
     let table = first_constants(target)?;
-    let deployment = Deployment::from_placement("packed", placement, target.chip(), copies);
+    let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
+    let timing = deployment.timing(Transport::Analytic, copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
-    // Turns are of one step, spikes of as many as rates count.
-    let turn = deployment.host.map_or(Picoseconds(0), |host| host.injection(0, &table));
-    let injection = deployment.host.map_or(turn, |host| host.injection(activity.spikes_in, &table)).microseconds()
-        - turn.microseconds();
-    let once = [route_time(activity.longest, &table), table.barrier(deployment.tiles_used), turn];
-    let fixed: f64 = once.map(Picoseconds::microseconds).iter().sum();
+    // Turn and barrier are of one step, spikes of as many as rates count.
+    let once = timing.host_and_barrier(0, &table);
+    let injection = timing.host_and_barrier(activity.spikes_in, &table).injection.microseconds();
+    let route = route_time(activity.longest, &table);
+    let fixed: f64 = [route, once.barrier, once.turn].map(Picoseconds::microseconds).iter().sum();
     // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
     let wait = (traffic.max_link_load * table.link_time.microseconds())
         .max(traffic.max_chip_link_load * table.link_chip_time.microseconds());
     let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
-    let events = step_energy(activity, &table, 0).total().microjoules() / UNIT;
-    let powered = (table.core_step_energy * deployment.cores_powered).microjoules();
-    let static_mw = table.core_static_power.milliwatts() * deployment.cores_powered as f64;
-    let x86_mw = table.x86_static_power.milliwatts() + table.x86_busy_power.milliwatts();
+    let events = step_energy(activity, &table).total().microjoules() / UNIT;
+    let power = job_power(&table, &deployment, 0.0, 0, 0);
+    let x86_mw = power.x86_static + power.x86_dynamic().unwrap_or(0.0);
     // Milliwatts times microseconds are nanojoules.
-    let chip_energy_uj = events + powered + static_mw * step_us * 1e-3;
+    let chip_energy_uj = events + power.core_static * step_us * 1e-3;
     Ok(Score {
         cores: deployment.cores_used,
-        cores_powered: deployment.cores_powered,
-        energy_uj: chip_energy_uj + x86_mw * deployment.x86_cores() as f64 * step_us * 1e-3,
+        energy_uj: chip_energy_uj + x86_mw * step_us * 1e-3,
         chip_energy_uj,
         step_us,
-        host_us: injection / UNIT + turn.microseconds(),
-        static_mw,
+        host_us: injection / UNIT + once.turn.microseconds(),
+        static_mw: power.core_static,
     })
 }
 
@@ -220,7 +218,7 @@ impl Score {
     /// Which of two is better for an objective; ties fall to the other measures.
     #[must_use]
     pub fn better(&self, other: &Score, objective: Objective) -> Ordering {
-        let cores = self.cores.cmp(&other.cores).then(self.cores_powered.cmp(&other.cores_powered));
+        let cores = self.cores.cmp(&other.cores);
         let energy = self.energy_uj.total_cmp(&other.energy_uj);
         let time = self.step_us.total_cmp(&other.step_us);
         match objective {

@@ -21,6 +21,7 @@ use crate::compile::mapping_file::file_of_boxes;
 use crate::compile::options::{Effort, Objective, Options, Strategy};
 use crate::compile::partition::box_fan_out::{PopulationRates, everywhere};
 use crate::compile::partition::boxes::{Boxes, Layers};
+use crate::compile::place::spread::spread;
 use crate::compile::reason::Reason;
 use crate::compile::stages::{Front, Unchecked};
 use crate::desc::mapping::MappingFile;
@@ -139,6 +140,13 @@ impl Bursts<Kept> for KeptBursts<'_> {
 /// [`CompileError`].
 pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Mapping> {
     let target = &*form.counted_on(front.quantised(), target);
+    let one = |front: Front, options: &Options| {
+        let mapping = map(front, target, options, rates, form)?;
+        Ok((mapping.partition.members().clone(), mapping.placement, mapping.placed))
+    };
+    if let Some(spread) = spread(&front, target, options, rates, form, one)? {
+        return spread.emit(target, options)?.check(target);
+    }
     if options.objective == Objective::Cores {
         return match options.effort {
             Effort::Work(_) => compile::map(front, target, options, rates, form),

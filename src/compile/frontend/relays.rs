@@ -27,7 +27,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::base::diagnostic::Diagnostic;
-use crate::base::fixed::{Delay, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
+use crate::base::fixed::{Delay, OutOfRange, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use crate::base::id::{CompartmentId, IdVec, PopulationId, ProjectionId};
 use crate::desc::network::Semantics;
 use crate::ir::graph::{PerCompartment, Shape};
@@ -223,8 +223,7 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     }
     let later = padded(network, &needs)?;
     let mut parts = network.parts().clone();
-    let out_of_range =
-        |error: crate::base::fixed::OutOfRange| refused(format!("the delays are too long for relays: {error}"));
+    let out_of_range = |error: OutOfRange| refused(format!("the delays are too long for relays: {error}"));
     for (population, &later) in parts.populations.iter_mut().zip(&later) {
         if let Units::Compartments { start_step, .. } = &mut population.units {
             *start_step += later;
@@ -276,9 +275,46 @@ fn relay_name(parts: &Parts, of: &str) -> String {
     name
 }
 
+/// A compartment without memory that spikes in the step in which its synapse brings a spike.
+///
+/// # Errors
+/// Never: its threshold is in range.
+pub fn relay() -> Result<Neuron, OutOfRange> {
+    Ok(Neuron { vth: ThresholdMantissa::new(1)?, ..Neuron::PLAIN })
+}
+
+/// One synapse from each unit to the unit of the same number, whose spike makes a relay spike.
+#[must_use]
+pub fn one_to_one(units: u32) -> Connectivity {
+    let first: Vec<u64> = (0..=u64::from(units)).collect();
+    let (targets, weights): (Vec<u32>, Vec<i16>) = ((0..units).collect(), vec![WEIGHT; units as usize]);
+    Connectivity::Sparse { first: first.into(), targets: targets.into(), weights: weights.into() }
+}
+
+/// The network with a compartment for each input channel, which carries its spikes on a step later.
+///
+/// # Errors
+/// `map.relays` where the network would contradict itself.
+pub fn with_input_relays(network: &Quantised) -> Result<Quantised, Diagnostic> {
+    let mut parts = network.parts().clone();
+    let mut next = network.compartments();
+    for (input, population) in network.inputs() {
+        let (name, size) = (relay_name(&parts, &population.name), population.shape.len());
+        let shaped = Population { shape: population.shape, ..relay_population(&name, next, size, 0)? };
+        let target = parts.populations.push(shaped);
+        next += size;
+        for projection in parts.projections.iter_mut().filter(|projection| projection.source == input) {
+            projection.source = target;
+        }
+        let (format, delay, connectivity) = (relay_format()?, Delay::MIN, one_to_one(size));
+        let name = format!("{} -> {name}", population.name);
+        parts.projections.push(Projection { name, source: input, target, format, delay, connectivity });
+    }
+    Quantised::new(parts).map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))
+}
+
 fn relay_population(name: &str, first: u32, size: u32, start_step: u32) -> Result<Population, Diagnostic> {
-    let vth = ThresholdMantissa::new(1).map_err(|error| refused(error.to_string()))?;
-    let neurons = PerCompartment::Same(Neuron { vth, ..Neuron::PLAIN });
+    let neurons = PerCompartment::Same(relay().map_err(|error| refused(error.to_string()))?);
     let units = Units::Compartments { first: CompartmentId(first), neurons, start_step };
     Ok(Population { name: name.to_string(), shape: Shape::Line(size), units, payload: None })
 }
@@ -288,7 +324,7 @@ fn relay_format() -> Result<SynapseFormat, Diagnostic> {
         let (exponent, bits) = (WeightExponent::new(0)?, WeightBits::new(8)?);
         Ok(SynapseFormat { exponent, sign: SignMode::Mixed, bits })
     };
-    format().map_err(|error: crate::base::fixed::OutOfRange| refused(error.to_string()))
+    format().map_err(|error: OutOfRange| refused(error.to_string()))
 }
 
 /// The synapses of some consecutive compartments, divided among them and their relays.

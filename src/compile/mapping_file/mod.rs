@@ -301,7 +301,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
 mod tests {
     use super::*;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::{Options, compile, compile_saved};
+    use crate::compile::{CopyPlacement, Options, compile, compile_saved};
 
     fn saved() -> (Quantised, Target, MappingFile) {
         let (network, target) = (slip(3150), target(1, 1, limits()));
@@ -327,7 +327,7 @@ mod tests {
         let target = target(1, 1, limits());
         // Twelve copies share a core, so the first core holds more than the first copy.
         let network = slip(100);
-        let options = Options { copies: 20, ..Options::default() };
+        let options = Options { copies: 20, placement: CopyPlacement::Packed, ..Options::default() };
         let file = compile(network.clone(), &target, &options).unwrap().mapping_file();
         assert!(file.cores[0].holds.iter().any(|run| run.population.ends_with("@1")));
         let one = one_copy(&file);

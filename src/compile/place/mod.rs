@@ -18,6 +18,7 @@ pub mod anneal;
 pub mod deal;
 pub mod link_loads;
 pub mod nets;
+pub mod spread;
 
 use crate::base::id::{CoreId, IdVec};
 use crate::compile::options::Objective;

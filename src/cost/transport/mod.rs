@@ -10,8 +10,8 @@ pub mod routes;
 use crate::base::names::named_variants;
 use crate::base::units::Picoseconds;
 use crate::cost::constants::CostTable;
-use crate::cost::host::Host;
-use crate::cost::model::{StepTime, core_time, route_time};
+use crate::cost::deployment::Words;
+use crate::cost::model::{StepTime, core_time, route_time, times};
 use crate::ir::activity::StepActivity;
 
 use self::queue::Queue;
@@ -31,18 +31,54 @@ pub enum Transport {
 
 named_variants!(Transport { Analytic = "analytic", Queued = "queued" });
 
-/// What the time of a step depends on beside its counts and constants.
+/// What the time of a step depends on besides its counts and constants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timing {
     /// The model of the mesh.
     pub transport: Transport,
-    /// Tiles in the barrier.
+    /// Tiles in the barrier of the fullest chip.
     pub tiles_used: u64,
-    /// What hands spikes over; `None` for the chips alone.
-    pub host: Option<Host>,
-    /// The first so many presets have their messages followed by `queued`. The others, which are ends of intervals, take the time
-    /// by (11) and what following added under the first preset.
-    pub followed: usize,
+    /// Hops between chips of the barrier.
+    pub chip_hops: u64,
+    /// Whether x86 cores take a turn in each step.
+    pub turn: bool,
+    /// Streams of input spikes that one chip is fed in real injection; 0: spikes take no time.
+    pub streams: u64,
+    /// Copies whose spikes a step counts.
+    pub copies: u64,
+    /// Words that an x86 core sets to zero after a sample.
+    pub reset: Words,
+    /// Words besides spikes that the host sends in a sample.
+    pub sent: Words,
+}
+
+impl Timing {
+    /// Time of injecting a stream: that of the chip with most copies, spike by spike.
+    fn injection(&self, spikes_in: u64, table: &CostTable) -> Picoseconds {
+        let spikes = (u128::from(spikes_in) * u128::from(self.streams)).div_ceil(u128::from(self.copies.max(1)));
+        let spikes = times(&[(table.injection_time, u64::try_from(spikes).unwrap_or(u64::MAX))]);
+        let sent = if self.streams > 0 { self.sent.time(table.injection_time) } else { Picoseconds(0) };
+        Picoseconds(spikes.0.saturating_add(sent.0))
+    }
+
+    /// Equation (10): the barrier over the tiles of a chip, then between chips.
+    fn barrier(&self, table: &CostTable) -> Picoseconds {
+        let between = times(&[(table.chip_hop_time, self.chip_hops)]);
+        Picoseconds(table.barrier(self.tiles_used).0.saturating_add(between.0))
+    }
+
+    /// The parts of a step's time that no count of cores or messages enters: the time of its cores and
+    /// messages is 0.
+    #[must_use]
+    pub fn host_and_barrier(&self, spikes_in: u64, table: &CostTable) -> StepTime {
+        StepTime {
+            injection: self.injection(spikes_in, table),
+            turn: if self.turn { table.turn_time } else { Picoseconds(0) },
+            barrier: self.barrier(table),
+            reset: self.reset.time(table.reset_word_time),
+            ..StepTime::default()
+        }
+    }
 }
 
 impl MessageRoutes {
@@ -56,12 +92,11 @@ impl MessageRoutes {
         timing: Timing,
         memory: &mut QueueMemory,
     ) -> Vec<StepTime> {
-        let Timing { transport, tiles_used, host, followed } = timing;
         let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.links() > 0;
         let crossed = self.crossed_in(step);
         let spikes_in = self.spikes_in(step);
         let mut busiest = [0; 2];
-        if transport == Transport::Analytic || followed < tables.len() {
+        if timing.transport == Transport::Analytic {
             for here in self.regions.iter().map(|region| region.busiest_links(self, step)) {
                 busiest = std::array::from_fn(|of| busiest[of].max(here[of]));
             }
@@ -74,36 +109,15 @@ impl MessageRoutes {
             let wait = wait(table.link_time, busiest[0]).max(wait(table.link_chip_time, busiest[1]));
             (cores, Picoseconds(way.0.saturating_add(wait)))
         };
-        let both = |(cores, transport): (Picoseconds, Picoseconds)| cores.0.saturating_add(transport.0);
-        // What following the messages comes to under the first preset, and what (11) does.
-        let mut first: Option<(u64, u64)> = None;
-        let mut time = |(number, table): (usize, &CostTable)| {
-            let injection = host.map_or(Picoseconds(0), |host| host.injection(spikes_in, table));
-            let (slowest_core, transport) = match transport {
+        let mut time = |table: &CostTable| {
+            let fixed = timing.host_and_barrier(spikes_in, table);
+            let (slowest_core, transport) = match timing.transport {
                 Transport::Analytic => analytic(table),
-                Transport::Queued if number < followed => {
-                    let found = self.followed(step, table, injection, memory);
-                    if number == 0 && followed < tables.len() {
-                        first = Some((both(found), both(analytic(table))));
-                    }
-                    found
-                }
-                Transport::Queued => {
-                    let (cores, way) = analytic(table);
-                    let (queued, simple) = first.unwrap_or_default();
-                    let took = both((cores, way)).saturating_add(queued).saturating_sub(simple);
-                    (Picoseconds(cores.0.min(took)), Picoseconds(took.saturating_sub(cores.0)))
-                }
+                Transport::Queued => self.followed(step, table, fixed.injection, memory),
             };
-            StepTime {
-                injection,
-                readout: host.map_or(Picoseconds(0), |host| host.readout(step.spikes_out, table)),
-                slowest_core,
-                transport,
-                barrier: table.barrier(tiles_used),
-            }
+            StepTime { slowest_core, transport, ..fixed }
         };
-        tables.iter().enumerate().map(&mut time).collect()
+        tables.iter().map(&mut time).collect()
     }
 
     /// The busiest core's own time and what the mesh adds to it, over all regions.
@@ -140,7 +154,8 @@ pub(crate) mod tests {
 
     /// A barrier of one tile and one copy.
     pub(crate) fn timing(transport: Transport) -> Timing {
-        Timing { transport, tiles_used: 1, host: Some(Host::even(1, 1)), followed: usize::MAX }
+        let (reset, sent) = (Words::NONE, Words::NONE);
+        Timing { transport, tiles_used: 1, chip_hops: 0, turn: true, streams: 1, copies: 1, reset, sent }
     }
 
     /// The routes of a program of two cores without messages.

@@ -1,11 +1,9 @@
-//! The mirror of tables of measurements (`mapping/measurements`): what a published workload needed on the chip, and
-//! which constants may be fitted to it.
+//! The mirror of tables of measurements (`mapping/measurements`): what a published workload needed on the chip.
 
 use serde::Deserialize;
 
 use super::baseline::Mode;
 use crate::desc::spanned::Spanned;
-use crate::desc::target::constants::Constant;
 
 /// One cell of a table.
 #[derive(Debug, Clone, Deserialize)]
@@ -30,29 +28,6 @@ impl MeasuredCell {
     }
 }
 
-/// Constants that move as one: the table cannot tell them apart.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FittedConstant {
-    /// The constant.
-    pub constant: Spanned<String>,
-    /// Others of the same unit that take the same value.
-    #[serde(default)]
-    pub equal: Vec<Spanned<String>>,
-    /// What the table says about it.
-    pub because: String,
-}
-
-/// A constant that another source gives and the preset to start from does not.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GivenConstant {
-    /// The constant.
-    pub constant: Spanned<String>,
-    /// What it is.
-    pub is: Constant,
-}
-
 /// A table of measurements of one workload.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Measurements")]
@@ -69,22 +44,10 @@ pub struct MeasurementsFile {
     pub target: String,
     /// Copies, whose share each figure is.
     pub copies: u32,
-    /// `packed`, `paper`, or a saved mapping.
-    pub deployment: String,
     /// How samples were passed.
     pub mode: Mode,
     /// Timesteps of a sample.
     pub steps_per_sample: u32,
-    /// The preset that gives every constant which is not fitted.
-    pub start: Spanned<String>,
-    /// Constants that are not the preset's.
-    #[serde(default)]
-    pub given: Vec<GivenConstant>,
-    /// Name of the preset that a calibration makes.
-    pub preset: Option<String>,
-    /// What may be fitted; nothing in a table that only tests.
-    #[serde(default)]
-    pub fit: Vec<FittedConstant>,
-    /// The cells. Power and latency are fitted; energy and its product with delay follow from them.
+    /// The cells.
     pub cells: Vec<MeasuredCell>,
 }

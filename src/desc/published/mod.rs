@@ -2,7 +2,6 @@
 //! jobs measured, workloads rebuilt, and the evidence for constants.
 
 pub mod baseline;
-pub mod evidence;
 pub mod measurement;
 pub mod scenario;
 pub mod workload;

@@ -18,16 +18,40 @@ pub enum Convention {
 
 named_variants!(Convention { Physical = "physical", Published = "published" });
 
+/// What feeds input spikes to a chip.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Host {
+    /// An x86 core of each chip injects the spikes that a computer sends it.
+    #[default]
+    Stream,
+    /// An x86 core of each chip repeats spikes from its own memory: no time a spike is known.
+    Memory,
+    /// Nothing: the neuron cores alone.
+    None,
+}
+
+named_variants!(Host { Stream = "stream", Memory = "memory", None = "none" });
+
+/// How many input streams a chip is fed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Streams {
+    /// One, which all copies on the chip share.
+    #[default]
+    One,
+    /// One for each copy.
+    Copies,
+}
+
+named_variants!(Streams { One = "one", Copies = "copies" });
+
 /// Numbers of cores of a deployment, all copies together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct DeployedCores {
     /// Neuron cores in use.
     pub cores_used: u64,
-    /// Neuron cores that draw static power.
-    pub cores_powered: u64,
-    /// Tiles that take part in the barrier.
-    pub tiles_used: u64,
     /// Chips with a core in use.
     pub chips_used: u64,
     /// x86 cores in use.
@@ -48,11 +72,12 @@ pub struct ScenarioFile {
     pub copies: Spanned<u32>,
     /// Numbers of cores.
     pub deployment: Spanned<DeployedCores>,
-    /// The preset of constants that holds for the job.
+    /// Whether each input channel had a compartment of its own that carries its spikes on.
     #[serde(default)]
-    pub constants: Option<Spanned<String>>,
-    /// What energy means in the measured tables.
-    pub convention: Convention,
+    pub input_relays: bool,
+    /// Compartments of a core at most, where the job put fewer on one than fit.
+    #[serde(default)]
+    pub compartments_per_core: Option<u32>,
     /// Shipped tables of measurements of this job.
     #[serde(default)]
     pub measured: Vec<Spanned<String>>,

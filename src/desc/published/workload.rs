@@ -6,21 +6,23 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::scenario::Host;
 use crate::base::names::named_variants;
 use crate::desc::spanned::Spanned;
-use crate::desc::target::constants::Status;
+use crate::desc::target::constants::{FigureClass, Status};
 
 /// What a measurement attributes to the chip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all(serialize = "lowercase"))]
 pub enum Accounting {
     /// What NxSDK's profiler attributes to neuron cores and x86 cores.
+    #[default]
     Profiler,
-    /// What a board's rails draw above idle.
-    Board,
+    /// What the rails of the whole board draw, as a power meter shows it.
+    Rails,
 }
 
-named_variants!(Accounting { Profiler = "profiler", Board = "board" });
+named_variants!(Accounting { Profiler = "profiler", Rails = "rails" });
 
 /// What a figure is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -39,23 +41,35 @@ named_variants!(FigureKind { Energy = "energy", Power = "power", Time = "time" }
 /// A figure that a model of cost can predict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Quantity {
-    /// Static power of the powered neuron cores, mW.
+    /// Static power of the neuron cores in use, mW.
     CoreStaticPower,
     /// Dynamic power of the neuron cores and their mesh, mW.
     CoreDynamicPower,
-    /// Static power of the x86 cores in use, mW.
+    /// Static power of the x86 cores that run, mW.
     X86StaticPower,
-    /// Power of the x86 cores in use on top, mW.
+    /// Power of these x86 cores on top, mW.
     X86DynamicPower,
     /// Dynamic power of neuron and x86 cores, mW.
     DynamicPower,
+    /// Power of the whole board once a program is loaded, before it runs, mW.
+    RailsIdle,
+    /// The same less the clocks of the x86 cores, mW.
+    RailsStatic,
+    /// Power of the whole board while it runs, mW.
+    RailsTotal,
+    /// The same without the events of neuron cores, mW.
+    RailsEmpty,
+    /// Power of the running board less that of the loaded one, mW.
+    AboveLoaded,
+    /// Power of the running board less that before a program, mW.
+    AboveBoot,
     /// Time of a step, us.
     StepTime,
-    /// Time of a step without what the host does, us.
+    /// Time of a step without what x86 cores do, us.
     SpikingTime,
-    /// Energy of neuron cores and mesh in a step, nJ.
-    CoreStepEnergy,
-    /// Dynamic energy of an inference, neuron and x86 cores, uJ.
+    /// Time of a step in which x86 cores take their turn and reset state, us.
+    ManagementTime,
+    /// Dynamic energy of neuron and x86 cores in an inference, uJ.
     InferenceDynamicEnergy,
 }
 
@@ -65,10 +79,16 @@ named_variants!(Quantity {
     X86StaticPower = "x86 static power",
     X86DynamicPower = "x86 dynamic power",
     DynamicPower = "dynamic power",
+    RailsIdle = "rails, idle",
+    RailsStatic = "rails, static",
+    RailsTotal = "rails, running",
+    RailsEmpty = "rails, no events",
+    AboveLoaded = "rails above idle",
+    AboveBoot = "rails above boot",
     StepTime = "step time",
-    SpikingTime = "spiking time of a step",
-    CoreStepEnergy = "core energy of a step",
-    InferenceDynamicEnergy = "dynamic energy of an inference",
+    SpikingTime = "spiking time",
+    ManagementTime = "management time",
+    InferenceDynamicEnergy = "energy of an inference",
 });
 
 impl Quantity {
@@ -76,13 +96,9 @@ impl Quantity {
     #[must_use]
     pub fn kind(self) -> FigureKind {
         match self {
-            Quantity::CoreStaticPower
-            | Quantity::CoreDynamicPower
-            | Quantity::X86StaticPower
-            | Quantity::X86DynamicPower
-            | Quantity::DynamicPower => FigureKind::Power,
-            Quantity::StepTime | Quantity::SpikingTime => FigureKind::Time,
-            Quantity::CoreStepEnergy | Quantity::InferenceDynamicEnergy => FigureKind::Energy,
+            Quantity::StepTime | Quantity::SpikingTime | Quantity::ManagementTime => FigureKind::Time,
+            Quantity::InferenceDynamicEnergy => FigureKind::Energy,
+            _ => FigureKind::Power,
         }
     }
 
@@ -92,9 +108,35 @@ impl Quantity {
         match self.kind() {
             FigureKind::Power => "mW",
             FigureKind::Time => "us",
-            FigureKind::Energy if self == Quantity::CoreStepEnergy => "nJ",
             FigureKind::Energy => "uJ",
         }
+    }
+
+    /// Which sum it is of.
+    #[must_use]
+    pub fn accounting(self) -> Accounting {
+        use Quantity::{AboveBoot, AboveLoaded, RailsEmpty, RailsIdle, RailsStatic, RailsTotal};
+        match self {
+            RailsIdle | RailsStatic | RailsTotal | RailsEmpty | AboveLoaded | AboveBoot => Accounting::Rails,
+            _ => Accounting::Profiler,
+        }
+    }
+
+    /// Figures that are wrong together with it; `None` of sums and differences, which no class bounds.
+    #[must_use]
+    pub fn class(self) -> Option<FigureClass> {
+        Some(match self {
+            Quantity::CoreStaticPower | Quantity::X86StaticPower => FigureClass::Static,
+            Quantity::CoreDynamicPower => FigureClass::CoreDynamic,
+            Quantity::X86DynamicPower => FigureClass::X86Dynamic,
+            Quantity::RailsIdle | Quantity::RailsStatic | Quantity::RailsTotal | Quantity::RailsEmpty => {
+                FigureClass::Rails
+            }
+            Quantity::StepTime | Quantity::SpikingTime | Quantity::ManagementTime => FigureClass::Time,
+            Quantity::DynamicPower | Quantity::AboveLoaded | Quantity::AboveBoot | Quantity::InferenceDynamicEnergy => {
+                return None;
+            }
+        })
     }
 }
 
@@ -185,51 +227,62 @@ pub enum WorkloadProjection {
     },
 }
 
-/// How many cores may have been powered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CoreRange {
-    /// The least.
-    pub low: u64,
-    /// The most.
-    pub high: u64,
-}
-
 /// What was in use, for all copies together.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorkloadDeployment {
     /// Copies of the network.
     pub copies: u32,
-    /// Copies on the chip that holds most that are injected one after the other, chips side by side; 1 where one stream of inputs
-    /// feeds all copies of a chip.
-    pub copies_per_chip: u32,
-    /// Neuron cores that draw static power.
-    pub cores_powered: u64,
-    /// The least and the most that may have been, where no source says.
-    #[serde(default)]
-    pub cores_powered_between: Option<CoreRange>,
+    /// Neuron cores in use.
+    pub cores_used: u64,
     /// Chips in use.
     pub chips_used: u64,
-    /// x86 cores in use.
+    /// Chips on the board.
+    pub board_chips: u64,
+    /// x86 cores that run.
     pub x86_cores: u64,
-    /// Chips whose x86 cores are in use, where these are fewer: most of the power of a chip's x86 cores is that of one clock.
+    /// Of these those that inject or reset; all where it is not given.
     #[serde(default)]
-    pub x86_chips: Option<u64>,
-    /// x86 cores that share the injection of a chip's copies.
-    pub x86_cores_per_chip: u32,
+    pub x86_working: Option<u64>,
 }
 
-/// What the host does besides injecting spikes.
+/// What the host does.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct HostWork {
-    /// Whether an embedded process takes its turn in every step.
+pub struct WorkloadHost {
+    /// Where input spikes come from.
     #[serde(default)]
-    pub embedded_process: bool,
-    /// 32-bit words of state registers that the x86 core that takes longest sets to zero for each inference.
+    pub host: Host,
+    /// Words of 32 bits that the x86 core that takes longest sets to zero for each inference.
     #[serde(default)]
-    pub reset_words_per_inference: Between,
+    pub reset_words: u64,
+    /// Words besides spikes that the host sends to a chip for each inference.
+    #[serde(default)]
+    pub sent_words: u64,
+}
+
+/// Layers that a source put on cores of their own.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LayerCores {
+    /// The layers, one after the other on these cores.
+    pub layers: Vec<Spanned<String>>,
+    /// Cores of one copy, filled evenly.
+    pub cores: u32,
+}
+
+/// What a printed figure is divided to.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+pub enum Per {
+    /// The whole job or board.
+    #[default]
+    Job,
+    /// One copy.
+    Copy,
+    /// One x86 core.
+    X86Core,
+    /// One chip of the board.
+    Chip,
 }
 
 /// A printed figure.
@@ -238,22 +291,12 @@ pub struct HostWork {
 pub struct PublishedFigure {
     /// What it is.
     pub quantity: Quantity,
-    /// Its value in the quantity's unit, for one copy if `per_copy`.
+    /// Its value in the quantity's unit.
     pub published: Spanned<f64>,
-    /// Whether it is of one copy, not of all.
+    /// What it is of.
     #[serde(default)]
-    pub per_copy: bool,
-    /// Whether it is of one x86 core, not of all.
-    #[serde(default)]
-    pub per_x86_core: bool,
-    /// What it attributes to the chip.
-    pub accounting: Accounting,
-    /// Whether it is above the idle of a board on which no program was loaded, so that x86 cores count for being on.
-    #[serde(default)]
-    pub above_boot: bool,
-    /// Whether it is printed, computed from printed figures, or inferred.
-    pub status: Status,
-    /// Where it is printed, or how it follows from what is.
+    pub per: Per,
+    /// Where it is printed, or how it follows from figures that are.
     pub source: String,
     /// Why a prediction misses it by far, where that was found out.
     #[serde(default)]
@@ -266,8 +309,10 @@ pub struct PublishedFigure {
 pub struct WorkloadFile {
     /// Its name.
     pub name: String,
-    /// The work that it is of: figures of one work are left out of a fit together.
+    /// The work that it is of, whose figures are judged together.
     pub work: String,
+    /// Its authors: it is predicted without their findings.
+    pub group: String,
     /// Paper and section, or repository and file.
     pub source: String,
     /// Whether the figures were read where they were first printed; others do not count.
@@ -285,14 +330,12 @@ pub struct WorkloadFile {
     /// The share of steps in which a compartment is not at rest; in all of them where it is not given.
     #[serde(default = "always")]
     pub active_share: Between,
-    /// The most compartments of a core, where the source put fewer on one than fit.
-    #[serde(default)]
-    pub compartments_per_core: Option<u32>,
+    /// Cores of each layer, as the source printed or placed them.
+    pub layout: Vec<LayerCores>,
     /// What was in use.
     pub deployment: WorkloadDeployment,
     /// What the host does.
-    #[serde(default)]
-    pub host: HostWork,
+    pub host: WorkloadHost,
     /// Steps of an inference.
     pub steps: u32,
     /// Time of a step where the source says that it was held to one, us.

@@ -35,6 +35,118 @@ pub enum Unit {
     us,
     mW,
     messages,
+    ratio,
+}
+
+/// Units that a value may be typed in, by what they measure: how many of the first of its kind each is.
+const TYPED: [(&str, Unit, f64); 11] = [
+    ("fJ", Unit::pJ, 1e-3),
+    ("pJ", Unit::pJ, 1.0),
+    ("nJ", Unit::pJ, 1e3),
+    ("uJ", Unit::pJ, 1e6),
+    ("ps", Unit::ns, 1e-3),
+    ("ns", Unit::ns, 1.0),
+    ("us", Unit::ns, 1e3),
+    ("ms", Unit::ns, 1e6),
+    ("uW", Unit::mW, 1e-3),
+    ("mW", Unit::mW, 1.0),
+    ("W", Unit::mW, 1e3),
+];
+
+impl Unit {
+    /// What follows a number of this unit.
+    #[must_use]
+    pub fn suffix(self) -> &'static str {
+        match self {
+            Unit::pJ => "pJ",
+            Unit::ns => "ns",
+            Unit::us => "us",
+            Unit::mW => "mW",
+            Unit::messages | Unit::ratio => "",
+        }
+    }
+
+    /// A typed value such as `0.4us` in this unit. Constants of time come in ns and in us, so that a time without its
+    /// unit is refused.
+    ///
+    /// # Errors
+    /// A sentence for what is no number, or is in a unit of something else.
+    pub fn parsed(self, typed: &str) -> Result<f64, String> {
+        let typed = typed.trim();
+        let end = typed.len() - typed.chars().rev().take_while(|c| c.is_ascii_alphabetic()).count();
+        let (number, unit) = (typed[..end].trim(), &typed[end..]);
+        let number: f64 = number.parse().map_err(|_| format!("{typed} is no number"))?;
+        let (measured, each) = match self {
+            Unit::us => (Unit::ns, 1e3),
+            other => (other, 1.0),
+        };
+        if unit.is_empty() {
+            return match measured {
+                Unit::ns => Err(format!("{typed} has no unit, and constants of time are in ns and in us")),
+                _ => Ok(number),
+            };
+        }
+        match TYPED.iter().find(|(name, of, _)| *name == unit && *of == measured) {
+            // Multiplied before it is divided, so that 400 ns is 0.4 us and no neighbour of that.
+            Some((.., factor)) if *factor >= 1.0 => Ok(number * factor / each),
+            Some((.., factor)) => Ok(number / (1.0 / factor).round() / each),
+            None => Err(format!("{unit} is no unit of a constant in {}", self.suffix())),
+        }
+    }
+}
+
+/// What one group of authors found of a constant.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Finding {
+    /// The authors, as workloads name them: a prediction of their work is made without it.
+    pub group: String,
+    /// The constant by them, in its unit.
+    pub value: f64,
+    /// Where it is printed, or how it follows from what is.
+    pub source: String,
+}
+
+/// Figures whose predictions are wrong together, so that one factor bounds them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize, Serialize)]
+#[serde(rename_all(serialize = "snake_case"))]
+pub enum FigureClass {
+    /// Static power of neuron cores or of x86 cores.
+    Static,
+    /// Power of x86 cores on top.
+    X86Dynamic,
+    /// Energy of the neuron cores' events in a step.
+    CoreEnergy,
+    /// Power of the neuron cores' events, as fast as possible.
+    CoreDynamic,
+    /// Power of a whole board.
+    Rails,
+    /// Time of a step.
+    Time,
+}
+
+named_variants!(FigureClass {
+    Static = "static",
+    X86Dynamic = "x86_dynamic",
+    CoreEnergy = "core_energy",
+    CoreDynamic = "core_dynamic",
+    Rails = "rails",
+    Time = "time",
+});
+
+/// How far predictions of a class were off, each work predicted without its authors' findings.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClassError {
+    /// Which figures.
+    pub class: FigureClass,
+    /// Works that print such figures.
+    pub works: u32,
+    /// A new work's figures are within this factor with a chance of 80 %.
+    pub within_80: f64,
+    /// The same with a chance of 90 %; absent where works are too few.
+    #[serde(default)]
+    pub within_90: Option<f64>,
 }
 
 /// A number with its origin.
@@ -49,11 +161,23 @@ pub struct Constant {
     pub source: String,
     /// How far it can be trusted.
     pub status: Status,
+    /// What each group of authors found, where the value is the median of that: of two in the middle the
+    /// geometric mean.
+    #[serde(default)]
+    pub findings: Vec<Finding>,
 }
 
 impl Constant {
     fn not_given(unit: Unit) -> Self {
-        Constant { value: 0.0.into(), unit, source: "not given by this preset".to_string(), status: Status::Assumed }
+        let source = "not given by this preset".to_string();
+        Constant { value: 0.0.into(), unit, source, status: Status::Assumed, findings: Vec::new() }
+    }
+
+    /// The median of the findings of other groups than this one; `None` when there are none.
+    #[must_use]
+    pub fn without(&self, group: &str) -> Option<f64> {
+        let others = self.findings.iter().filter(|finding| finding.group != group);
+        median(others.map(|finding| finding.value).collect())
     }
 
     fn no_energy() -> Self {
@@ -62,6 +186,29 @@ impl Constant {
 
     fn no_time() -> Self {
         Constant::not_given(Unit::ns)
+    }
+
+    fn no_host_time() -> Self {
+        Constant::not_given(Unit::us)
+    }
+
+    fn no_power() -> Self {
+        Constant::not_given(Unit::mW)
+    }
+
+    fn no_ratio() -> Self {
+        Constant::not_given(Unit::ratio)
+    }
+}
+
+/// The median; of two in the middle their geometric mean. `None` of nothing.
+#[must_use]
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    match values.len() % 2 {
+        1 => Some(values[middle]),
+        _ => Some((values.get(middle.checked_sub(1)?)? * values[middle]).sqrt()),
     }
 }
 
@@ -85,20 +232,6 @@ pub struct UnusedConstant {
     pub constant: Constant,
     /// Why nothing is charged for it.
     pub why: String,
-}
-
-/// A cell of a table of measurements beside what the calibrated constants make of it.
-#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct Residual {
-    /// The cell, as `unit figure`.
-    pub cell: String,
-    /// What was measured, as printed.
-    pub printed: String,
-    /// What the model gives.
-    pub model: f64,
-    /// Model less measured, in percent of the measured.
-    pub percent: f64,
 }
 
 /// Calls a macro with every single-valued constant and its unit: what holds a value for each is made from this list alone.
@@ -130,8 +263,6 @@ macro_rules! for_each_constant {
             hop_ns_energy: pJ,
             /// On top, for a link between chips.
             hop_chip_energy: pJ = "Constant::no_energy",
-            /// A powered core in a step.
-            core_step_energy: pJ = "Constant::no_energy",
             /// A synaptic event of a dense list.
             synapse_dense_time: ns,
             /// A synaptic event of a sparse list.
@@ -160,18 +291,28 @@ macro_rules! for_each_constant {
             link_chip_time: ns,
             /// Messages that wait at a link, before its sender is held up.
             link_buffer: messages,
-            /// A spike injected from outside.
-            injection_time: ns = "Constant::no_time",
-            /// The turn of one copy's injection in a step, whether it has spikes or not.
-            injection_step_time: ns = "Constant::no_time",
-            /// An output spike read out.
-            readout_time: ns = "Constant::no_time",
-            /// Static power of a powered core.
+            /// A spike that an x86 core hands to its chip, or another word that the host sends.
+            injection_time: us = "Constant::no_host_time",
+            /// The turn of the x86 cores' process in a step, whether there are spikes or not.
+            turn_time: us = "Constant::no_host_time",
+            /// A hop between chips, there and back, in a barrier.
+            chip_hop_time: us = "Constant::no_host_time",
+            /// A word of 32 bits that an x86 core sets when state is reset.
+            reset_word_time: ns = "Constant::no_time",
+            /// Static power of a neuron core in use, as a profiler attributes it.
             core_static_power: mW,
-            /// Static power of an x86 core in use.
-            x86_static_power: mW,
-            /// Power of an x86 core in use on top, whether it has work or not.
-            x86_busy_power: mW,
+            /// That over the static power of an x86 core; 0: x86 cores have none.
+            x86_static_ratio: ratio = "Constant::no_ratio",
+            /// Power of a chip's x86 clock, as soon as one of its x86 cores runs.
+            x86_clock_power: mW = "Constant::no_power",
+            /// Power of an x86 core while it works.
+            x86_active_power: mW = "Constant::no_power",
+            /// Share of a step in which an x86 core works that injects spikes.
+            x86_injecting_share: ratio = "Constant::no_ratio",
+            /// Power of a chip on the board before a program is loaded, as the rails show it.
+            chip_boot_power: mW = "Constant::no_power",
+            /// Power of an x86 core once a program is loaded, as the rails show it.
+            x86_on_power: mW = "Constant::no_power",
         }
     };
 }
@@ -188,17 +329,58 @@ macro_rules! constants {
             pub name: String,
             /// Where sources disagree, and what this preset follows.
             pub notes: String,
+            /// The hardware that was measured, as chips name theirs: errors hold for no other.
+            #[serde(default)]
+            pub hardware: String,
+            /// How far predictions with these constants were off.
+            #[serde(default)]
+            pub errors: Vec<ClassError>,
             /// Barrier times by tiles in use, ascending.
             pub barrier: Vec<BarrierTime>,
             /// Figures of the same sources that enter no sum.
             #[serde(default)]
             pub unused: Vec<UnusedConstant>,
-            /// What a calibration left over, when the preset is the result of one.
-            #[serde(default)]
-            pub residuals: Vec<Residual>,
             $($(#[$doc])* $(#[serde(default = $default)])? pub $field: Constant,)*
         }
+        /// A preset that says only what differs from another.
+        #[derive(Debug, Clone, Deserialize)]
+        #[serde(deny_unknown_fields, rename = "Constants")]
+        pub struct ConstantsChanges {
+            /// The other preset: a shipped one, or a file beside this one.
+            pub base: Spanned<String>,
+            /// The preset's name; that of its file unless given.
+            pub name: Option<String>,
+            /// What it is.
+            #[serde(default)]
+            pub notes: String,
+            /// Barrier times in place of the other preset's.
+            pub barrier: Option<Vec<BarrierTime>>,
+            $($(#[$doc])* pub $field: Option<Constant>,)*
+        }
+
+        impl ConstantsChanges {
+            /// The other preset with the changes. Errors of figures that follow from a changed constant are gone.
+            #[must_use]
+            pub fn applied(self, base: &Constants, name: String) -> Constants {
+                let mut made = Constants { name, notes: self.notes, ..base.clone() };
+                if let Some(barrier) = self.barrier {
+                    made.barrier = barrier;
+                    made.forget_errors(&[FigureClass::Time]);
+                }
+                $(if let Some(constant) = self.$field {
+                    made.$field = constant;
+                    made.forget_errors(classes_of(stringify!($field)));
+                })*
+                made
+            }
+        }
+
         impl Constants {
+            /// Drops the errors of these classes: they were of other constants.
+            pub fn forget_errors(&mut self, classes: &[FigureClass]) {
+                self.errors.retain(|error| !classes.contains(&error.class));
+            }
+
             /// The names of all single-valued constants, in a fixed order.
             pub const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
@@ -254,6 +436,20 @@ macro_rules! constants {
 
 for_each_constant!(constants);
 
+/// The classes of figures that follow from a constant.
+#[must_use]
+pub fn classes_of(constant: &str) -> &'static [FigureClass] {
+    use FigureClass::{CoreDynamic, CoreEnergy, Rails, Static, Time, X86Dynamic};
+    match constant {
+        "core_static_power" | "x86_static_ratio" => &[Static],
+        "x86_clock_power" | "x86_active_power" | "x86_injecting_share" => &[X86Dynamic, Rails],
+        "chip_boot_power" | "x86_on_power" => &[Rails],
+        name if name.ends_with("_energy") => &[CoreEnergy, CoreDynamic, Rails],
+        // A power is an energy over a time.
+        _ => &[Time, CoreDynamic],
+    }
+}
+
 fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Unit) -> Result<()> {
     let value = constant.value.value;
     let wrong = |code, message: String| Diagnostic::new(code, message).at(source, constant.value.span);
@@ -275,32 +471,62 @@ mod tests {
     use super::*;
     use crate::desc::spanned::parse;
 
-    fn davies() -> (SourceText, Constants) {
-        let path = format!("{}/mapping/constants/davies2018.ron", env!("CARGO_MANIFEST_DIR"));
-        let source = SourceText::new("davies2018.ron", std::fs::read_to_string(path).unwrap());
+    #[test]
+    fn typed_values_take_units_and_times_need_them() {
+        for (unit, typed, value) in [
+            (Unit::us, "0.4us", 0.4),
+            (Unit::us, "400 ns", 0.4),
+            (Unit::ns, "0.4us", 400.0),
+            (Unit::mW, "0.6", 0.6),
+            (Unit::mW, "600uW", 0.6),
+            (Unit::pJ, "1.5nJ", 1_500.0),
+            (Unit::ratio, "0.5", 0.5),
+        ] {
+            assert_eq!(unit.parsed(typed), Ok(value), "{typed}");
+        }
+        for (unit, typed) in
+            [(Unit::us, "0.4"), (Unit::ns, "3"), (Unit::mW, "1pJ"), (Unit::pJ, "x"), (Unit::ratio, "1mW")]
+        {
+            assert!(unit.parsed(typed).is_err(), "{typed}");
+        }
+    }
+
+    #[test]
+    fn constants_with_findings_are_their_median() {
+        let (_, constants) = loihi1();
+        let found: Vec<_> = constants.list().into_iter().filter(|(_, one)| !one.findings.is_empty()).collect();
+        assert_eq!(found.len(), 7);
+        for (name, constant) in found {
+            let middle = constant.without("").unwrap();
+            assert!((constant.value.value / middle - 1.0).abs() < 1e-3, "{name}: {middle}");
+        }
+    }
+
+    fn loihi1() -> (SourceText, Constants) {
+        let path = format!("{}/mapping/constants/loihi1-evidence.ron", env!("CARGO_MANIFEST_DIR"));
+        let source = SourceText::new("loihi1-evidence.ron", std::fs::read_to_string(path).unwrap());
         let constants = parse(&source, "target.syntax").unwrap_or_else(|problem| panic!("{problem}"));
         (source, constants)
     }
 
     #[test]
     fn what_a_preset_need_not_give_is_zero_and_assumed() {
-        let (source, whole) = davies();
+        let (source, whole) = loihi1();
         let without = |name: &str| {
             let lines = source.text().lines().filter(|line| !line.trim_start().starts_with(name));
             parse::<Constants>(&SourceText::new("c.ron", lines.collect::<Vec<_>>().join("\n")), "target.syntax")
         };
-        let preset = without("readout_time").unwrap();
+        let preset = without("spike_time").unwrap();
         preset.check(&source).unwrap();
-        assert_eq!((preset.readout_time.value.value, preset.readout_time.status), (0.0, Status::Assumed));
+        assert_eq!((preset.spike_time.value.value, preset.spike_time.status), (0.0, Status::Assumed));
         assert_eq!(preset.list().len(), whole.list().len());
         assert!(without("core_static_power").is_err());
     }
 
     #[test]
     fn a_constant_without_a_source_is_refused_where_it_stands() {
-        let (source, _) = davies();
-        let text =
-            source.text().replacen("Davies et al. 2018, IEEE Micro 38(1), table 2: tile hop east or west", "", 1);
+        let (source, _) = loihi1();
+        let text = source.text().replacen("SANA-FE 8951ab0, arch/loihi.yaml: hop east or west", "", 1);
         let changed = SourceText::new("changed.ron", text);
         let problem = parse::<Constants>(&changed, "target.syntax").unwrap().check(&changed).unwrap_err();
         assert_eq!(problem.message, "hop_ew_energy names no source");

@@ -5,24 +5,13 @@
 
 pub mod constants;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
-use self::constants::{Constants, Status};
+use self::constants::{ClassError, Constants, Status};
 use super::neurons::NeuronKind;
 use super::resource::{LimitChanges, Limits, Resource};
 use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
-
-/// Which cores draw static power: those that a unit in use belongs to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
-pub enum PowerUnit {
-    /// Only cores in use.
-    Core,
-    /// Every core of a tile in use.
-    Tile,
-    /// Every core of a chip in use.
-    Chip,
-}
 
 /// What every Loihi 1 can be programmed as.
 fn neurons_of_loihi() -> Vec<NeuronKind> {
@@ -35,6 +24,9 @@ fn neurons_of_loihi() -> Vec<NeuronKind> {
 pub struct Chip {
     /// The chip's name.
     pub name: String,
+    /// What tables of energy call it; its name where it does not say.
+    #[serde(default)]
+    pub hardware: Option<String>,
     /// Sources of the limits, and where they disagree.
     pub notes: String,
     /// Tiles from west to east.
@@ -49,8 +41,6 @@ pub struct Chip {
     pub x86_cores: u32,
     /// x86 cores that a chip in use keeps busy.
     pub x86_cores_in_use: u32,
-    /// Which cores draw static power.
-    pub power_unit: PowerUnit,
     /// The neurons that a compartment can be.
     #[serde(default = "neurons_of_loihi")]
     pub neuron_kinds: Vec<NeuronKind>,
@@ -89,6 +79,12 @@ pub struct AlternativeLimit {
 }
 
 impl Chip {
+    /// What tables of energy call it.
+    #[must_use]
+    pub fn hardware(&self) -> &str {
+        self.hardware.as_deref().unwrap_or(&self.name)
+    }
+
     /// Checks what the types of the fields do not.
     ///
     /// # Errors
@@ -164,6 +160,10 @@ pub struct TargetChanges {
     pub cores_per_tile: Option<u32>,
     /// Cores of a chip; what its tiles hold when their number or size is given.
     pub cores_per_chip: Option<u32>,
+    /// Embedded x86 cores.
+    pub x86_cores: Option<u32>,
+    /// x86 cores that a chip in use keeps busy.
+    pub x86_cores_in_use: Option<u32>,
     /// The neurons that a compartment can be.
     pub neuron_kinds: Option<Vec<NeuronKind>>,
     /// Limits of a core.
@@ -174,9 +174,18 @@ pub struct TargetChanges {
 }
 
 impl TargetChanges {
-    /// A chip with the changes. Sources of limits that are changed no longer say where they come from.
+    /// A chip with the changes, which goes by this name where there are any. Sources of limits that are changed no
+    /// longer say where they come from.
     #[must_use]
-    pub fn chip(&self, mut chip: Chip) -> Chip {
+    pub fn chip(&self, mut chip: Chip, name: Option<&str>) -> Chip {
+        let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
+        let x86 = [self.x86_cores, self.x86_cores_in_use];
+        let other = self.neuron_kinds.is_some() || self.limits != LimitChanges::default();
+        if let Some(name) = name.filter(|_| other || sizes.iter().chain(&x86).any(Option::is_some)) {
+            (chip.name, chip.hardware) = (name.to_string(), None);
+        }
+        chip.x86_cores = self.x86_cores.unwrap_or(chip.x86_cores);
+        chip.x86_cores_in_use = self.x86_cores_in_use.unwrap_or(chip.x86_cores_in_use.min(chip.x86_cores));
         chip.width = self.width.unwrap_or(chip.width);
         chip.height = self.height.unwrap_or(chip.height);
         let tiles = chip.width.saturating_mul(chip.height);
@@ -305,6 +314,12 @@ impl Target {
         &self.chip.limits
     }
 
+    /// How far predictions by a preset were off on such hardware; nothing where the preset was measured on other.
+    #[must_use]
+    pub fn errors<'c>(&self, preset: &'c Constants) -> &'c [ClassError] {
+        if preset.hardware == self.chip.hardware() { &preset.errors } else { &[] }
+    }
+
     /// Presets of constants; the first is the default.
     #[must_use]
     pub fn constants(&self) -> &[Constants] {
@@ -349,16 +364,7 @@ mod tests {
     }
 
     fn target(name: &str) -> Target {
-        let (source, file) = read::<TargetFile>(&format!("targets/{name}.ron"));
-        let (chip_source, chip) = read::<Chip>(&format!("chips/{}.ron", file.chip.value));
-        chip.check(&chip_source).unwrap();
-        let constants = file.constants.iter().map(|preset| {
-            let (source, constants) = read::<Constants>(&format!("constants/{}.ron", preset.value));
-            constants.check(&source).unwrap();
-            constants
-        });
-        let constants = constants.collect();
-        Target::new(&file, &source, chip, constants).unwrap()
+        crate::io::target::load_target(name).unwrap()
     }
 
     #[test]

@@ -12,7 +12,7 @@ use std::cell::RefCell;
 use std::sync::OnceLock;
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
-use crate::desc::target::constants::{Constants, Status};
+use crate::desc::target::constants::{Constants, Status, classes_of};
 
 /// One change.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -168,13 +168,16 @@ fn with_parents(mut text: String, path: &str, value: &str) -> String {
 pub fn constants(constants: &mut Constants) -> Result<()> {
     for (path, value) in changes(Some("constants")) {
         let name = path.strip_suffix(".value").unwrap_or(&path);
-        let number: f64 = value.parse().map_err(|_| {
-            Diagnostic::new("set.value", format!("--set constants.{path}={value}: {value} is no number"))
-        })?;
         let missing = || nowhere(&format!("constants.{path}"), "the constants have no such number");
         let constant = constants.get_mut(name).ok_or_else(missing)?;
+        let number = constant.unit.parsed(&value).map_err(|message| {
+            let help = format!("write --set constants.{path}=NUMBER{}", constant.unit.suffix());
+            Diagnostic::new("set.value", format!("--set constants.{path}={value}: {message}")).help(help)
+        })?;
         constant.value = number.into();
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
+        constant.findings.clear();
+        constants.forget_errors(classes_of(name));
     }
     Ok(())
 }

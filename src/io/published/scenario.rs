@@ -31,10 +31,9 @@ pub fn scenario(source: &SourceText) -> Result<ScenarioFile> {
         return Err(Diagnostic::new("scenario.number", "a scenario has at least one copy").at(source, file.copies.span));
     }
     let cores = &file.deployment.value;
-    let some = [cores.cores_used, cores.tiles_used, cores.chips_used, cores.x86_cores].iter().all(|&number| number > 0);
-    if !some || cores.cores_used > cores.cores_powered || cores.chips_used > cores.tiles_used {
-        let message = "a deployment has cores, tiles, chips and x86 cores, no more cores in use than powered, and no more \
-                       chips than tiles";
+    let some = [cores.cores_used, cores.chips_used].iter().all(|&number| number > 0);
+    if !some || cores.chips_used > cores.cores_used || file.compartments_per_core == Some(0) {
+        let message = "a deployment has cores and chips, and no more chips than cores";
         return Err(Diagnostic::new("scenario.number", message).at(source, file.deployment.span));
     }
     for table in &file.measured {
@@ -57,11 +56,11 @@ mod tests {
         for shipped in shipped::SCENARIOS {
             let file = scenario(&shipped.source()).unwrap();
             assert_eq!(load_model(&file.model).unwrap().file().name, file.model);
-            assert!(u64::from(load_target(&file.target).unwrap().cores()) >= file.deployment.value.cores_powered);
+            assert!(u64::from(load_target(&file.target).unwrap().cores()) >= file.deployment.value.cores_used);
             for table in &file.measured {
                 let table = load_measurements(table).unwrap();
-                let job = (&table.model, &table.target, table.copies, table.deployment.as_str());
-                assert_eq!(job, (&file.model, &file.target, file.copies.value, "paper"));
+                let job = (&table.model, &table.target, table.copies);
+                assert_eq!(job, (&file.model, &file.target, file.copies.value));
             }
         }
     }
@@ -78,10 +77,10 @@ mod tests {
         let text = shipped::SCENARIOS[0].text;
         for (from, to, code) in [
             ("copies: 32", "copies: 0", "scenario.number"),
-            ("cores_powered: 624", "cores_powered: 593", "scenario.number"),
-            ("x86_cores: 5", "x86_cores: 0", "scenario.number"),
+            ("chips_used: 5", "chips_used: 595", "scenario.number"),
+            ("cores_used: 594", "cores_used: 0", "scenario.number"),
             ("\"vtsnn-offline\"", "\"vtsnn\"", "scenario.measured"),
-            ("convention: published", "convention: printed", "scenario.syntax"),
+            ("input_relays: true", "input_relays: yes", "scenario.syntax"),
         ] {
             let problem = scenario(&SourceText::new("s.ron", text.replacen(from, to, 1))).unwrap_err();
             assert_eq!(problem.code, code, "{problem}");

@@ -4,15 +4,12 @@
 //! join populations that it has. Errors: `workload.syntax`, `workload.population`, `workload.rate`, `workload.figure`.
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
-use crate::desc::published::workload::{Between, WorkloadFile, WorkloadPopulation};
+use crate::desc::published::workload::{Between, WorkloadDeployment, WorkloadFile, WorkloadPopulation};
 use crate::desc::spanned::parse;
 use crate::io::shipped;
 
 /// The most units of a population.
 const MOST_UNITS: u64 = 1 << 22;
-
-/// The most words that are reset for an inference.
-const MOST_RESET_WORDS: f64 = 4_294_967_296.0;
 
 fn is_ordered(range: Between) -> bool {
     0.0 <= range.low && range.low <= range.value && range.value <= range.high
@@ -63,20 +60,28 @@ pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
         let problem = Diagnostic::new("workload.figure", "a figure is a finite number");
         return Err(problem.at(source, figure.published.span));
     }
-    let deployment = &file.deployment;
-    let powered = deployment.cores_powered;
-    if deployment.cores_powered_between.is_some_and(|range| !(1..=powered).contains(&range.low) || range.high < powered)
-    {
-        return wrong("workload.figure", "1 <= low <= cores_powered <= high".to_string());
-    }
     if !is_ordered(file.active_share) || file.active_share.high > 1.0 {
         return wrong("workload.rate", "active_share is 0 <= low <= value <= high <= 1".to_string());
     }
-    if !is_ordered(file.host.reset_words_per_inference) || file.host.reset_words_per_inference.high > MOST_RESET_WORDS {
-        return wrong("workload.figure", "reset words are 0 <= low <= value <= high <= 2^32".to_string());
+    let mut placed: Vec<&str> = Vec::new();
+    for name in file.layout.iter().flat_map(|part| &part.layers) {
+        let is_layer = |other: &WorkloadPopulation| {
+            !matches!(other, WorkloadPopulation::Input { .. }) && other.parts().0 == name.value
+        };
+        if placed.contains(&name.value.as_str()) || !file.populations.iter().any(is_layer) {
+            let message = format!("{} is no layer, or is on cores twice", name.value);
+            return Err(Diagnostic::new("workload.layout", message).at(source, name.span));
+        }
+        placed.push(&name.value);
     }
-    if [deployment.copies, deployment.copies_per_chip, deployment.x86_cores_per_chip, file.steps].contains(&0) {
-        return wrong("workload.figure", "copies, x86 cores a chip and steps are at least 1".to_string());
+    let layers = file.populations.iter().filter(|one| !matches!(one, WorkloadPopulation::Input { .. })).count();
+    if placed.len() != layers || file.layout.iter().any(|part| part.cores == 0) {
+        return wrong("workload.layout", "every layer is on one core at least".to_string());
+    }
+    let WorkloadDeployment { copies, cores_used, chips_used, board_chips, .. } = file.deployment;
+    if copies == 0 || file.steps == 0 || cores_used == 0 || chips_used == 0 || chips_used > board_chips {
+        let message = "copies, cores, chips and steps are at least 1, chips in use at most those of the board";
+        return wrong("workload.figure", message.to_string());
     }
     Ok(file)
 }

@@ -2,14 +2,17 @@
 
 use serde_json::{Value, json};
 
-use crate::bench::published::{Held, PublishedRow, held};
+use crate::bench::published::{PublishedRow, factors_by_work, geometric_mean};
 use crate::report::charts::plot::{self, Axis, Series};
-use crate::report::text::{Column, csv_of, table_of};
+use crate::report::text::{Column, csv_of, table_of, wrapped};
+
+/// Above this factor a prediction is far off, and the report says why.
+const FAR: f64 = 1.5;
 
 /// Everything that the report says.
 #[derive(Debug)]
 pub struct PublishedReport<'a> {
-    /// The rows, each figure by all evidence and without its work.
+    /// The rows, each figure by all findings and without those of its authors.
     pub rows: &'a [PublishedRow],
 }
 
@@ -19,20 +22,18 @@ fn three(x: f64) -> String {
     if x == 0.0 { "0".to_string() } else { format!("{x:.decimals$}") }
 }
 
-fn percent(x: f64) -> String {
-    format!("{:.0} %", 100.0 * x)
+fn end(row: &PublishedRow, of: fn((f64, f64)) -> f64) -> String {
+    row.interval.map_or_else(|| "-".to_string(), |interval| three(of(interval)))
 }
 
-const COLUMNS: [Column<PublishedRow>; 9] = [
-    ("workload", |row| format!("{}{}", row.workload, if row.first_hand { "" } else { " (second-hand)" })),
+const COLUMNS: [Column<PublishedRow>; 7] = [
+    ("workload", |row| row.workload.clone()),
     ("quantity", |row| format!("{}, {}", row.quantity.name(), row.quantity.unit())),
-    ("published", |row| three(row.published)),
-    ("predicted", |row| three(row.predicted.value)),
-    ("low", |row| three(row.predicted.low)),
-    ("high", |row| three(row.predicted.high)),
-    ("ratio", |row| format!("{:.2}", row.ratio())),
-    ("accounting", |row| row.accounting.name().to_string()),
-    ("activity", |row| row.activity.name().to_string()),
+    ("printed", |row| three(row.published)),
+    ("predicted", |row| three(row.predicted)),
+    ("low", |row| end(row, |(low, _)| low)),
+    ("high", |row| end(row, |(_, high)| high)),
+    ("ratio", |row| format!("{:.2}", row.predicted / row.published)),
 ];
 
 impl PublishedReport<'_> {
@@ -47,13 +48,14 @@ impl PublishedReport<'_> {
                 "kind": row.quantity.kind(),
                 "unit": row.quantity.unit(),
                 "published": row.published,
-                "predicted": row.predicted.value,
-                "low": row.predicted.low,
-                "high": row.predicted.high,
+                "predicted": row.predicted,
+                "low": row.interval.map(|interval| interval.0),
+                "high": row.interval.map(|interval| interval.1),
                 "left_out": row.left_out,
                 "first_hand": row.first_hand,
-                "accounting": row.accounting,
+                "accounting": row.accounting(),
                 "activity": row.activity,
+                "assumed": row.assumed,
                 "source": row.source,
                 "cause": row.cause,
             })
@@ -73,11 +75,11 @@ impl PublishedReport<'_> {
             ("kind", |row| row.quantity.kind().name().to_string()),
             ("unit", |row| row.quantity.unit().to_string()),
             ("published", |row| row.published.to_string()),
-            ("predicted", |row| row.predicted.value.to_string()),
-            ("low", |row| row.predicted.low.to_string()),
-            ("high", |row| row.predicted.high.to_string()),
+            ("predicted", |row| row.predicted.to_string()),
+            ("low", |row| row.interval.map_or_else(String::new, |interval| interval.0.to_string())),
+            ("high", |row| row.interval.map_or_else(String::new, |interval| interval.1.to_string())),
             ("left_out", |row| row.left_out.to_string()),
-            ("accounting", |row| row.accounting.name().to_string()),
+            ("accounting", |row| row.accounting().name().to_string()),
             ("source", |row| row.source.clone()),
             ("first_hand", |row| row.first_hand.to_string()),
             ("cause", |row| row.cause.clone().unwrap_or_default()),
@@ -92,24 +94,37 @@ impl PublishedReport<'_> {
     /// For people.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut out = format!(
-            "predicted by all evidence\n\n{}\n\nwithout what is known from the work itself\n\n{}\n",
-            table_of(self.of_kind(false), &COLUMNS, 2),
-            table_of(self.of_kind(true), &COLUMNS, 2)
-        );
-        if let Some(held) = held(self.rows, true) {
-            out += &format!("\n{}\n", summary(&held));
+        let mut out =
+            format!("without what a work's own authors found\n\n{}\n", table_of(self.of_kind(true), &COLUMNS, 2));
+        let second_hand = || self.rows.iter().filter(|row| !row.first_hand);
+        if second_hand().next().is_some() {
+            out += &format!("\nknown second-hand\n\n{}\n", table_of(second_hand(), &COLUMNS, 2));
         }
-        if let Some(Held { energy_error, time_error, far, .. }) = held(self.rows, false) {
+        for (time, name) in [(false, "power and energy"), (true, "time")] {
+            let by_work = factors_by_work(self.rows, time);
+            let (Some(mean), Some(worst)) =
+                (geometric_mean(by_work.values().copied()), by_work.values().copied().reduce(f64::max))
+            else {
+                continue;
+            };
             out += &format!(
-                "by all evidence, its own included: {} and {}; {far} are off by more than 2.5 times\n",
-                error(energy_error),
-                error(time_error)
+                "\n{name}, median factor of each of {} works: mean {mean:.2}, worst {worst:.2}\n",
+                by_work.len()
             );
+            let works = by_work.iter().map(|(work, factor)| format!("{work} {factor:.2}")).collect::<Vec<_>>();
+            out += &wrapped(&works.join(", "));
         }
-        for row in self.of_kind(true) {
-            if let Some(cause) = row.cause.as_ref().filter(|_| !(0.4..=2.5).contains(&row.ratio())) {
-                out += &format!("  {}, {}: {cause}\n", row.workload, row.quantity.name());
+        let mut said: Vec<&str> = Vec::new();
+        for row in self.of_kind(true).filter(|row| row.factor() > FAR) {
+            if let Some(cause) = row.cause.as_deref().filter(|cause| !said.contains(cause)) {
+                out += &wrapped(&format!("{}, {}: {cause}", row.workload, row.quantity.name()));
+                said.push(cause);
+            }
+        }
+        let mut last = "";
+        for row in self.of_kind(true).filter(|row| !row.assumed.is_empty()) {
+            if std::mem::replace(&mut last, &row.workload) != row.workload {
+                out += &wrapped(&format!("{} assumes: {}", row.workload, row.assumed.join("; ")));
             }
         }
         out
@@ -124,42 +139,22 @@ impl PublishedReport<'_> {
         let equal = vec![(low, low), (high, high)];
         let mut series = vec![Series::Line { name: "equal".to_string(), points: equal, band: Vec::new() }];
         series.push(Series::Intervals {
-            name: "90 % interval".to_string(),
-            points: own.iter().map(|row| (row.published, row.predicted.low, row.predicted.high)).collect(),
+            name: "80 % interval".to_string(),
+            points: own.iter().filter_map(|row| Some((row.published, row.interval?.0, row.interval?.1))).collect(),
         });
         series.push(Series::Points {
-            name: "predicted, its work left out".to_string(),
-            points: own.iter().map(|row| (row.published, row.predicted.value, String::new())).collect(),
+            name: "predicted, its authors left out".to_string(),
+            points: own.iter().map(|row| (row.published, row.predicted, String::new())).collect(),
             joined: false,
         });
         plot::chart("published and predicted (mW, us, nJ)", &Axis::log("published"), &Axis::log("predicted"), &series)
     }
 }
 
-fn error(error: Option<f64>) -> String {
-    error.map_or("none".to_string(), percent)
-}
-
-/// How well the predictions held, in a line or two.
-fn summary(held: &Held) -> String {
-    format!(
-        "{} figures of {} works, each without its own work: median error {} of energies and powers, {} of times;\n{} lie in \
-         their intervals, whose median width is a factor of {:.2}; {} are off by more than 2.5 times",
-        held.figures,
-        held.works,
-        error(held.energy_error),
-        error(held.time_error),
-        percent(held.inside),
-        held.width,
-        held.far
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::published::predict::Predicted;
-    use crate::desc::published::workload::{Accounting, Quantity};
+    use crate::desc::published::workload::Quantity;
     use crate::desc::target::constants::Status;
 
     fn row(left_out: bool, published: f64) -> PublishedRow {
@@ -168,11 +163,12 @@ mod tests {
             workload: "w-1".to_string(),
             quantity: Quantity::StepTime,
             published,
-            predicted: Predicted { value: 10.0, low: 5.0, high: 20.0 },
+            predicted: 10.0,
+            interval: Some((5.0, 20.0)),
             left_out,
             first_hand: true,
-            accounting: Accounting::Profiler,
             activity: Status::Assumed,
+            assumed: vec!["rates".to_string()],
             source: "s".to_string(),
             cause: Some("slow host".to_string()),
         }
@@ -205,10 +201,9 @@ mod tests {
     fn the_text_counts_what_was_left_out_and_names_causes_of_what_is_far_off() {
         let rows = [row(false, 8.0), row(true, 8.0), row(true, 40.0)];
         let text = PublishedReport { rows: &rows }.text();
-        assert!(text.contains("2 figures of 1 works"), "{text}");
-        assert!(text.contains("median error none of energies and powers, 50 % of times"), "{text}");
-        assert!(text.contains("50 % lie in"), "{text}");
-        assert!(text.contains("w-1, step time: slow host"), "{text}");
+        // 1.25 and 4: their median is 2.24.
+        assert!(text.contains("time, median factor of each of 1 works: mean 2.24, worst 2.24"), "{text}");
+        assert!(text.contains("w-1, step time: slow host") && text.contains("w-1 assumes: rates"), "{text}");
         assert_eq!(three(0.012_345), "0.0123");
         assert_eq!(three(1234.5), "1234");
     }

@@ -269,13 +269,13 @@ fn escaped(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::compile::testing::{limits, slip, target};
-    use crate::compile::{DEFAULT_RATE, Form, Options, explore};
+    use crate::compile::{CopyPlacement, DEFAULT_RATE, Form, Options, explore};
     use crate::ir::firing_rates::Rates;
 
     #[test]
     fn every_core_and_population_is_drawn_once() {
         let board = target(2, 1, limits());
-        let options = Options { copies: 40, ..Options::default() };
+        let options = Options { copies: 40, placement: CopyPlacement::Packed, ..Options::default() };
         let rates = Rates::assumed(DEFAULT_RATE);
         let compiled = explore::map(slip(3150).into(), &board, &options, &rates, Form::Written).unwrap();
         let picture = svg(&compiled, &board, &compiled.links());

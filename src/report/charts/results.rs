@@ -37,10 +37,29 @@ fn short(number: f64) -> String {
     }
 }
 
+/// Power, time and energy of a timestep on all hardware of `nsim.energy/1`, side by side.
+#[must_use]
+pub fn hardware(result: &Value) -> Option<String> {
+    let totals: Vec<&Value> = rows(&result["rows"]).iter().filter(|row| row["unit"] == "total").collect();
+    let names: Vec<String> = totals.iter().map(|row| words(&row["hardware"]).to_string()).collect();
+    let column = |name: &str, key: &str| {
+        let values = totals.iter().map(|row| number(&row[key]).unwrap_or(0.0)).collect();
+        (name.to_string(), values)
+    };
+    let columns =
+        [column("power (mW)", "total_mw"), column("time (us)", "latency_us"), column("energy (uJ)", "energy_uj")];
+    let title = format!("{} on {}: a timestep on each hardware", words(&result["model"]), words(&result["target"]));
+    totals
+        .iter()
+        .any(|row| number(&row["energy_uj"]).is_some())
+        .then(|| plot::bars(&title, &Axis::log("mW, us, uJ"), &names, &columns))
+}
+
 /// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the neuron cores.
 #[must_use]
 pub fn energy(result: &Value) -> Option<String> {
-    let unit = |unit: &str| rows(&result["rows"]).iter().find(|row| row["hardware"] == "loihi" && row["unit"] == unit);
+    let chip = &rows(&result["rows"]).first()?["hardware"];
+    let unit = |unit: &str| rows(&result["rows"]).iter().find(|row| row["hardware"] == *chip && row["unit"] == unit);
     let (x86, neuron, total) = (unit("x86")?, unit("neuron")?, unit("total")?);
     let powers = [
         ("x86 static", number(&x86["static_mw"])?),

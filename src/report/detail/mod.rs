@@ -71,28 +71,32 @@ impl Detail {
         self.ranks.iter().map(line).collect()
     }
 
-    /// A table of the cores that were the slowest in most steps, at most this many.
+    /// A table of the cores that were the slowest in most steps, at most this many. Of cores that take as long in every step
+    /// the first is listed, with their number.
     #[must_use]
     pub fn slowest_text(&self, most: usize) -> String {
         let spent = |row: &CoreRow| row.spent.map_or(0, |spent| spent.slowest_steps);
-        let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| row.spent.is_some()).collect();
+        let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| spent(row) > 0).collect();
         rows.sort_by_key(|row| std::cmp::Reverse(spent(row)));
         rows.truncate(most);
         if rows.is_empty() {
             return String::new();
         }
+        let alike = |row: &CoreRow| self.cores.iter().filter(|other| other.counts == row.counts).count();
+        let rows: Vec<(&CoreRow, usize)> = rows.into_iter().map(|row| (row, alike(row))).collect();
         let table = table_of(
-            rows,
+            &rows,
             &[
-                ("core", |row| row.core.0.to_string()),
-                ("chip", |row| row.chip.to_string()),
-                ("slowest in steps", |row| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
-                ("busy us", |row| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
-                ("energy nJ", |row| {
+                ("core", |(row, _)| row.core.0.to_string()),
+                ("chip", |(row, _)| row.chip.to_string()),
+                ("like it", |(_, alike)| alike.to_string()),
+                ("slowest in steps", |(row, _)| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
+                ("busy us", |(row, _)| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
+                ("energy nJ", |(row, _)| {
                     format!("{:.1}", row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))
                 }),
-                ("spikes", |row| row.counts.spikes.to_string()),
-                ("synaptic events", |row| row.counts.synaptic_events().to_string()),
+                ("spikes", |(row, _)| row.counts.spikes.to_string()),
+                ("events", |(row, _)| row.counts.synaptic_events().to_string()),
             ],
             0,
         );

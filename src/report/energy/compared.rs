@@ -1,4 +1,4 @@
-//! What the energy table comes to: ratios to other hardware, the cost of a sample and of a decision, what packing saves.
+//! Ratios to other hardware, and the cost of a sample and of a decision.
 //!
 //! Everything here is physical, power times time, whatever convention the table is in.
 
@@ -49,17 +49,6 @@ pub struct PerDecision {
     pub early: f64,
 }
 
-/// Other numbers of cores for the same copies.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Packing {
-    /// The deployment that it is compared with.
-    pub compared_with: String,
-    /// Powered cores: this deployment's, the other's.
-    pub cores_powered: [u64; 2],
-    /// Static power of one copy, x86 and neuron cores together.
-    pub static_mw: [f64; 2],
-}
-
 /// Power times time of a row in uJ.
 pub(super) fn energy(row: &EnergyRow) -> Option<f64> {
     Some(row.total_mw? * row.latency_us? / 1e3)
@@ -99,7 +88,7 @@ pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> 
     rows.filter(|row| row.unit == "total").filter_map(of).collect()
 }
 
-/// What the table comes to beside other hardware and other numbers of cores.
+/// Compared with other hardware.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
     /// Other hardware over the chip.
@@ -108,13 +97,11 @@ pub struct Comparison {
     pub per_sample: Vec<PerSample>,
     /// Time and energy of a decision.
     pub per_decision: Option<PerDecision>,
-    /// The same with other numbers of cores.
-    pub packing: Option<Packing>,
 }
 
 impl Comparison {
-    /// In words and tables, for the deployment of this name.
-    pub(super) fn text(&self, deployment: &str) -> String {
+    /// In words and tables.
+    pub(super) fn text(&self) -> String {
         let mut out = String::new();
         if !self.ratios.is_empty() {
             let mut table = plain(&["Over the chip's", "Power", "Latency", "Energy", "EDP"]);
@@ -147,18 +134,6 @@ impl Comparison {
             }
             out.push('\n');
         }
-        if let Some(packing) = &self.packing {
-            let Packing { compared_with, cores_powered, static_mw } = packing;
-            out += &wrapped(&format!(
-                "Deployment {} powers {} neuron cores, {compared_with} {}: static power {} mW a copy against {}.",
-                deployment,
-                cores_powered[0],
-                cores_powered[1],
-                short(static_mw[0]),
-                short(static_mw[1]),
-            ));
-            out.push('\n');
-        }
         out
     }
 }
@@ -166,7 +141,7 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cost::estimate::Convention;
+    use crate::cost::estimate::{Convention, Shares};
 
     fn row(hardware: &str, total_mw: f64, latency_us: f64) -> EnergyRow {
         EnergyRow {
@@ -182,6 +157,8 @@ mod tests {
             low: None,
             high: None,
             share: None,
+            shares: Shares::default(),
+            busy: None,
             source: FigureSource::Published,
             power_source: FigureSource::Published,
         }

@@ -19,21 +19,31 @@ pub(super) fn unknown() -> String {
     "unknown".to_string()
 }
 
-/// An integer count of `10^-digits` as a decimal.
-pub(super) fn fixed(units: i128, digits: usize) -> String {
-    let scale = 10i128.pow(digits as u32);
-    let sign = if units < 0 { "-" } else { "" };
-    format!("{sign}{}.{:0digits$}", units.abs() / scale, units.abs() % scale)
+/// A figure with three significant digits.
+pub(super) fn three_digits(x: f64) -> String {
+    digits(x, 3)
 }
 
-/// A figure with two significant digits.
-pub(super) fn two_digits(x: f64) -> String {
+/// An end of an interval: two significant digits, three of hundreds, thousands as `2.8k`, without a zero before the point.
+pub(super) fn brief(x: f64) -> String {
+    let text = match x {
+        1e6.. => format!("{}M", digits(x / 1e6, 2)),
+        1e3.. => format!("{}k", digits(x / 1e3, 2)),
+        100.0.. => format!("{x:.0}"),
+        _ => digits(x, 2),
+    };
+    text.strip_prefix('0').filter(|rest| rest.starts_with('.')).map_or(text.clone(), str::to_string)
+}
+
+/// A figure with this many significant digits, and no fewer of a whole number.
+fn digits(x: f64, significant: i32) -> String {
     if x == 0.0 || !x.is_finite() {
         return format!("{x}");
     }
-    let rounded: f64 = format!("{x:.1e}").parse().unwrap_or(x);
-    let decimals = (1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
-    format!("{rounded:.decimals$}")
+    let rounded: f64 = format!("{x:.*e}", (significant - 1) as usize).parse().unwrap_or(x);
+    let decimals = (significant - 1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    // Whole numbers keep their digits.
+    format!("{:.decimals$}", if decimals == 0 { x } else { rounded })
 }
 
 /// A figure with at least five significant digits and no more than six decimals, without trailing zeros.

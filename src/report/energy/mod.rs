@@ -1,6 +1,5 @@
-//! The results of `nsim energy`: the table with its breakdown, what it compares with, its chart, and calibrations.
+//! The results of `nsim energy`: the table with its breakdown, what it compares with, and its chart.
 
-pub mod calibration;
 mod chart;
 pub mod compared;
 mod format;

@@ -1,7 +1,7 @@
-//! The energy table as text, JSON (`nsim.energy/1`) and CSV.
+//! The energy table as text, JSON (`nsim.energy/1`), CSV, and tables for papers.
 //!
-//! JSON and CSV hold full precision. In the text, the x86 and neuron rows are rounded and the total is the sum of what is
-//! printed, so that a reader can add up the columns; it may differ from the exact total by one in the last digit.
+//! JSON and CSV hold full precision. The text has the layout of the VT-SNN paper's tables: three digits for what nsim says, all
+//! printed digits for what others published.
 
 use std::fmt::Write;
 
@@ -9,20 +9,25 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{fixed, plain, short, two_digits, unknown};
+use super::format::{brief, plain, short, three_digits, unknown};
 use crate::compile::explore::cost_estimate::Score;
-use crate::cost::Transport;
 use crate::cost::deployment::Deployment;
-use crate::cost::estimate::{Convention, EnergyRow, Estimate};
+use crate::cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, StatusShare};
+use crate::cost::{Host, Transport};
 use crate::desc::published::baseline::Mode;
+use crate::desc::published::scenario::ScenarioFile;
 use crate::desc::published::workload::Accounting;
 use crate::desc::target::constants::{Constants, Status, Unit};
 use crate::drive::decision::Rule;
 use crate::report::detail::Detail;
-use crate::report::text::{Column, count, csv_of, or_empty, wrapped};
+use crate::report::text::{Column, count, csv_of, csv_text, or_empty, wrapped};
 
 /// Cores that the text lists.
 const SLOWEST_SHOWN: usize = 6;
+/// The level of the intervals.
+const LEVEL: f64 = 0.8;
+/// Widths of the columns of the table: name, powers, latency, energy, energy-delay product.
+const WIDTHS: [usize; 7] = [16, 7, 8, 8, 11, 10, 9];
 
 /// What ending samples when they are decided would save of the run: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -36,7 +41,7 @@ pub struct Saved {
     pub steps_saved: u64,
     /// Time that they took.
     pub time_saved_us: f64,
-    /// Energy of one copy that they cost, all power included.
+    /// Energy that they cost, all power of the `total` row included.
     pub energy_saved_uj: f64,
     /// That as a part of the energy of the whole run; `None` when that is zero.
     pub energy_saved_share: Option<f64>,
@@ -84,13 +89,13 @@ pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
     json!({
         "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
         "mode": mode.name(), "convention": convention.name(), "fits": false, "reasons": [], "seed": null, "rows": [],
-        "cores_powered": null, "cores_used": null, "breakdown_pj_per_timestep": null, "per_timestep_uj": null,
-        "early_exit": null, "constants": [], "populations": [], "inputs": [], "cores": [], "warnings": [],
+        "cores_used": null, "breakdown_pj_per_timestep": null, "per_timestep_uj": null, "early_exit": null,
+        "constants": [], "populations": [], "inputs": [], "cores": [], "warnings": [],
     })
 }
 
 /// A finished energy report.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct EnergyReport {
     /// The model's name.
     pub model: String,
@@ -110,15 +115,19 @@ pub struct EnergyReport {
     pub samples: u64,
     /// Timesteps of all samples.
     pub timesteps: u64,
+    /// Share of the samples with a label that were classified as it says.
+    pub accuracy: Option<f64>,
+    /// Samples with a label.
+    pub labelled: u64,
     /// Rows of the simulated chip, breakdown, spread.
     pub estimate: Estimate,
-    /// Rows of other hardware, with their sources.
+    /// Rows of other hardware and of published jobs, with their sources.
     pub baselines: Vec<(EnergyRow, String)>,
-    /// Which measurements the constants count.
+    /// Which power counts.
     pub accounting: Accounting,
     /// The model of the mesh.
     pub transport: Transport,
-    /// Beside other hardware and other numbers of cores.
+    /// Compared with other hardware.
     pub comparison: Comparison,
     /// What ending samples when they are decided would save.
     pub early_exit: Option<Saved>,
@@ -128,8 +137,45 @@ pub struct EnergyReport {
     pub detail: Detail,
     /// What `nsim map` expects of a mean step of this mapping, given how often each source spiked in the run.
     pub expected: Option<Score>,
+    /// The published job of the model, if there is one.
+    pub job: Option<ScenarioFile>,
+    /// What that printed as energy and energy-delay product.
+    pub printed: Option<[f64; 2]>,
     /// What is not known and why, for people; also on stderr when the output is for programs.
     pub notes: Vec<String>,
+}
+
+/// What a row of the table is called.
+fn row_name(row: &EnergyRow, chip: &str) -> String {
+    if row.hardware != chip {
+        return match (row.source, row.hardware.split_once(", ")) {
+            (FigureSource::Simulated, Some((_, job))) => job.replace("in the VT-SNN paper", "in the paper"),
+            (FigureSource::Published, Some((work, "printed"))) => work.replace("the VT-SNN paper", "the paper"),
+            _ => row.hardware.clone(),
+        };
+    }
+    match row.unit {
+        "x86" => "x86 core".to_string(),
+        "neuron" => "neuron cores".to_string(),
+        "boot" => "board, boot".to_string(),
+        "idle" => "board, idle".to_string(),
+        // A name as the field writes it: Loihi.
+        _ => chip.chars().take(1).flat_map(char::to_uppercase).chain(chip.chars().skip(1)).collect(),
+    }
+}
+
+/// A line of the table.
+fn line(name: &str, cells: &[String; 6], source: &str) -> String {
+    let mut out = format!("{name:<width$}", width = WIDTHS[0]);
+    // A name that is too long takes room from the first column.
+    let mut over = out.chars().count().saturating_sub(WIDTHS[0]);
+    for (cell, width) in cells.iter().zip(&WIDTHS[1..]) {
+        let width = width.saturating_sub(over).max(cell.chars().count().min(*width));
+        over = 0;
+        let _ = write!(out, "{cell:>width$}");
+    }
+    let text = format!("{out}  {source}");
+    format!("{}\n", text.trim_end())
 }
 
 impl EnergyReport {
@@ -137,19 +183,41 @@ impl EnergyReport {
         self.estimate.rows.iter().chain(self.baselines.iter().map(|(row, _)| row))
     }
 
-    fn convention(&self) -> &'static str {
-        self.estimate.rows.first().map_or("physical", |row| row.convention.name())
+    fn convention(&self) -> Convention {
+        self.estimate.rows.first().map_or(Convention::Physical, |row| row.convention)
+    }
+
+    fn hardware(&self) -> &str {
+        self.estimate.rows.first().map_or("chip", |row| &row.hardware)
+    }
+
+    fn total(&self) -> Option<&EnergyRow> {
+        self.estimate.rows.iter().find(|row| row.unit == "total")
+    }
+
+    /// Powers of all copies, and a copy's share, by the report's accounting.
+    fn job_json(&self) -> Value {
+        let all = match self.accounting {
+            Accounting::Profiler => self.estimate.job.profiler(),
+            Accounting::Rails => self.estimate.job.rails_running(),
+        };
+        let share = all.map(|all| all / f64::from(self.deployment.copies.max(1)));
+        json!({ "total_mw": all, "share_mw": share })
     }
 
     /// The object of `nsim.energy/1`.
     #[must_use]
     pub fn json(&self) -> Value {
         let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
-            parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj))).collect::<serde_json::Map<_, _>>()
+            let parts = parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj)));
+            // No core learns yet.
+            parts.chain([("learning".to_string(), json!(0.0))]).collect::<serde_json::Map<_, _>>()
         });
         let times = self.estimate.time_us.map(|times| {
             times.iter().map(|&(name, us)| (name.replace(' ', "_"), json!(us))).collect::<serde_json::Map<_, _>>()
         });
+        let Deployment { x86_cores, x86_chips, host, .. } = self.deployment;
+        let injecting = if host == Host::Stream { x86_chips } else { 0 };
         let mut object = json!({
             "schema": "nsim.energy/1",
             "model": self.model,
@@ -157,21 +225,22 @@ impl EnergyReport {
             "copies": self.deployment.copies,
             "deployment": self.deployment.name,
             "mode": self.mode.name(),
-            "convention": self.convention(),
+            "convention": self.convention().name(),
             "fits": true,
             "preset": self.preset,
-            "interval": 0.9,
+            "level": LEVEL,
             "seed": self.seed,
             "input": self.input,
             "samples": self.samples,
             "timesteps": self.timesteps,
+            "accuracy": self.accuracy,
             "rows": self.rows().collect::<Vec<_>>(),
-            "cores_powered": self.deployment.cores_powered,
             "cores_used": self.deployment.cores_used,
             "tiles_used": self.deployment.tiles_used,
             "chips_used": self.deployment.chips_used,
-            "x86_cores": self.deployment.x86_cores(),
-            "host": self.host_json(),
+            "x86_cores": x86_cores,
+            "host": { "kind": host, "x86_cores": x86_cores, "chips_injecting": injecting },
+            "job": self.job_json(),
             "breakdown_pj_per_timestep": breakdown,
             "per_timestep_uj": self.estimate.per_timestep_uj,
             "per_timestep_dynamic_uj": self.estimate.per_timestep_dynamic_uj,
@@ -181,12 +250,15 @@ impl EnergyReport {
             "ratios": self.comparison.ratios,
             "per_sample": self.comparison.per_sample,
             "per_decision": self.comparison.per_decision,
-            "packing": self.comparison.packing,
             "early_exit": self.early_exit,
             "constants": self.constants,
             "expected": self.expected,
             "notes": self.notes,
         });
+        let total = self.total();
+        object["low"] = json!(total.and_then(|row| row.low).unwrap_or_default());
+        object["high"] = json!(total.and_then(|row| row.high).unwrap_or_default());
+        object["share"] = json!(total.and_then(|row| row.share));
         self.detail.add_to(&mut object);
         object
     }
@@ -196,7 +268,7 @@ impl EnergyReport {
     /// # Errors
     /// When the writer fails, which for one in memory it does not.
     pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<EnergyRow>; 17] = [
+        let columns: [Column<EnergyRow>; 19] = [
             ("hardware", |row| row.hardware.clone()),
             ("unit", |row| row.unit.to_string()),
             ("convention", |row| row.convention.name().to_string()),
@@ -209,161 +281,251 @@ impl EnergyReport {
             ("total_mw_low", |row| or_empty(row.low.and_then(|low| low.total_mw))),
             ("latency_us_low", |row| or_empty(row.low.and_then(|low| low.latency_us))),
             ("energy_uj_low", |row| or_empty(row.low.and_then(|low| low.energy_uj))),
+            ("edp_pjs_low", |row| or_empty(row.low.and_then(|low| low.edp_pjs))),
             ("total_mw_high", |row| or_empty(row.high.and_then(|high| high.total_mw))),
             ("latency_us_high", |row| or_empty(row.high.and_then(|high| high.latency_us))),
             ("energy_uj_high", |row| or_empty(row.high.and_then(|high| high.energy_uj))),
+            ("edp_pjs_high", |row| or_empty(row.high.and_then(|high| high.edp_pjs))),
             ("source", |row| row.source.name().to_string()),
             ("power_source", |row| row.power_source.name().to_string()),
         ];
         csv_of(self.rows(), &columns)
     }
 
-    fn host_json(&self) -> Value {
-        let x86_cores = self.deployment.x86_cores();
-        json!({ "x86_cores": x86_cores, "chips_injecting": x86_cores.min(self.deployment.chips_used) })
+    /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper computes it.
+    fn edp(&self, pjs: f64) -> f64 {
+        if self.convention() == Convention::Physical { pjs / 1e3 } else { pjs }
     }
 
-    /// The answer in at most ten lines of eighty columns, figures with the two digits that constants deserve.
-    #[must_use]
-    pub fn headline(&self) -> String {
-        let Deployment { name, copies, cores_used, cores_powered, chips_used, .. } = &self.deployment;
-        let cut = |line: String| match line.char_indices().nth(79) {
-            Some((end, _)) => format!("{}~\n", &line[..end]),
-            None => format!("{line}\n"),
+    /// The cells of a row: static, dynamic and total power, latency, energy, energy-delay product.
+    fn cells(&self, row: &EnergyRow) -> [String; 6] {
+        let printed = row.source == FigureSource::Published;
+        // What was computed from a publication's figures, not printed by it.
+        let computed = printed && self.convention() == Convention::Physical;
+        let assumed = row.power_source != row.source && row.power_source == FigureSource::Assumed;
+        let cell = |figure: Option<f64>, exact: bool| match figure {
+            None => String::new(),
+            Some(figure) if exact => format!("{figure}"),
+            Some(figure) => three_digits(figure),
         };
-        let of = if *copies == 1 { "1 copy".to_string() } else { format!("one of {copies} copies") };
-        let mut out = cut(format!("{} on {}: {of}, {name}, {}", self.model, self.target, self.mode.name()));
-        out += &cut(format!(
-            "{} ({cores_powered} powered), {}, {}; {} of {}",
-            count(*cores_used, "core"),
-            count(*chips_used, "chip"),
-            count(self.deployment.x86_cores(), "x86 core"),
-            count(self.samples, "sample"),
-            self.input.join(", ")
-        ));
-        let convention = self.convention();
-        let energy_header = if convention == "physical" { "Energy (uJ)" } else { "Energy (uJ, published)" };
-        let mut table = plain(&["A timestep on", "Power (mW)", "Time (us)", energy_header, "Source"]);
-        let two = |x: Option<f64>| x.map_or_else(unknown, two_digits);
-        let total = self.estimate.rows.iter().find(|row| row.unit == "total");
-        if let Some(row) = total {
-            let figures = [row.total_mw, row.latency_us, row.energy_uj].map(two);
-            let [power, time, energy] = figures;
-            table.add_row(["loihi".to_string(), power, time, energy, row.source.name().to_string()]);
-            if let (Some(low), Some(high)) = (row.low, row.high) {
-                let range = |low: Option<f64>, high: Option<f64>| match (low, high) {
-                    (Some(low), Some(high)) => format!("{}..{}", two_digits(low), two_digits(high)),
-                    _ => unknown(),
-                };
-                table.add_row([
-                    "  90 % interval".to_string(),
-                    range(low.total_mw, high.total_mw),
-                    range(low.latency_us, high.latency_us),
-                    range(low.energy_uj, high.energy_uj),
-                    String::new(),
-                ]);
+        let power = |figure: Option<f64>| cell(figure, printed) + if assumed { "?" } else { "" };
+        let product = |figure: Option<f64>| {
+            let text = match figure {
+                Some(figure) if computed && figure >= 1e3 => format!("{figure:.0}"),
+                figure => cell(figure, printed && !computed),
+            };
+            if computed && !text.is_empty() { text + "*" } else { text }
+        };
+        let is_part = ["x86", "neuron"].contains(&row.unit);
+        [
+            power(row.static_mw),
+            power(row.dynamic_mw),
+            power(row.total_mw),
+            if is_part { String::new() } else { cell(row.latency_us, printed) },
+            if is_part { String::new() } else { product(row.energy_uj) },
+            if is_part { String::new() } else { product(row.edp_pjs.map(|pjs| self.edp(pjs))) },
+        ]
+    }
+
+    /// The interval of a row, where it has one.
+    fn interval(&self, row: &EnergyRow) -> Option<[String; 6]> {
+        let (low, high) = (row.low?, row.high?);
+        let range = |figure: fn(&Bound) -> Option<f64>| match (figure(&low), figure(&high)) {
+            (Some(low), Some(high)) => format!("{}..{}", brief(low), brief(high)),
+            _ => String::new(),
+        };
+        let edp = match (low.edp_pjs, high.edp_pjs) {
+            (Some(low), Some(high)) => format!("{}..{}", brief(self.edp(low)), brief(self.edp(high))),
+            _ => String::new(),
+        };
+        let [total, latency, energy] = [range(|b| b.total_mw), range(|b| b.latency_us), range(|b| b.energy_uj)];
+        Some([String::new(), String::new(), total, latency, energy, edp])
+    }
+
+    /// Name, cells and source of each line of the table, intervals behind their rows.
+    fn lines(&self, every_interval: bool) -> Vec<(String, [String; 6], String)> {
+        let mut lines = Vec::new();
+        for row in self.rows() {
+            let own = row.hardware == self.hardware();
+            if own && row.unit == "x86" && self.deployment.x86_cores == 0 {
+                continue;
+            }
+            let is_part = ["x86", "neuron", "boot", "idle"].contains(&row.unit);
+            let source = match row.busy {
+                Some(busy) => format!("busy {busy:.1}"),
+                None if own && is_part => String::new(),
+                None => row.source.name().to_string(),
+            };
+            lines.push((row_name(row, self.hardware()), self.cells(row), source));
+            if own
+                && (every_interval || !is_part)
+                && let Some(interval) = self.interval(row)
+            {
+                lines.push(("  80 % interval".to_string(), interval, String::new()));
             }
         }
-        // What does not fit into ten lines is in the full report.
-        let room = if self.early_exit.is_some() { 2 } else { 3 };
-        for (row, _) in self.baselines.iter().take(room) {
-            let figures = [row.total_mw, row.latency_us, row.energy_uj].map(two);
-            let [power, time, energy] = figures;
-            table.add_row([row.hardware.clone(), power, time, energy, self.source_of(row)]);
+        lines
+    }
+
+    /// The headings of the six columns, and of the groups that they are in.
+    fn headings(&self) -> [String; 6] {
+        let (energy, edp) = match self.convention() {
+            Convention::Physical => ("(uJ/step)", "(nJ s)"),
+            Convention::Published => ("(mW/steps)", "(pJ s)"),
+        };
+        ["static", "dynamic", "total", "(us/step)", energy, edp].map(str::to_string)
+    }
+
+    fn head(&self) -> String {
+        let Deployment { copies, cores_used, chips_used, x86_cores, .. } = &self.deployment;
+        let cores = if *x86_cores > 0 {
+            format!("{}, {}", count(*cores_used, "neuron core"), count(*x86_cores, "x86 core"))
+        } else {
+            format!("{}, no x86 core", count(*cores_used, "neuron core"))
+        };
+        let copies = if *copies == 1 { "1 copy".to_string() } else { format!("{copies} copies") };
+        let chips = count(*chips_used, "chip");
+        let mode = if self.mode == Mode::Offline { "offline" } else { "real time" };
+        let mut out = wrapped(&format!("{} on {}: {copies} on {chips} ({cores}), {mode}", self.model, self.target));
+        let shown = self.input.first().map_or("", String::as_str);
+        let shown = shown.split('?').next().unwrap_or(shown);
+        let shown = if self.input.len() > 1 { format!("{shown} and others") } else { shown.to_string() };
+        let samples = match self.accuracy {
+            Some(share) => {
+                let right = (share * self.labelled as f64).round();
+                format!("{right} of {} right", count(self.labelled, "sample"))
+            }
+            None => count(self.samples, "sample"),
+        };
+        let power = match self.accounting {
+            Accounting::Profiler => "Power as Intel's profiler counts it.",
+            Accounting::Rails => "Power of the board, as a meter shows it.",
+        };
+        out += &wrapped(&format!("{samples} ({shown}). {power}"));
+        out
+    }
+
+    /// The table with its heading.
+    fn table(&self, every_interval: bool) -> String {
+        let mut out = self.head();
+        let groups = ["", "power", "(mW)", "latency", "energy", "EDP"].map(str::to_string);
+        out.push('\n');
+        out += &line("", &groups, "");
+        out += &line("", &self.headings(), "");
+        for (name, cells, source) in self.lines(every_interval) {
+            out += &line(&name, &cells, &source);
         }
-        let _ = writeln!(out, "{}", table.trim_fmt());
-        let part = |unit: &str| self.estimate.rows.iter().find(|row| row.unit == unit)?.energy_uj;
-        if let (Some(x86), Some(all)) = (part("x86"), part("total"))
-            && all > 0.0
-        {
-            let shares = total.and_then(|row| row.share).map_or(String::new(), |share| {
-                let [published, fitted, assumed] =
-                    [share.published, share.fitted, share.assumed].map(|share| (100.0 * share).round());
-                format!("; {published} % from published, {fitted} % fitted, {assumed} % assumed constants")
+        out
+    }
+
+    /// What is said below the table: at most four lines of eighty columns.
+    fn remarks(&self) -> Vec<String> {
+        let Deployment { cores_used, copies, board_chips, chips_used, .. } = &self.deployment;
+        if self.accounting == Accounting::Rails {
+            let unused = board_chips - chips_used.min(board_chips);
+            let unused = (unused > 0).then(|| {
+                let boot = self.estimate.job.boot * unused as f64 / *board_chips as f64;
+                format!("{} mW of it are {unused} chips of the board that are not used.", three_digits(boot))
             });
-            out += &cut(format!("x86 cores take {:.0} %{shares}", 100.0 * x86 / all));
+            let packing = "Packing copies on fewer chips saves profiler milliwatts, not board watts.".to_string();
+            return unused.into_iter().chain([packing]).chain(self.dominant()).collect();
+        }
+        let each = |total: u64, copies: u32| {
+            let cores = total as f64 / f64::from(copies.max(1));
+            if cores.fract() == 0.0 { format!("{cores}") } else { three_digits(cores) }
+        };
+        let mut said = Vec::new();
+        let is_printed = |row: &EnergyRow| row.source == FigureSource::Published && row.hardware.ends_with(", printed");
+        let job = self.job.as_ref().filter(|_| self.rows().any(is_printed));
+        if *copies > 1 {
+            let all = self.estimate.job.profiler();
+            let share = all.map_or_else(unknown, |all| three_digits(all / f64::from(*copies)));
+            let all = all.map_or_else(unknown, three_digits);
+            said.push(format!("Rows are one x86 core's and one copy's; all copies draw {all} mW, {share} each."));
+        }
+        if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
+            let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
+            said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power goes with them."));
+        }
+        let mut marks = Vec::new();
+        if let (Some(_), Some([energy, edp]), Convention::Physical) = (job, self.printed, self.convention()) {
+            marks.push(format!("* power x time; the paper prints {energy} and {edp} (power / 150)."));
+        }
+        if self.rows().any(|row| row.power_source != row.source && row.power_source == FigureSource::Assumed) {
+            marks.push("? assumed power".to_string());
+        }
+        said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
+        said.extend(self.dominant());
+        let packing = "Fewer cores save profiler milliwatts, not board watts (--accounting rails).";
+        said.extend((said.len() < 4).then(|| packing.to_string()));
+        said
+    }
+
+    /// What takes most of a step.
+    fn dominant(&self) -> Option<String> {
+        let times = self.estimate.time_us?;
+        let all: f64 = times.iter().map(|(_, us)| us).sum();
+        let (name, most) = times.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| all > 0.0)?;
+        let what = match name {
+            "injection" => "injecting input spikes",
+            "turn" => "the turn of the x86 core",
+            "slowest core" => "the slowest core",
+            "transport" => "messages on the mesh",
+            "barrier" => "the barrier",
+            _ => "resetting state",
+        };
+        let free = if self.mode == Mode::Realtime { "A step's work takes" } else { "A step takes" };
+        let share = (100.0 * most / all).floor();
+        Some(format!("{free} {} us, {share} % of it for {what}.", three_digits(all)))
+    }
+
+    /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
+    #[must_use]
+    pub fn headline(&self) -> String {
+        let mut out = self.table(false);
+        for remark in self.remarks() {
+            let _ = writeln!(out, "{remark}");
         }
         if let Some(saved) = self.early_exit {
             let share =
                 saved.energy_saved_share.map_or(String::new(), |share| format!(", {:.0} % of energy", 100.0 * share));
-            out += &cut(format!(
+            out += &wrapped(&format!(
                 "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}",
                 saved.rule, saved.decided, self.samples, saved.steps_saved, self.timesteps
             ));
         }
-        let notes = if self.notes.is_empty() { String::new() } else { count(self.notes.len() as u64, "note") + ", " };
-        out += &cut(format!("constants {}; {notes}parts, intervals and sources: --full", self.preset));
         out
     }
 
-    /// Where a row's figures are from, in a word or two.
-    fn source_of(&self, row: &EnergyRow) -> String {
-        match row.power_source == row.source {
-            true => row.source.name().to_string(),
-            false => format!("{}, {} W", row.source.name(), row.power_source.name()),
-        }
-    }
-
-    /// The main table as comma-separated values, for a table in a paper.
+    /// The table as comma-separated values, for a table in a paper: the same lines, each with all of its cells.
     ///
     /// # Errors
     /// As [`EnergyReport::csv`].
     pub fn paper_csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<EnergyRow>; 7] = [
-            ("Hardware", |row| format!("{} {}", row.hardware, row.unit)),
-            ("Static (mW)", |row| or_empty(row.static_mw)),
-            ("Dynamic (mW)", |row| or_empty(row.dynamic_mw)),
-            ("Total (mW)", |row| or_empty(row.total_mw)),
-            ("Latency (us)", |row| or_empty(row.latency_us)),
-            ("Energy (uJ)", |row| or_empty(row.energy_uj)),
-            ("Source", |row| row.source.name().to_string()),
-        ];
-        csv_of(self.rows(), &columns)
+        let physical = self.convention() == Convention::Physical;
+        let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };
+        let edp = if physical { "EDP (nJ s)" } else { "EDP (pJ s)" };
+        let header =
+            ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
+        let mut out = csv::Writer::from_writer(Vec::new());
+        out.write_record(header)?;
+        for (name, cells, source) in self.lines(false) {
+            out.write_record([name.trim_start().to_string()].iter().chain(&cells).chain([&source]))?;
+        }
+        csv_text(out)
     }
 
-    /// The whole report for people.
+    /// The whole report for people: what a reader asks first comes first.
     #[must_use]
     pub fn text(&self) -> String {
-        let Deployment { name, copies, cores_used, cores_powered, tiles_used, chips_used, host: _ } = &self.deployment;
-        let convention = self.convention();
-        let mut out = format!(
-            "{} on {}: one of {copies} copies, deployment {name}, {}, constants {}, transport {}\n",
-            self.model,
-            self.target,
-            self.mode.name(),
-            self.preset,
-            self.transport.name()
-        );
-        let _ = writeln!(
-            out,
-            "{} used, {cores_powered} powered, {}, {} on {}; {}, {}",
-            count(*cores_used, "neuron core"),
-            count(self.deployment.x86_cores(), "x86 core"),
-            count(*tiles_used, "tile"),
-            count(*chips_used, "chip"),
-            count(self.samples, "sample"),
-            count(self.timesteps, "timestep")
-        );
-        out.push_str("power of one copy; latency, energy and energy-delay product (EDP) of a timestep\n\n");
-        let energy_header = format!("Energy\n(uJ, {convention})");
-        let edp_header = format!("EDP\n(pJ s, {convention})");
-        let mut table = plain(&[
-            "Hardware",
-            "Unit",
-            "Static\n(mW)",
-            "Dynamic\n(mW)",
-            "Total\n(mW)",
-            "Latency\n(us)",
-            &energy_header,
-            &edp_header,
-            "Source",
-        ]);
-        for cells in self.printed_rows() {
-            table.add_row(cells);
+        let mut out = self.table(true);
+        for remark in self.remarks() {
+            let _ = writeln!(out, "{remark}");
         }
-        let _ = writeln!(out, "{}\n", table.trim_fmt());
-        out.push_str(&self.ranges());
+        out.push('\n');
         out.push_str(&self.breakdown());
+        out.push_str(&self.shares());
+        out.push_str(&self.comparison.text());
         out.push_str(&self.detail.populations_text(self.timesteps));
         out.push_str(&self.detail.slowest_text(SLOWEST_SHOWN));
         if let Some(Score { energy_uj, step_us, .. }) = self.expected {
@@ -375,12 +537,10 @@ impl EnergyReport {
             ));
             out.push('\n');
         }
-        out.push_str(&self.comparison.text(name));
         if let Some(saved) = self.early_exit {
-            let _ = writeln!(
-                out,
+            out += &wrapped(&format!(
                 "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} timesteps, {} us \
-                 and {} uJ a copy{}; the figures above are those of whole samples.\n",
+                 and {} uJ{}; the figures above are those of whole samples.",
                 saved.rule,
                 saved.decided,
                 self.samples,
@@ -389,17 +549,11 @@ impl EnergyReport {
                 short(saved.time_saved_us),
                 short(saved.energy_saved_uj),
                 saved.energy_saved_share.map_or(String::new(), |share| format!(" ({:.1} %)", 100.0 * share)),
-            );
+            ));
+            out.push('\n');
         }
-        out.push_str(&wrapped(match convention {
-            "published" => {
-                "Convention published: energy is total power in mW divided by the timesteps of a sample, as the VT-SNN paper \
-                 computes it; it is not power times latency."
-            }
-            _ => "Convention physical: energy is power times latency, the energy-delay product energy times latency.",
-        }));
         for (row, source) in &self.baselines {
-            out += &wrapped(&format!("{}: {source}", row.hardware));
+            out += &wrapped(&format!("{}: {source}", row_name(row, self.hardware())));
         }
         out.push_str(&self.sources());
         for note in &self.notes {
@@ -408,65 +562,18 @@ impl EnergyReport {
         out
     }
 
-    /// Cells of the main table. The loihi `total` row is the sum of what is printed above it.
-    fn printed_rows(&self) -> Vec<Vec<String>> {
-        let columns: [(Figure, usize, bool); 6] = [
-            (|row| row.static_mw, 4, true),
-            (|row| row.dynamic_mw, 4, true),
-            (|row| row.total_mw, 4, true),
-            (|row| row.latency_us, 4, false),
-            (|row| row.energy_uj, 6, true),
-            (|row| row.edp_pjs, 6, true),
-        ];
-        let parts: Vec<&EnergyRow> = self.estimate.rows.iter().filter(|row| row.unit != "total").collect();
-        let rounded = |row: &EnergyRow, column: usize| -> Option<i128> {
-            let (figure, digits, _) = columns[column];
-            let units = |x: f64| (x * 10f64.powi(digits as i32)).round() as i128;
-            match column {
-                // Total power is the sum of the two columns to its left.
-                2 => Some(units(row.static_mw?) + units(row.dynamic_mw?)),
-                _ => figure(row).map(units),
-            }
-        };
-        let mut rows = Vec::new();
-        for row in &self.estimate.rows {
-            let mut cells = vec![row.hardware.clone(), row.unit.to_string()];
-            for (column, &(_, digits, adds_up)) in columns.iter().enumerate() {
-                let units = match row.unit {
-                    "total" if adds_up => parts.iter().map(|part| rounded(part, column)).sum::<Option<i128>>(),
-                    _ => rounded(row, column),
-                };
-                cells.push(units.map_or_else(unknown, |units| fixed(units, digits)));
-            }
-            cells.push(row.source.name().to_string());
-            rows.push(cells);
+    /// Shares of the `total` row by the status of constants, column by column.
+    fn shares(&self) -> String {
+        let Some(row) = self.total() else { return String::new() };
+        let mut table = plain(&["From constants", "published", "fitted", "assumed"]);
+        let columns = [("static power", row.shares.static_mw), ("dynamic power", row.shares.dynamic_mw)];
+        for (name, share) in columns.into_iter().chain([("total power", row.share), ("latency", row.shares.latency_us)])
+        {
+            let Some(StatusShare { published, fitted, assumed }) = share else { continue };
+            let cells = [published, fitted, assumed].map(|share| format!("{:.0} %", 100.0 * share));
+            table.add_row([name.to_string()].into_iter().chain(cells));
         }
-        for (row, _) in &self.baselines {
-            let mut cells = vec![row.hardware.clone(), row.unit.to_string()];
-            cells.extend(columns.iter().map(|(figure, ..)| figure(row).map_or_else(unknown, short)));
-            cells.push(self.source_of(row));
-            rows.push(cells);
-        }
-        rows
-    }
-
-    fn ranges(&self) -> String {
-        let mut table = plain(&["Hardware", "Unit", "Total (mW)", "Latency (us)", "Energy (uJ)"]);
-        for row in &self.estimate.rows {
-            let (Some(low), Some(high)) = (row.low, row.high) else { continue };
-            let range = |low: Option<f64>, high: Option<f64>| match (low, high) {
-                (Some(low), Some(high)) => format!("{} to {}", short(low), short(high)),
-                _ => unknown(),
-            };
-            table.add_row([
-                row.hardware.clone(),
-                row.unit.to_string(),
-                range(low.total_mw, high.total_mw),
-                range(low.latency_us, high.latency_us),
-                range(low.energy_uj, high.energy_uj),
-            ]);
-        }
-        format!("90 % intervals, from what sources say of each constant:\n{}\n\n", table.trim_fmt())
+        if table.row_count() == 0 { String::new() } else { format!("{}\n\n", table.trim_fmt()) }
     }
 
     fn breakdown(&self) -> String {
@@ -485,7 +592,7 @@ impl EnergyReport {
             out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));
         }
         for (what, spread) in [
-            ("Energy of a timestep, all power included (uJ, physical)", self.estimate.per_timestep_uj),
+            ("Energy of a timestep, all power included (uJ, power x time)", self.estimate.per_timestep_uj),
             ("Dynamic energy of the neuron cores in a timestep (uJ)", self.estimate.per_timestep_dynamic_uj),
         ] {
             if let Some(s) = spread {
@@ -515,6 +622,3 @@ impl EnergyReport {
         wrapped(&out)
     }
 }
-
-/// A column of a row.
-type Figure = fn(&EnergyRow) -> Option<f64>;

@@ -79,7 +79,7 @@
   const results = data.results;
   const result = results[0] || {};
   const rows = result.rows || [];
-  const totalOf = (of) => (of.rows || []).find((row) => row.hardware === "loihi" && row.unit === "total");
+  const totalOf = (of) => (of.rows || []).find((row) => row.hardware === of.rows[0].hardware && row.unit === "total");
   const total = totalOf(result);
   const interval = (row, key) => (row && row.low && row.high && isNumber(row.low[key]) ? `${number(row.low[key], 2)} to ${number(row.high[key], 2)}` : null);
   const timesteps = result.timesteps || 0;
@@ -98,12 +98,12 @@
     const cards = [];
     const card = (value, unit, words) => cards.push(element("div", { class: "card" }, element("b", {}, `${value} ${unit}`), element("span", {}, words)));
     if (total) {
-      const within = (key) => (interval(total, key) ? ` (90 %: ${interval(total, key)})` : "");
+      const within = (key) => (interval(total, key) ? ` (80 %: ${interval(total, key)})` : "");
       card(number(total.energy_uj, 2), "µJ", "energy of a timestep" + within("energy_uj"));
       card(number(total.latency_us, 2), "µs", "time of a timestep" + within("latency_us"));
       card(number(total.total_mw, 2), "mW", "power" + within("total_mw"));
     }
-    if (result.cores_used) card(number(result.cores_used), result.cores_used === 1 ? "core" : "cores", `${number(result.cores_powered)} powered, ${plural(result.chips_used, "chip")}, ${plural(result.x86_cores, "x86 core")}`);
+    if (result.cores_used) card(number(result.cores_used), result.cores_used === 1 ? "core" : "cores", `${plural(result.chips_used, "chip")}, ${plural(result.x86_cores, "x86 core")}`);
     if (result.populations && result.populations.length) {
       const spikes = sum(result.populations.map((row) => row.spikes));
       card(number(timesteps ? spikes / timesteps : 0), "", `spikes of compartments a timestep, ${number(sum(result.populations.map((row) => row.compartments)))} compartments`);
@@ -410,26 +410,26 @@
     halves.append(one, two);
     const times = Object.entries(result.time_us_per_timestep || {}).map(([name, x]) => [spaced(name), x]);
     parts("Time", one, times, "µs");
-    const units = rows.filter((row) => row.hardware === "loihi" && row.unit !== "total").map((row) => [row.unit === "neuron" ? "neuron cores" : row.unit, row.energy_uj]);
+    const units = rows.filter((row) => row.hardware === rows[0].hardware && row.unit !== "total").map((row) => [row.unit === "neuron" ? "neuron cores" : row.unit, row.energy_uj]);
     parts("Energy, static and dynamic", two, units, "µJ");
     parts("Energy of events", one, Object.entries(result.breakdown_pj_per_timestep || {}).map(([name, x]) => [spaced(name), x / 1e3]), "nJ");
     const slow = (result.cores || []).filter((row) => row.slowest_steps > 0).sort((a, b) => b.slowest_steps - a.slowest_steps).slice(0, 8);
     parts("Cores by the timesteps in which they were the slowest", two, slow.map((row) => [`core ${row.core}, chip ${row.chip}`, row.slowest_steps]), "timesteps");
   }
   function hardwareSection() {
-    const list = rows.filter((row) => row.unit === "total" || row.hardware !== "loihi");
+    const list = rows.filter((row) => row.unit === "total" || row.hardware !== rows[0].hardware);
     if (list.length < 1 || !total) return;
-    const part = section("hardware", "Beside other hardware", "Energy and time of one timestep of one copy, on logarithmic axes. A bar is a 90 % interval that follows from what sources say of the constants.");
+    const part = section("hardware", "Beside other hardware", "Energy and time of one timestep of one copy, on logarithmic axes. A bar is an 80 % interval: how far predictions of published measurements were off.");
     const halves = element("div", { class: "halves" });
     part.append(halves);
-    const nameOf = (row) => (row.hardware === "loihi" ? `${row.hardware} (${row.source})` : `${row.hardware} (${row.source})`);
+    const nameOf = (row) => `${row.hardware} (${row.source})`;
     for (const [key, unit, words] of [["energy_uj", "µJ", "Energy"], ["latency_us", "µs", "Time"]]) {
       const box = element("div");
       halves.append(box);
       const known = list.filter((row) => isNumber(row[key]) && row[key] > 0);
       const bars = known.map((row, index) => (row.low && row.high && row.low[key] > 0 ? [row.low[key], row.high[key], index] : null)).filter(Boolean);
       chart(box, `${words} of a timestep (${unit})`, 90 + 34 * known.length, {
-        tooltip: { formatter: (at) => { const row = known[at.seriesIndex === 0 ? at.data[2] : at.dataIndex]; return `${escape(nameOf(row))}<br>${number(row[key])} ${unit}${interval(row, key) ? `<br>90 %: ${interval(row, key)}` : ""}`; } },
+        tooltip: { formatter: (at) => { const row = known[at.seriesIndex === 0 ? at.data[2] : at.dataIndex]; return `${escape(nameOf(row))}<br>${number(row[key])} ${unit}${interval(row, key) ? `<br>80 %: ${interval(row, key)}` : ""}`; } },
         grid: { left: 205, right: 20, top: 8, bottom: 42 },
         xAxis: { type: "log", ...axisName(`${unit}, logarithmic`, 26), axisLabel: { formatter: (x) => number(x) }, minorSplitLine: { show: true, lineStyle: { color: "#f0f0f0" } } },
         yAxis: { type: "category", inverse: true, data: known.map(nameOf), axisLabel: { width: 195, overflow: "truncate" } },
@@ -440,11 +440,11 @@
             const line = (x1_, y1, x2, y2) => ({ type: "line", shape: { x1: x1_, y1, x2, y2 }, style: { stroke: "#333", lineWidth: 2 } });
             return { type: "group", children: [line(x0, y, x1, y), line(x0, y - 6, x0, y + 6), line(x1, y - 6, x1, y + 6)] };
           } },
-          { type: "scatter", symbolSize: 12, data: known.map((row, index) => ({ value: [row[key], index], symbol: row.hardware === "loihi" ? "circle" : "diamond", itemStyle: { color: row.hardware === "loihi" ? colours[0] : colours[5] } })) },
+          { type: "scatter", symbolSize: 12, data: known.map((row, index) => ({ value: [row[key], index], symbol: row.hardware === rows[0].hardware ? "circle" : "diamond", itemStyle: { color: row.hardware === rows[0].hardware ? colours[0] : colours[5] } })) },
         ],
       });
     }
-    part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (pJ s)", "figures", "watts"], rows.map((row) => [row.unit === "total" || row.hardware !== "loihi" ? row.hardware : `${row.hardware} ${row.unit}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs), row.source, row.power_source]), [0, 6, 7]));
+    part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (pJ s)", "figures", "watts"], rows.map((row) => [row.unit === "total" || row.hardware !== rows[0].hardware ? row.hardware : `${row.hardware} ${row.unit}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs), row.source, row.power_source]), [0, 6, 7]));
   }
 
   // ---- agreement and classes -----------------------------------------------------------------------------------------
@@ -492,7 +492,7 @@
     const sumOf = (of, key, field) => ((of[key] || []).length ? sum(of[key].map((row) => row[field] || 0)) : null);
     const lines = [
       ["energy of a timestep (µJ)", ta.energy_uj, tb.energy_uj], ["time of a timestep (µs)", ta.latency_us, tb.latency_us], ["power (mW)", ta.total_mw, tb.total_mw],
-      ["energy-delay product (pJ s)", ta.edp_pjs, tb.edp_pjs], ["cores", a.cores_used, b.cores_used], ["powered cores", a.cores_powered, b.cores_powered], ["chips", a.chips_used, b.chips_used],
+      ["energy-delay product (pJ s)", ta.edp_pjs, tb.edp_pjs], ["cores", a.cores_used, b.cores_used], ["chips", a.chips_used, b.chips_used],
       ["timesteps", a.timesteps, b.timesteps], ["spikes of compartments", sumOf(a, "populations", "spikes"), sumOf(b, "populations", "spikes")],
       ["synaptic events", sumOf(a, "cores", "synaptic_events") ?? activity(a).synaptic_events, sumOf(b, "cores", "synaptic_events") ?? activity(b).synaptic_events],
       ["accuracy", a.accuracy, b.accuracy],
