@@ -175,7 +175,8 @@ fn recordings_that_peers_wrote_hold_what_they_wrote() {
     ] {
         let bytes = std::fs::read(corpus().join("events").join(name)).unwrap();
         let mut all = All::default();
-        events::decode(format, &mut &bytes[1..], &mut all).unwrap_or_else(|error| panic!("{name}: {error}"));
+        events::decode(format, &EventOptions::default(), &mut &bytes[1..], &mut all)
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
         // Events of one time have no order among themselves in a vector of EVT3.
         let sorted = |mut events: Vec<_>| {
             events.sort_unstable();
@@ -187,7 +188,7 @@ fn recordings_that_peers_wrote_hold_what_they_wrote() {
     let flat = |name: &str, format| {
         let bytes = std::fs::read(corpus().join("events").join(name)).unwrap();
         let mut all = All::default();
-        events::decode(format, &mut &bytes[1..], &mut all).unwrap();
+        events::decode(format, &EventOptions::default(), &mut &bytes[1..], &mut all).unwrap();
         all.0
     };
     let line: Vec<_> = expected.iter().map(|&(t, x, _, on)| (t, x, 0, on)).collect();

@@ -226,7 +226,7 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
             return status;
         }
     };
-    log::start(cli.verbose, cli.quiet);
+    log::start(cli.verbose, cli.quiet, matches!(cli.command, Command::Run(_)));
     if cli.no_cache {
         crate::io::write::cache::turn_off();
     }

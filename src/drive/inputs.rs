@@ -12,9 +12,8 @@ use crate::base::names::did_you_mean;
 use crate::desc::stimulus::{InputArg, InputSource, SceneArg};
 use crate::error::Error;
 use crate::io::budget::MOST_STEPS_TOGETHER;
-use crate::io::spikes::{
-    EventOptions, Expected, Manifest, PopulationSpikes, SpikeFormat, labels, read_manifest, read_spikes,
-};
+use crate::io::kind::FileKind;
+use crate::io::spikes::{EventOptions, Expected, Manifest, PopulationSpikes, labels, read_manifest, read_spikes};
 use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Sample, Stimulus};
 use crate::scene;
@@ -60,7 +59,7 @@ pub fn stimulus(
         };
         let (pairs, labels) = without_labels(path, pairs)?;
         let pairs = pairs.as_slice();
-        let is_manifest = SpikeFormat::from_name(path) == Some(SpikeFormat::Manifest);
+        let is_manifest = FileKind::of(path)? == FileKind::Ron;
         let wanted: Vec<usize> = match &argument.population {
             Some(name) => vec![position(name)?],
             None if is_manifest => (0..inputs.len()).collect(),

@@ -10,6 +10,7 @@ pub mod disk;
 mod element;
 pub mod foreign;
 pub mod fuzz_entry;
+pub mod kind;
 pub mod mapping;
 pub mod model;
 pub mod model_builder;

@@ -25,7 +25,7 @@ pub fn is_standard_stream(path: &Path) -> bool {
 }
 
 /// What to say of a file that cannot be read.
-pub(super) fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
+pub(in crate::io) fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
     let diagnostic = match error.kind() {
         ErrorKind::NotFound => {
             let mut missing = Diagnostic::new("io.missing", "there is no such file");

@@ -11,9 +11,9 @@ use serde_json::{Value, json};
 use crate::base::diagnostic::Diagnostic;
 use crate::io::budget::MOST_ARRAY;
 use crate::io::foreign::hdf5::{self, Group, Item};
-use crate::io::foreign::{self, Imported, Kind, Options, torch};
-use crate::io::spikes::EventFormat;
-use crate::io::spikes::events::event::{Event, Sink};
+use crate::io::foreign::{self, Imported, Options, torch};
+use crate::io::kind::{EventFormat, FileKind, RECORDINGS};
+use crate::io::spikes::events::event::{Counts, Event, Remark, Sink};
 use crate::io::spikes::events::{nir_data, read};
 use crate::io::text::read_bytes;
 use crate::report::inspect::{Findings, FindingsTable, number};
@@ -31,14 +31,13 @@ const MOST_NUMBERS: usize = 1 << 28;
 ///
 /// # Errors
 /// `inspect.kind` for what is neither, those of [`foreign::read`] for what cannot be opened at all.
-pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
+pub(super) fn model(path: &Path, kind: FileKind) -> Result<Findings, Diagnostic> {
     let bytes = read_bytes(path, MOST_ARRAY)?;
     let in_file = |problem: Diagnostic| problem.or_in_file(path);
-    let kind = foreign::kind_of(&bytes);
     let importable = import_summary(&foreign::from_bytes(path, bytes.clone(), &Options::default()));
     let mut rows = Vec::new();
     let kind = match kind {
-        Kind::Hdf5 => {
+        FileKind::Hdf5 => {
             let root = hdf5::tree(path, bytes).map_err(in_file)?;
             arrays(&root, "", &mut rows);
             match () {
@@ -48,7 +47,7 @@ pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
                 () => "hdf5",
             }
         }
-        Kind::Torch => {
+        FileKind::Torch => {
             let mut checkpoint = torch::open(bytes).map_err(in_file)?;
             let entries: Vec<(String, Vec<usize>)> =
                 checkpoint.entries().map(|(name, shape)| (name.to_string(), shape.to_vec())).collect();
@@ -68,16 +67,17 @@ pub(super) fn model(path: &Path) -> Result<Findings, Diagnostic> {
             }
             "torch checkpoint"
         }
-        Kind::Npy | Kind::Unknown => {
-            return Err(Diagnostic::new("inspect.kind", "files of this kind are not known")
-                .help(
-                    "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; .bin, .bs1, \
-                     .bs2, .dat, .raw, .aedat4 and .tact recordings; folders of recordings",
-                )
-                .in_file(path));
-        }
+        _ => return Err(unknown(kind).in_file(path)),
     };
     Ok(found(kind, Some(importable), rows))
+}
+
+/// The problem of a file that is not inspected.
+fn unknown(kind: FileKind) -> Diagnostic {
+    Diagnostic::new("inspect.kind", format!("this is {kind}, which is not inspected")).help(format!(
+        "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; {RECORDINGS}; folders of \
+         recordings"
+    ))
 }
 
 fn found(kind: &'static str, importable: Option<String>, rows: Vec<Vec<Value>>) -> Findings {
@@ -139,14 +139,11 @@ fn arrays(group: &Group, path: &str, rows: &mut Vec<Vec<Value>>) {
 /// What a recording's events have in common.
 #[derive(Debug, Default)]
 struct Extent {
-    events: u64,
+    counts: Counts,
     rising: u64,
-    disordered: u64,
     sensor: Option<(u32, u32)>,
     /// Greatest column and row.
     most: (u32, u32),
-    /// Earliest, latest and last time.
-    times: Option<(i64, i64, i64)>,
 }
 
 impl Sink for Extent {
@@ -155,13 +152,14 @@ impl Sink for Extent {
     }
 
     fn event(&mut self, event: Event) -> Result<(), Diagnostic> {
-        self.events += 1;
+        self.counts.event(event.t_us);
         self.rising += u64::from(event.on);
         self.most = (self.most.0.max(event.x), self.most.1.max(event.y));
-        let (earliest, latest, last) = self.times.unwrap_or((event.t_us, event.t_us, event.t_us));
-        self.disordered += u64::from(event.t_us < last);
-        self.times = Some((earliest.min(event.t_us), latest.max(event.t_us), event.t_us));
         Ok(())
+    }
+
+    fn remark(&mut self, remark: Remark) {
+        self.counts.remark(remark);
     }
 }
 
@@ -172,7 +170,7 @@ impl Sink for Extent {
 pub(super) fn events(path: &Path, format: EventFormat) -> Result<u64, Diagnostic> {
     let mut extent = Extent::default();
     read::decode_file(path, format, &mut extent)?;
-    Ok(extent.events)
+    Ok(extent.counts.events)
 }
 
 /// A recording of an event sensor.
@@ -182,21 +180,27 @@ pub(super) fn events(path: &Path, format: EventFormat) -> Result<u64, Diagnostic
 pub(super) fn recording(path: &Path, format: EventFormat) -> Result<Findings, Diagnostic> {
     let mut extent = Extent::default();
     read::decode_file(path, format, &mut extent)?;
-    let there = extent.events > 0;
-    let duration = extent.times.map(|(earliest, latest, _)| (latest - earliest) as f64 / 1e3);
+    let Extent { counts, rising, sensor, most } = extent;
+    let times = counts.span_us;
     Ok(Findings {
         kind: "recording",
         facts: vec![
-            ("events", json!(extent.events)),
-            ("rising", json!(extent.rising)),
-            ("falling", json!(extent.events - extent.rising)),
-            ("disordered", json!(extent.disordered)),
-            ("sensor_columns_rows", json!(extent.sensor)),
-            ("highest_column", json!(there.then_some(extent.most.0))),
-            ("highest_row", json!(there.then_some(extent.most.1))),
-            ("first_us", json!(extent.times.map(|times| times.0))),
-            ("last_us", json!(extent.times.map(|times| times.1))),
-            ("duration_ms", json!(duration)),
+            ("format", json!(format.name())),
+            ("events", json!(counts.events)),
+            ("rising", json!(rising)),
+            ("falling", json!(counts.events - counts.dropped - rising)),
+            ("untimed", json!(counts.dropped)),
+            ("disordered", json!(counts.disordered)),
+            ("clock_turns", json!(counts.clock_turns)),
+            ("other_records", json!(counts.not_events)),
+            ("bytes_cut_off", json!(counts.cut_bytes)),
+            ("sensor_columns_rows", json!(sensor)),
+            ("highest_column", json!(times.map(|_| most.0))),
+            ("highest_row", json!(times.map(|_| most.1))),
+            ("first_us", json!(times.map(|times| times.0))),
+            ("last_us", json!(times.map(|times| times.1))),
+            ("duration_ms", json!(times.map(|(first, last)| (last - first) as f64 / 1e3))),
+            ("time_unit", json!(counts.unit_assumed.then_some("not named, microseconds assumed"))),
         ],
         tables: Vec::new(),
     })

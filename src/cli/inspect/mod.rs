@@ -25,9 +25,10 @@ use crate::desc::mapping::{MappingFile, PrunedFile, Run};
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
+use crate::io::kind::FileKind;
 use crate::io::published::scenario;
 use crate::io::shipped::{self, Origin};
-use crate::io::spikes::{self, SpikeFormat, manifest};
+use crate::io::spikes::{self, manifest};
 use crate::io::{model, npy, safetensors, target, text};
 use crate::report::inspect::{Findings, FindingsTable, number};
 
@@ -66,19 +67,15 @@ fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
         return inspect_shipped(argument);
     }
     let path = Path::new(argument);
-    if path.is_dir() {
-        return inspect_folder(path);
-    }
-    match SpikeFormat::from_name(path) {
-        Some(SpikeFormat::Array) => inspect_npy(path),
-        Some(SpikeFormat::Csv) => inspect_csv(path),
-        // Models, targets and other descriptions are .ron files too: the text says which.
-        Some(SpikeFormat::Manifest | SpikeFormat::Pipe) => inspect_ron(text::read_text(path)?, Origin::File),
-        Some(SpikeFormat::Events(format)) => foreign::recording(path, format),
-        _ if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("safetensors")) => {
-            inspect_safetensors(path)
-        }
-        _ => foreign::model(path),
+    match FileKind::of(path)? {
+        FileKind::Folder => inspect_folder(path),
+        FileKind::Npy => inspect_npy(path),
+        FileKind::SpikeList => inspect_csv(path),
+        // Models, targets and other descriptions: the text says which.
+        FileKind::Ron | FileKind::Stream => inspect_ron(text::read_text(path)?, Origin::File),
+        FileKind::Events(format) => foreign::recording(path, format),
+        FileKind::Safetensors => inspect_safetensors(path),
+        kind => foreign::model(path, kind),
     }
 }
 
@@ -262,7 +259,7 @@ fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
     let mut shapes: Vec<Vec<usize>> = Vec::new();
     for (_, _, file) in &listed {
         // How many spikes a recording of events has is for the options of a run to say.
-        if let Some(SpikeFormat::Events(format)) = SpikeFormat::from_name(file) {
+        if let FileKind::Events(format) = FileKind::of(file)? {
             events += foreign::events(file, format)?;
             continue;
         }

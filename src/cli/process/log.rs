@@ -20,10 +20,12 @@ impl Write for Unheard {
     }
 }
 
-/// Starts the log at the level that `--verbose` and `--quiet` ask for.
-pub fn start(verbose: u8, quiet: bool) {
+/// Starts the log at the level that `--verbose` and `--quiet` ask for; by default with a line for each recording where
+/// `recordings` asks for them.
+pub fn start(verbose: u8, quiet: bool, recordings: bool) {
     let level = match (quiet, verbose) {
         (true, _) => "error",
+        (false, 0) if recordings => "warn,recording=info",
         (false, 0) => "warn",
         (false, 1) => "info",
         (false, _) => "debug",

@@ -21,50 +21,16 @@ use std::path::Path;
 use self::imported::listed;
 pub use self::imported::{Imported, Options, ResetMode};
 use super::budget::MOST_ARRAY;
-use super::text::{NPY_MAGIC, read_bytes};
+use super::kind::FileKind;
+use super::text::read_bytes;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::Network;
 
-/// The kinds of foreign files, by their content.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// HDF5: lava-dl's netx, or NIR.
-    Hdf5,
-    /// A checkpoint of PyTorch, in either container.
-    Torch,
-    /// A NumPy array: one of a set of weights.
-    Npy,
-    /// None of those that are known.
-    Unknown,
-}
-
-/// The kind of a file that begins with these bytes.
-#[must_use]
-pub fn kind_of(bytes: &[u8]) -> Kind {
-    match bytes {
-        _ if bytes.starts_with(hdf5::MAGIC) => Kind::Hdf5,
-        _ if bytes.starts_with(torch::ZIP) || bytes.starts_with(torch::LEGACY) => Kind::Torch,
-        // A pickle of another protocol, or of something else: its reader says which.
-        [0x80, 2..=5, ..] => Kind::Torch,
-        _ if bytes.starts_with(NPY_MAGIC) => Kind::Npy,
-        _ => Kind::Unknown,
-    }
-}
-
-/// Whether a model argument is a file of another tool, judged by how it begins.
-///
-/// # Errors
-/// `io.*` when it cannot be read.
+/// Whether a model argument is a file of another tool. What cannot be opened is for the reader of models to say.
 #[must_use]
 pub fn is_foreign(path: &Path) -> bool {
-    use std::io::Read;
-    let mut begin = Vec::new();
-    // A pipe is left alone: what is read of it here is gone.
-    let Some((file, _)) = super::text::open(path).ok().filter(|(_, found)| found.is_file()) else { return false };
-    let read = file.take(64).read_to_end(&mut begin);
-    let known = ["net", "nir", "pt", "pth", "npy", "yaml", "yml"];
-    let named = path.extension().is_some_and(|e| known.contains(&e.to_string_lossy().to_ascii_lowercase().as_str()));
-    read.is_ok() && (named || kind_of(&begin) != Kind::Unknown)
+    let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron, FileKind::Unknown];
+    FileKind::of(path).map_or_else(|problem| problem.code == "io.lfs-pointer", |kind| !own.contains(&kind))
 }
 
 /// Reads a foreign model.
@@ -80,11 +46,11 @@ pub fn read(path: &Path, options: &Options) -> Result<Imported> {
 /// # Errors
 /// As [`read`].
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
-    let imported = match kind_of(&bytes) {
-        Kind::Hdf5 => read_hdf5(path, bytes, options),
-        Kind::Torch => slayer::read_checkpoint(bytes, &network_name(path), options),
-        Kind::Npy => slayer::read_set(path, options),
-        Kind::Unknown => Err(unknown(path, &bytes)),
+    let imported = match FileKind::from_bytes(&bytes, path) {
+        FileKind::Hdf5 => read_hdf5(path, bytes, options),
+        FileKind::Torch => slayer::read_checkpoint(bytes, &network_name(path), options),
+        FileKind::Npy => slayer::read_set(path, options),
+        kind => Err(unknown(path, &bytes, kind)),
     };
     imported.map_err(|problem| problem.or_in_file(path))
 }
@@ -116,7 +82,7 @@ fn network_name(path: &Path) -> String {
 }
 
 /// The problem of a file that is not imported, with its kind as far as it is recognised.
-fn unknown(path: &Path, bytes: &[u8]) -> Diagnostic {
+fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let begin = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
     let lines: Vec<&str> = begin.lines().map(str::trim).filter(|line| !line.is_empty()).take(20).collect();
@@ -127,6 +93,10 @@ fn unknown(path: &Path, bytes: &[u8]) -> Diagnostic {
     if extension.as_deref() == Some("net") && !lines.is_empty() && lines.iter().all(netlist) {
         return Diagnostic::new("import.sanafe", "this is a text netlist of SANA-FE, not a network of lava-dl")
             .help("its neurons are abstract and carry no weights of a Loihi core; export the trained network with lava-dl or NIR");
+    }
+    if matches!(kind, FileKind::Events(_) | FileKind::SpikeList | FileKind::Npz) {
+        return Diagnostic::new("import.kind", format!("this is {kind}, not a network"))
+            .help("spikes are an input of a network: nsim run MODEL --input FILE");
     }
     let described = match extension.as_deref() {
         _ if bytes.is_empty() => "the file is empty",

@@ -3,14 +3,12 @@
 //! Input: a `.csv`. Output: its samples. A header may name the columns (`timestep`, `channel`, `sample`, in any
 //! order); `# steps: N` and `# label: C` in comments say what rows cannot.
 
-use std::io::Read;
 use std::path::Path;
 
-use super::events::text::is_header;
 use super::population::{PopulationSpikes, too_many};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::io::budget::{Budget, MOST_EVENT_TEXT, MOST_EVENTS, MOST_STEPS};
-use crate::io::text::{decode, open, read_bytes};
+use crate::io::text::{decode, read_bytes};
 
 /// The column of each field.
 #[derive(Debug, Clone, Copy)]
@@ -36,19 +34,10 @@ impl Columns {
     }
 }
 
-/// Whether the first row that is no comment is a header of events, with x and a time.
-///
-/// # Errors
-/// `io.*` when the file cannot be opened.
-pub fn holds_events(path: &Path) -> Result<bool> {
-    /// Bytes before the header at most: comments.
-    const MOST_COMMENTS: u64 = 1 << 16;
-    let mut head = Vec::new();
-    // What cannot be read is said when the rows are.
-    let _ = open(path)?.0.take(MOST_COMMENTS).read_to_end(&mut head);
-    let head = String::from_utf8_lossy(&head);
-    let rows = head.trim_start_matches('\u{feff}').lines().map(str::trim);
-    Ok(rows.into_iter().find(|row| !row.is_empty() && !row.starts_with('#')).is_some_and(is_header))
+/// Whether a row is the header of such a file.
+#[must_use]
+pub fn is_header(row: &str) -> bool {
+    Columns::from_header(&row.split(',').map(|name| name.trim().trim_matches('"')).collect()).is_some()
 }
 
 /// Reads a file for a population of `units` channels.
@@ -90,8 +79,9 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         if std::mem::take(&mut first) && row.iter().any(|field| field.parse::<f64>().is_err()) {
             columns = Columns::from_header(&row).ok_or_else(|| {
                 let header = row.iter().collect::<Vec<_>>().join(",");
-                row_problem(&source, at, "input.csv", format!("the header '{}' is not known", shortened(&header)))
-                    .help("columns are timestep,channel or sample,timestep,channel, or of events t,x,y,p, in any order")
+                row_problem(&source, at, "input.csv", format!("the header '{}' is not known", shortened(&header))).help(
+                    "columns are timestep,channel or sample,timestep,channel, or of events t_us,x,y,p, in any order",
+                )
             })?;
             continue;
         }

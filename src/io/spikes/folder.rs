@@ -3,18 +3,17 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::detect::SpikeFormat;
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::kind::FileKind;
 use crate::io::{disk, write};
 
 /// The manifest of a folder of recordings.
 pub const MANIFEST: &str = "dataset.ron";
 
-/// Sample and label of `sample_<i>_label_<c>.npy`, or of a recording of events that is named so.
+/// Sample and label of a name `sample_<i>_label_<c>.npy`, with any extension.
 fn sample_name(name: &str) -> Option<(u64, u32)> {
     let (stem, _) = name.rsplit_once('.')?;
-    let known = matches!(SpikeFormat::from_name(Path::new(name)), Some(SpikeFormat::Array | SpikeFormat::Events(_)));
-    let (index, label) = stem.strip_prefix("sample_").filter(|_| known)?.split_once("_label_")?;
+    let (index, label) = stem.strip_prefix("sample_")?.split_once("_label_")?;
     let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
     (plain(index) && plain(label)).then(|| Some((index.parse().ok()?, label.parse().ok()?)))?
 }
@@ -53,7 +52,11 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     let mut others = Vec::new();
     for path in disk::list(folder).map_err(unreadable)? {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        match sample_name(&name) {
+        let named = match sample_name(&name) {
+            Some(named) if matches!(FileKind::of(&path)?, FileKind::Npy | FileKind::Events(_)) => Some(named),
+            _ => None,
+        };
+        match named {
             Some((index, label)) => {
                 if found.insert(index, (Some(label), path)).is_some() {
                     return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
@@ -65,8 +68,8 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
         }
     }
     if found.is_empty() {
-        let is_recording = |path: &Path| matches!(SpikeFormat::detect(path), Some(SpikeFormat::Events(_)));
-        let mut events: Vec<_> = others.iter().filter(|(_, path)| is_recording(path) && path.is_file()).collect();
+        let is_recording = |path: &Path| matches!(FileKind::of(path), Ok(FileKind::Events(_)));
+        let mut events: Vec<_> = others.iter().filter(|(_, path)| is_recording(path)).collect();
         events.sort_by_cached_key(|(name, _)| natural_order(name));
         found = events.iter().zip(0..).map(|((_, path), index)| (index, (None, path.clone()))).collect();
     }

@@ -1,12 +1,11 @@
 //! Spikes from files: arrays, lists, recordings of events, data sets.
 //!
-//! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population. [`detect`] alone decides which
-//! format a path has; [`source`] is the way in. Each reader stands below it: [`manifest`] reads data sets with the readers
+//! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population. [`crate::io::kind`] decides which
+//! format a file has; [`source`] is the way in. Each reader stands below it: [`manifest`] reads data sets with the readers
 //! of [`recordings`], which are [`mod@array`], [`npz`], [`csv`], [`folder`] and [`events`].
 
 pub mod array;
 pub mod csv;
-pub mod detect;
 pub mod events;
 pub mod folder;
 pub mod labels;
@@ -17,9 +16,9 @@ pub mod population;
 pub mod recordings;
 pub mod source;
 
-pub use self::detect::{EventFormat, SpikeFormat};
 pub use self::folder::{MANIFEST, list_folder};
 pub use self::manifest::{Manifest, read_manifest};
-pub use self::options::{EventOptions, Origin, Polarity};
+pub use self::options::{EventOptions, Origin, Polarity, TimeUnit};
 pub use self::population::{Expected, PopulationSpikes};
 pub use self::source::{read_source, read_spikes};
+pub use crate::io::kind::EventFormat;

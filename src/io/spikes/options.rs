@@ -26,6 +26,46 @@ pub enum Origin {
     At(i64),
 }
 
+/// The unit of times in text and arrays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TimeUnit {
+    /// Seconds.
+    Seconds,
+    /// Milliseconds.
+    Milliseconds,
+    /// Microseconds.
+    Microseconds,
+    /// Nanoseconds.
+    Nanoseconds,
+}
+
+impl TimeUnit {
+    /// The unit of a name: `s`, `ms`, `us` or `ns`.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "s" => TimeUnit::Seconds,
+            "ms" => TimeUnit::Milliseconds,
+            "us" => TimeUnit::Microseconds,
+            "ns" => TimeUnit::Nanoseconds,
+            _ => return None,
+        })
+    }
+
+    /// A time of this unit in whole microseconds, downward; what its rounding took off a whole one is given back.
+    #[must_use]
+    pub fn microseconds(self, time: f64) -> i64 {
+        let us = time
+            * match self {
+                TimeUnit::Seconds => 1e6,
+                TimeUnit::Milliseconds => 1e3,
+                TimeUnit::Microseconds => 1.0,
+                TimeUnit::Nanoseconds => 1e-3,
+            };
+        (us + 1e-4 + us.abs() * f64::EPSILON).floor() as i64
+    }
+}
+
 /// How a recording becomes spikes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EventOptions {
@@ -47,6 +87,10 @@ pub struct EventOptions {
     pub polarity: Polarity,
     /// The events that a bin needs to be a spike.
     pub least: Option<u32>,
+    /// The unit of times of which the file does not say it.
+    pub unit: Option<TimeUnit>,
+    /// The stream that is read of several.
+    pub stream: Option<u32>,
 }
 
 impl EventOptions {
@@ -99,11 +143,16 @@ impl EventOptions {
                         _ => return Err(bad("it is both, merge, on or off")),
                     }
                 }
+                "unit" => {
+                    let unit = TimeUnit::from_name(value);
+                    options.unit = Some(unit.ok_or_else(|| bad("it is s, ms, us or ns"))?);
+                }
+                "stream" => options.stream = Some(numbers(1..=1, 0)?[0]),
                 "least" => options.least = Some(numbers(1..=1, 1)?[0]),
                 _ => {
                     return Err(bad("there is no such option").help(
                         "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first start_ms=T \
-                         polarity=both|merge|on|off least=N, joined by &",
+                         polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &",
                     ));
                 }
             }

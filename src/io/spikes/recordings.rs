@@ -4,9 +4,8 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::detect::{EventFormat, SpikeFormat, unknown};
 use super::events::nir_data;
-use super::events::read::{read_file, report};
+use super::events::read::{read_file, read_input, report};
 use super::folder::list_folder;
 use super::options::{EventOptions, Polarity};
 use super::population::{Expected, PopulationSpikes};
@@ -14,6 +13,7 @@ use super::{array, csv, npz};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::MOST_ARRAY;
 use crate::io::foreign::hdf5;
+use crate::io::kind::{FileKind, RECORDINGS};
 use crate::io::npy;
 use crate::io::text::read_bytes;
 
@@ -34,36 +34,57 @@ pub(super) struct Request<'a> {
 /// `hdf5.*`, `io.*`.
 pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let Request { expected, options, .. } = request;
-    let (format, units) = (SpikeFormat::detect(path), expected.units);
-    match format {
-        Some(SpikeFormat::Folder) => return read_folder(path, request),
-        Some(SpikeFormat::Events(format)) => return read_recording(path, format, request),
-        Some(SpikeFormat::NirData) => return read_nir_data(path, request),
-        Some(SpikeFormat::Archive) => {
-            return npz::read(path, request.population, units, array_polarity(path, options)?);
+    let units = expected.units;
+    match FileKind::of(path)? {
+        FileKind::Folder => read_folder(path, request),
+        FileKind::Events(format) => {
+            let (spikes, counts) = read_file(path, format, expected, options)?;
+            report(path, &counts);
+            Ok(vec![spikes])
         }
-        Some(SpikeFormat::Csv) if csv::holds_events(path)? => {
-            return read_recording(path, EventFormat::Text, request);
+        FileKind::Hdf5 => read_nir_data(path, request),
+        FileKind::Npz => npz::read(path, request.population, units, array_polarity(path, options)?),
+        FileKind::Npy => array::from_array(&npy::open(path)?, units, array_polarity(path, options)?),
+        FileKind::SpikeList => {
+            takes_no_options(path, options)?;
+            csv::read(path, units)
         }
-        Some(SpikeFormat::Array) => {
-            return array::from_array(&npy::open(path)?, units, array_polarity(path, options)?);
-        }
-        _ => takes_no_options(path, options)?,
-    }
-    match format {
-        Some(SpikeFormat::Csv) => csv::read(path, units),
-        Some(SpikeFormat::Pipe) => {
-            let bytes = read_bytes(path, MOST_ARRAY)?;
-            match SpikeFormat::from_bytes(&bytes) {
-                SpikeFormat::Array => array::from_array(&npy::Array::from_bytes(path, bytes)?, units, Polarity::Both),
-                _ => csv::from_bytes(path, bytes, units),
-            }
-        }
-        Some(SpikeFormat::Manifest) => {
+        FileKind::Stream => from_stream(path, read_bytes(path, MOST_ARRAY)?, request),
+        FileKind::Ron => {
             Err(Diagnostic::new("input.kind", "a data set cannot be a recording of another data set").in_file(path))
         }
-        _ => Err(unknown(path)),
+        kind => Err(unknown(kind).in_file(path)),
     }
+}
+
+/// Reads what came through a pipe.
+fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
+    let Request { expected, options, .. } = request;
+    match FileKind::from_bytes(&bytes, path) {
+        FileKind::Npy => {
+            let polarity = array_polarity(path, options)?;
+            array::from_array(&npy::Array::from_bytes(path, bytes)?, expected.units, polarity)
+        }
+        FileKind::Events(format) => {
+            let name = path.display().to_string();
+            let (spikes, counts) = read_input(&mut bytes.as_slice(), &name, format, expected, options)
+                .map_err(|problem| problem.or_in_file(path))?;
+            report(path, &counts);
+            Ok(vec![spikes])
+        }
+        _ => {
+            takes_no_options(path, options)?;
+            csv::from_bytes(path, bytes, expected.units)
+        }
+    }
+}
+
+/// The problem of a file that holds no spikes.
+fn unknown(kind: FileKind) -> Diagnostic {
+    Diagnostic::new("input.kind", format!("this is {kind}, which is not read as spikes")).help(format!(
+        "read are .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), {RECORDINGS}, a \
+         .ron data-set manifest, and a folder of sample_<i>_label_<c>.npy or of recordings"
+    ))
 }
 
 /// Refuses options for a source that takes none.
@@ -75,7 +96,7 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
         "input.kind",
         "options after '?' are for recordings of events, for arrays (polarity) and for scenes",
     )
-    .help("recordings are .bin, .bs1, .bs2, .dat, .raw, .aedat4, .tact and NIR data (.nir)")
+    .help(format!("options are for {RECORDINGS}"))
     .in_file(path))
 }
 
@@ -87,13 +108,6 @@ fn array_polarity(path: &Path, options: &EventOptions) -> Result<Polarity> {
     }
     Err(Diagnostic::new("input.option", "an array has timesteps already: polarity is the only option that it takes")
         .in_file(path))
-}
-
-/// Reads a recording of events and logs what was left out.
-fn read_recording(path: &Path, format: EventFormat, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
-    let (spikes, counts) = read_file(path, format, request.expected, request.options)?;
-    report(path, &counts);
-    Ok(vec![spikes])
 }
 
 fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
@@ -123,8 +137,7 @@ fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpik
 
 /// Reads a source that holds exactly one sample.
 pub(super) fn read_sample(path: &Path, request: Request<'_>) -> Result<PopulationSpikes> {
-    use SpikeFormat::{Archive, Array, Csv, Events, NirData};
-    if !matches!(SpikeFormat::from_name(path), Some(Array | Archive | Csv | Events(_) | NirData)) {
+    if matches!(FileKind::of(path)?, FileKind::Folder | FileKind::Stream) {
         return Err(Diagnostic::new(
             "input.kind",
             "a sample of a data set is a .npy or a .csv file, or a recording of events",

@@ -5,12 +5,12 @@
 
 use std::path::Path;
 
-use super::detect::SpikeFormat;
 use super::manifest::read_manifest;
 use super::options::EventOptions;
 use super::population::{Expected, PopulationSpikes};
 use super::recordings::{self, Request};
 use crate::base::diagnostic::Result;
+use crate::io::kind::FileKind;
 
 /// Reads a source for a population of `units` channels.
 ///
@@ -31,7 +31,7 @@ pub fn read_spikes(
     expected: &Expected,
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>> {
-    if SpikeFormat::detect(path) != Some(SpikeFormat::Manifest) {
+    if FileKind::of(path)? != FileKind::Ron {
         return recordings::read(path, Request { population, expected, options });
     }
     recordings::takes_no_options(path, options)?;

@@ -3,69 +3,189 @@
 //! A line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then packets: a stream's number and a
 //! size, and so many bytes that hold, plain or compressed by LZ4 or Zstandard, a flatbuffer with a vector of events of 16
 //! bytes: microseconds, x, y, polarity (iniVation, AEDAT file format 4.0; `dv/data/event.fbs`). Packets whose identifier
-//! is not `EVTS` are skipped. A packet is read whole: it and what it decompresses to take at most 64 MiB each.
+//! is not `EVTS` are skipped. The description names the streams; events of two streams are never read as one. A packet
+//! is read whole: it and what it decompresses to take at most 64 MiB each.
 //!
 //! Flatbuffers are read with `planus`, which checks each access: the accessors of the crate `flatbuffers` are unsafe.
 
+use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 
 use planus::errors::ErrorKind;
 use planus::table_reader::Table;
 use planus::{SliceWithStartOffset, TableRead};
 
-use super::event::{Event, Sink, fill, unreadable, wrong};
-use crate::base::diagnostic::Result;
+use super::event::{Event, Remark, Sink, fill, unreadable, wrong};
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::Budget;
 
-/// What a file begins with.
+/// What every version of AEDAT begins with, and the one that is read.
+pub const AEDAT: &[u8] = b"#!AER-DAT";
 const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
 /// The most bytes of a packet, and of what it decompresses to.
 const MOST_PACKET: usize = 64 << 20;
 /// Bytes of an event.
 const EVENT: usize = 16;
 
-/// Reads a file.
+/// What the description says of a stream.
+#[derive(Debug, Default)]
+struct Stream<'a> {
+    kind: Option<&'a str>,
+    source: Option<&'a str>,
+    columns: Option<u32>,
+    rows: Option<u32>,
+}
+
+impl Stream<'_> {
+    fn size(&self) -> Option<(u32, u32)> {
+        self.columns.zip(self.rows)
+    }
+
+    fn holds_events(&self) -> bool {
+        self.kind.is_none_or(|kind| kind == "EVTS")
+    }
+}
+
+/// The streams of a description in XML, `outInfo/NUMBER` and below, by their numbers.
+fn streams(text: &str) -> BTreeMap<i32, Stream<'_>> {
+    let mut streams: BTreeMap<i32, Stream<'_>> = BTreeMap::new();
+    let mut path = Vec::new();
+    for tag in text.split('<') {
+        let (tag, value) = tag.split_once('>').unwrap_or((tag, ""));
+        let attribute = |name: &str| tag.split_once(&format!(" {name}=\""))?.1.split('"').next();
+        if tag.starts_with("/node") {
+            path.pop();
+        } else if tag.starts_with("node ") && !tag.ends_with('/') {
+            path.push(attribute("name").unwrap_or_default());
+        } else if tag.starts_with("attr ") {
+            let number = path.iter().skip_while(|name| **name != "outInfo").nth(1).and_then(|name| name.parse().ok());
+            let Some(stream) = number.map(|number| streams.entry(number).or_default()) else { continue };
+            let value = value.trim();
+            match attribute("key") {
+                Some("typeIdentifier") => stream.kind = Some(value),
+                Some("source") => stream.source = Some(value),
+                Some("sizeX") => stream.columns = value.parse().ok(),
+                Some("sizeY") => stream.rows = value.parse().ok(),
+                _ => {}
+            }
+        }
+    }
+    streams
+}
+
+/// The problem of events of several streams.
+fn several(streams: &BTreeMap<i32, Stream<'_>>, found: &[i32]) -> Diagnostic {
+    let describe = |number: &i32| match streams.get(number) {
+        Some(stream) => {
+            let source = stream.source.map_or(String::new(), |source| format!(" of {}", source.escape_debug()));
+            let size = stream.size().map_or(String::new(), |(columns, rows)| format!(", {columns} x {rows} pixels"));
+            format!("stream {number}{source}{size}")
+        }
+        None => format!("stream {number}"),
+    };
+    let described: Vec<String> = found.iter().map(describe).collect();
+    let all: Vec<String> = found.iter().map(|number| format!("FILE?stream={number}")).collect();
+    wrong(format!("it holds events of several cameras: {}", described.join("; ")))
+        .help(format!("choose one as the source: {}", all.join(" or ")))
+}
+
+/// Reads one stream of a file: the chosen one, or the only one with events.
 ///
 /// # Errors
-/// `input.events` for what is no AEDAT4, is damaged, or is compressed in another way.
-pub fn aedat4(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+/// `input.events` for what is no AEDAT4, is damaged, is compressed in another way, or has several streams of events.
+pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut magic = [0; 14];
-    let mut at = 0;
-    if !fill(input, &mut magic, &mut at)? || &magic != MAGIC {
-        let older = magic.starts_with(b"#!AER-DAT");
-        let what = if older { "an older version of AEDAT" } else { "no AEDAT4" };
-        return Err(wrong(format!("this is {what}")).help("convert it with DV, or with dv-processing in Python"));
+    let there = fill(input, &mut magic, sink)?;
+    if !there || &magic != MAGIC {
+        let version = magic.strip_prefix(AEDAT).map(|rest| String::from_utf8_lossy(rest).trim().to_string());
+        let what = match &version {
+            Some(version) => format!("this is AEDAT {}, and AEDAT 4.0 is read", version.escape_debug()),
+            None => "this is no AEDAT4".to_string(),
+        };
+        return Err(wrong(what).help(
+            "DV converts AEDAT 2 and 3 to AEDAT4 when it opens them; rows of text with the header t_us,x,y,p are read too",
+        ));
     }
-    let header = sized(input, &mut at, "the header")?.ok_or_else(|| wrong("the file ends behind its first line"))?;
+    let mut at = magic.len() as u64;
+    let header = match sized(input, &mut at, sink)? {
+        Some(header) => header,
+        None => return Err(wrong("the file ends within its header")),
+    };
     let header = root(&header).ok_or_else(|| wrong("the header is damaged"))?;
     let damaged = |_| wrong("the header is damaged");
     let compression: i32 = header.access(0, "IOHeader", "compression").map_err(damaged)?.unwrap_or(0);
     let end: i64 = header.access(1, "IOHeader", "dataTablePosition").map_err(damaged)?.unwrap_or(-1);
-    if let Ok(Some(text)) = header.access::<&str>(2, "IOHeader", "infoNode") {
-        let side = |name: &str| {
-            let after = text.split(&format!("\"{name}\"")).nth(1)?;
-            after.split_once('>')?.1.split('<').next()?.trim().parse::<u32>().ok()
-        };
-        if let (Some(width), Some(height)) = (side("sizeX"), side("sizeY")) {
-            sink.size(width, height);
-        }
+    let text = header.access::<&str>(2, "IOHeader", "infoNode").ok().flatten().unwrap_or_default();
+    let streams = streams(text);
+    let with_events: Vec<i32> =
+        streams.iter().filter(|(_, stream)| stream.holds_events()).map(|(number, _)| *number).collect();
+    let mut stream = match (chosen, with_events.as_slice()) {
+        (Some(number), _) => Some(i32::try_from(number).unwrap_or(i32::MAX)),
+        (None, [only]) => Some(*only),
+        (None, []) => None,
+        (None, found) => return Err(several(&streams, found)),
+    };
+    if let (Some(number), false) = (stream, streams.is_empty())
+        && !streams.get(&number).is_some_and(Stream::holds_events)
+    {
+        let numbers: Vec<String> = with_events.iter().map(ToString::to_string).collect();
+        return Err(Diagnostic::new("input.option", format!("stream {number} holds no events"))
+            .help(format!("streams with events are: {}", numbers.join(", "))));
+    }
+    if let Some((columns, rows)) = stream.and_then(|number| streams.get(&number)?.size()) {
+        sink.size(columns, rows);
     }
     // The table of packets at the end is no packet.
     let mut budget = Budget::for_packets();
     let mut earned = 0;
     while end < 0 || at < end as u64 {
         let mut head = [0; 8];
-        if !fill(input, &mut head, &mut at)? {
+        if !fill(input, &mut head, sink)? {
+            if end >= 0 {
+                sink.remark(Remark::Cut(0));
+            }
             break;
         }
-        let size = i32::from_le_bytes([head[4], head[5], head[6], head[7]]);
-        let packed = exactly(input, usize::try_from(size).unwrap_or(usize::MAX), &mut at, "a packet")?;
+        at += head.len() as u64;
+        let [number, size] = [[head[0], head[1], head[2], head[3]], [head[4], head[5], head[6], head[7]]];
+        let (number, size) = (i32::from_le_bytes(number), i32::from_le_bytes(size));
+        let size = usize::try_from(size).unwrap_or(usize::MAX);
+        let Some(packed) = exactly(input, size, &mut at, sink)? else { break };
         let packet = unpack(packed, compression)?;
         budget.grow(at - std::mem::replace(&mut earned, at));
         if let Err(exceeded) = budget.bytes(packet.len() as u64) {
             return Err(wrong(format!("its packets decompress to more than recordings of events do: {exceeded}")));
         }
-        packet_events(&packet, sink)?;
+        // The size comes before the root's offset and the identifier.
+        let events = packet.get(4..).filter(|buffer| buffer.get(4..8) == Some(b"EVTS"));
+        let described = streams.get(&number);
+        if !streams.is_empty() && described.is_none() {
+            return Err(wrong(format!(
+                "a packet before byte {at} is of stream {number}, which its header does not name"
+            )));
+        }
+        if let Some(kind) = described.and_then(|stream| stream.kind)
+            && (kind == "EVTS") != events.is_some()
+        {
+            let kind = kind.escape_debug();
+            return Err(wrong(format!("a packet before byte {at} is not of the kind {kind} of its stream {number}")));
+        }
+        let Some(buffer) = events else {
+            sink.remark(Remark::NotAnEvent);
+            continue;
+        };
+        match stream {
+            Some(known) if known == number => {}
+            Some(_) if chosen.is_some() => continue,
+            Some(known) => return Err(several(&streams, &[known, number])),
+            None => {
+                stream = Some(number);
+                if let Some((columns, rows)) = described.and_then(Stream::size) {
+                    sink.size(columns, rows);
+                }
+            }
+        }
+        packet_events(buffer, sink)?;
     }
     Ok(())
 }
@@ -97,32 +217,32 @@ fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>> {
     Ok(plain)
 }
 
-/// So many bytes, allocated as they come.
-fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, what: &str) -> Result<Vec<u8>> {
+/// The next bytes, allocated as they come; none when the input ends within them, which is reported.
+fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
     if size > MOST_PACKET {
-        return Err(wrong(format!("{what} at byte {at} claims {size} bytes, more than {MOST_PACKET}")));
+        return Err(wrong(format!("a packet at byte {at} claims {size} bytes, more than {MOST_PACKET}")));
     }
     let mut bytes = Vec::new();
     input.take(size as u64).read_to_end(&mut bytes).map_err(|error| unreadable(&error))?;
     *at += bytes.len() as u64;
     if bytes.len() < size {
-        return Err(wrong(format!("the file ends within {what}")));
-    }
-    Ok(bytes)
-}
-
-/// A flatbuffer behind its size.
-fn sized(input: &mut dyn BufRead, at: &mut u64, what: &str) -> Result<Option<Vec<u8>>> {
-    let mut size = [0; 4];
-    if !fill(input, &mut size, at)? {
+        sink.remark(Remark::Cut(bytes.len() as u64));
         return Ok(None);
     }
-    exactly(input, u32::from_le_bytes(size) as usize, at, what).map(Some)
+    Ok(Some(bytes))
 }
 
-fn packet_events(packet: &[u8], sink: &mut dyn Sink) -> Result<()> {
-    // The size comes before the root's offset and the identifier.
-    let Some(buffer) = packet.get(4..).filter(|buffer| buffer.get(4..8) == Some(b"EVTS")) else { return Ok(()) };
+/// A flatbuffer after its size; none when the input ends before its end.
+fn sized(input: &mut dyn BufRead, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
+    let mut size = [0; 4];
+    if !fill(input, &mut size, sink)? {
+        return Ok(None);
+    }
+    *at += size.len() as u64;
+    exactly(input, u32::from_le_bytes(size) as usize, at, sink)
+}
+
+fn packet_events(buffer: &[u8], sink: &mut dyn Sink) -> Result<()> {
     let damaged = || wrong("a packet of events is damaged");
     let packet = root(buffer).ok_or_else(damaged)?;
     let Some(Events(events)) = packet.access(0, "EventPacket", "elements").map_err(|_| damaged())? else {

@@ -3,7 +3,8 @@
 //! Input: events one by one. Output: the spikes of a sample. Only occupied bins are kept, each with its number of events;
 //! new events are sorted into them in batches.
 
-use super::event::{Counts, Event, Sink, wrong};
+use super::event::{Counts, Event, Remark, Sink, wrong};
+use super::text::unit_unknown;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::{MOST_EVENTS, MOST_STEPS};
 use crate::io::spikes::options::{EventOptions, Origin, Polarity};
@@ -64,7 +65,6 @@ pub struct Bins {
     sensor: Option<(u32, u32)>,
     grid: Option<Grid>,
     start_us: Option<i64>,
-    latest_us: Option<i64>,
     last_step: u32,
     counts: Counts,
     /// (step, channel) as one number.
@@ -82,7 +82,6 @@ impl Bins {
             sensor: None,
             grid: None,
             start_us: None,
-            latest_us: None,
             last_step: 0,
             counts: Counts::default(),
             recent: Vec::new(),
@@ -174,13 +173,37 @@ impl Bins {
         }
     }
 
+    /// Asks for the unit of times that nothing names and that are hardly microseconds: a camera has from one event a second
+    /// to a thousand a microsecond, and a recording is longer than a timestep.
+    ///
+    /// # Errors
+    /// `input.unit`.
+    fn check_unit(&self) -> Result<()> {
+        let Counts { events, span_us: Some((first, last)), unit_assumed: true, .. } = self.counts else {
+            return Ok(());
+        };
+        let span = last.saturating_sub(first) as f64;
+        let (gaps, step) = (events as f64 - 1.0, self.window.bin_us);
+        let short = span < step && events > 2 && span > 0.0;
+        if short || span > gaps * 1e6 || gaps > span * 1e3 && span > 0.0 {
+            let message = format!(
+                "nothing says the unit of the times; as microseconds they are implausible: {events} events in {} ms",
+                span / 1e3
+            );
+            return Err(unit_unknown(message));
+        }
+        Ok(())
+    }
+
     /// The sample, and what was counted.
     ///
     /// # Errors
+    /// `input.unit` for times that are hardly microseconds and of which nothing says the unit;
     /// `input.empty` when nothing says how long it is; `input.shape`, `input.too-many`.
     pub fn finish(mut self, name: &str) -> Result<(PopulationSpikes, Counts)> {
         self.grid()?;
         self.settle()?;
+        self.check_unit()?;
         let least = self.window.options.least.unwrap_or(1);
         let steps = match self.window.options.steps {
             Some(steps) => steps,
@@ -210,14 +233,13 @@ impl Sink for Bins {
         }
     }
 
+    fn remark(&mut self, remark: Remark) {
+        self.counts.remark(remark);
+    }
+
     fn event(&mut self, event: Event) -> Result<()> {
         let grid = self.grid()?;
-        self.counts.events += 1;
-        if self.latest_us.is_some_and(|latest| event.t_us < latest) {
-            self.counts.disordered += 1;
-        } else {
-            self.latest_us = Some(event.t_us);
-        }
+        self.counts.event(event.t_us);
         let step = self.step(event.t_us)?;
         let plane = match self.window.options.polarity {
             Polarity::Both => Some(u32::from(event.on)),

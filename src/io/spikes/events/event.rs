@@ -17,11 +17,28 @@ pub struct Event {
     pub on: bool,
 }
 
+/// What a decoder reports of a recording besides its events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Remark {
+    /// The clock of the recording began again: later times are moved on by its range.
+    ClockTurn,
+    /// A record that is no event of a pixel, such as a trigger or a frame.
+    NotAnEvent,
+    /// An event before the first record that says when it was.
+    Untimed,
+    /// The file ends early, with this number of bytes behind the last whole record.
+    Cut(u64),
+    /// Nothing says the unit of the times; they are read as microseconds.
+    AssumedMicroseconds,
+}
+
 /// What was read, and what of it was left out.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Events of the file.
     pub events: u64,
+    /// Earliest and latest time in microseconds.
+    pub span_us: Option<(i64, i64)>,
     /// Events outside the window in space, time or polarity.
     pub dropped: u64,
     /// Events earlier than one before them.
@@ -30,6 +47,38 @@ pub struct Counts {
     pub merged: u64,
     /// Bins that had events, but fewer than a spike needs.
     pub faint: u64,
+    /// Turns of the recording's clock, by which later times were moved on.
+    pub clock_turns: u64,
+    /// Records that are no events of pixels.
+    pub not_events: u64,
+    /// Bytes behind the last whole record of a file that ends early.
+    pub cut_bytes: Option<u64>,
+    /// Whether the times are taken for microseconds because nothing says their unit.
+    pub unit_assumed: bool,
+}
+
+impl Counts {
+    /// Counts an event of this time.
+    pub fn event(&mut self, t_us: i64) {
+        self.events += 1;
+        let (earliest, latest) = self.span_us.unwrap_or((t_us, t_us));
+        self.disordered += u64::from(t_us < latest);
+        self.span_us = Some((earliest.min(t_us), latest.max(t_us)));
+    }
+
+    /// Counts what a decoder reports.
+    pub fn remark(&mut self, remark: Remark) {
+        match remark {
+            Remark::ClockTurn => self.clock_turns += 1,
+            Remark::NotAnEvent => self.not_events += 1,
+            Remark::Untimed => {
+                self.events += 1;
+                self.dropped += 1;
+            }
+            Remark::Cut(bytes) => self.cut_bytes = Some(bytes),
+            Remark::AssumedMicroseconds => self.unit_assumed = true,
+        }
+    }
 }
 
 /// Receives the events of a decoder.
@@ -41,6 +90,8 @@ pub trait Sink {
     /// # Errors
     /// When there are more than can be kept.
     fn event(&mut self, event: Event) -> Result<()>;
+    /// What the decoder reports besides events.
+    fn remark(&mut self, _remark: Remark) {}
 }
 
 /// What is wrong with a recording.
@@ -48,25 +99,33 @@ pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("input.events", message)
 }
 
+/// The problem of a stream that is chosen in a format without streams.
+pub(super) fn no_streams(format: &str) -> Diagnostic {
+    Diagnostic::new("input.option", format!("{format} has one stream: stream=N is for AEDAT4 and EVT3"))
+}
+
 pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("io.read", format!("cannot be read: {error}"))
 }
 
-/// Fills a buffer; false when the input ends before its first byte.
+/// Fills a buffer with the next record; false at the end of the input. A record that the end cuts off is reported.
 ///
 /// # Errors
-/// `input.events` when the input ends within it.
-pub(super) fn fill(input: &mut dyn BufRead, buffer: &mut [u8], at: &mut u64) -> Result<bool> {
+/// `io.read`.
+pub(super) fn fill(input: &mut dyn BufRead, buffer: &mut [u8], sink: &mut dyn Sink) -> Result<bool> {
     let mut filled = 0;
     while filled < buffer.len() {
         match std::io::Read::read(input, &mut buffer[filled..]) {
-            Ok(0) if filled == 0 => return Ok(false),
-            Ok(0) => return Err(wrong(format!("the file ends within the event at byte {at}"))),
+            Ok(0) => {
+                if filled > 0 {
+                    sink.remark(Remark::Cut(filled as u64));
+                }
+                return Ok(false);
+            }
             Ok(read) => filled += read,
             Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
             Err(error) => return Err(unreadable(&error)),
         }
     }
-    *at += filled as u64;
     Ok(true)
 }

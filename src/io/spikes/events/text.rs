@@ -1,26 +1,41 @@
 //! Events in text: a header that names the columns, then a row an event.
 //!
-//! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and a time: `t`, `t_us`, `time` or
-//! `timestamp` in microseconds, `t_ms`, `t_s`. They stand in any order, separated by commas; others are left alone, and so are lines
-//! that begin with `#`.
+//! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and a time: `t`, `ts`, `time` or
+//! `timestamp`, with the unit behind it (`t_s`, `t_ms`, `t_us`, `t_ns`). They stand in any order, separated by commas; others are left
+//! alone, and so are lines that begin with `#`. A time without a unit is in microseconds, which the sink is told: a fraction of
+//! one, or a time beyond all clocks, is asked about.
 
 use std::io::BufRead;
 
-use super::event::{Event, Sink, unreadable, wrong};
-use crate::base::diagnostic::Result;
+use super::event::{Event, Remark, Sink, unreadable, wrong};
+use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::spikes::options::TimeUnit;
 
 /// The longest row.
 const MOST_ROW: usize = 4096;
+/// The latest time, about 285 years.
+const MOST_US: i64 = 9_000_000_000_000_000;
+/// The names of a column of times, and of columns that keep recordings apart, which would be read as one.
+const TIMES: [&str; 5] = ["t", "ts", "time", "timestamp", "timestamps"];
+const SEVERAL: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
 
 /// Where each field stands.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Columns {
     x: usize,
     y: Option<usize>,
     polarity: Option<usize>,
     time: usize,
-    /// Microseconds of a unit of time.
-    unit_us: f64,
+    /// The unit that the name of the times says.
+    unit: Option<TimeUnit>,
+    /// Why the rows are not one recording.
+    refused: Option<String>,
+}
+
+/// The problem of times of which nothing says the unit, and which are hardly microseconds.
+pub(super) fn unit_unknown(message: String) -> Diagnostic {
+    Diagnostic::new("input.unit", message)
+        .help("name the times t_s, t_ms, t_us or t_ns, or say their unit in the source: FILE?unit=s (or ms, us, ns)")
 }
 
 impl Columns {
@@ -28,14 +43,65 @@ impl Columns {
         let names: Vec<String> =
             line.split(',').map(|name| name.trim().trim_matches('"').to_ascii_lowercase()).collect();
         let find = |wanted: &[&str]| names.iter().position(|name| wanted.contains(&name.as_str()));
-        let times: [(&[&str], f64); 3] = [
-            (&["t", "t_us", "time", "time_us", "timestamp"], 1.0),
-            (&["t_ms", "time_ms"], 1e3),
-            (&["t_s", "time_s"], 1e6),
-        ];
-        let (time, unit_us) = times.into_iter().find_map(|(names, unit)| Some((find(names)?, unit)))?;
+        let unit = |name: &str| match name.rsplit_once('_') {
+            Some((stem, unit)) if TIMES.contains(&stem) => TimeUnit::from_name(unit).map(Some),
+            _ => TIMES.contains(&name).then_some(None),
+        };
+        let mut times = names.iter().enumerate().filter_map(|(place, name)| Some((place, unit(name)?)));
+        let (time, unit) = times.next()?;
+        let refused = match (times.next(), find(&SEVERAL)) {
+            (Some((other, _)), _) => Some(format!("'{}' and '{}' are both times", names[time], names[other])),
+            (None, place) => place.map(|place| format!("a column '{}' keeps several recordings apart", names[place])),
+        };
         let polarity = find(&["p", "polarity", "pol"]);
-        Some(Columns { x: find(&["x"])?, y: find(&["y"]), polarity, time, unit_us })
+        Some(Columns { x: find(&["x"])?, y: find(&["y"]), polarity, time, unit, refused })
+    }
+
+    /// The event of a row; what is wrong with it without its number.
+    fn event(&self, text: &str) -> Result<Event> {
+        let fields: Vec<&str> = text.split(',').map(str::trim).collect();
+        let number = |column: usize, name: &str| -> Result<f64> {
+            let field = fields.get(column).copied().unwrap_or("");
+            let shown: String = field.chars().take(40).collect();
+            field
+                .parse::<f64>()
+                .ok()
+                .filter(|x| x.is_finite())
+                .ok_or_else(|| wrong(format!("{name} '{shown}' is no number")))
+        };
+        let place = |column: Option<usize>, name: &str| -> Result<u32> {
+            let Some(column) = column else { return Ok(0) };
+            let value = number(column, name)?;
+            let fits = value.fract() == 0.0 && (0.0..=65_535.0).contains(&value);
+            if fits {
+                Ok(value as u32)
+            } else {
+                Err(wrong(format!("{name} {value} is not a whole number from 0 to 65535")))
+            }
+        };
+        let on = match self.polarity {
+            None => true,
+            Some(column) => match fields.get(column).map(|field| field.to_ascii_lowercase()).as_deref() {
+                Some("true" | "on") => true,
+                Some("false" | "off") => false,
+                _ => match number(column, "polarity")? {
+                    1.0 => true,
+                    0.0 | -1.0 => false,
+                    other => return Err(wrong(format!("polarity {other} is not 0, 1 or -1"))),
+                },
+            },
+        };
+        let time = number(self.time, "time")?;
+        let t_us = self.unit.unwrap_or(TimeUnit::Microseconds).microseconds(time);
+        if self.unit.is_none() && (time.fract() != 0.0 || t_us.abs() > MOST_US) {
+            return Err(unit_unknown(format!(
+                "nothing says the unit of the time {time}, which is not one of whole microseconds"
+            )));
+        }
+        if t_us.abs() > MOST_US {
+            return Err(wrong(format!("a time of {t_us} us")));
+        }
+        Ok(Event { t_us, x: place(Some(self.x), "x")?, y: place(self.y, "y")?, on })
     }
 }
 
@@ -45,11 +111,12 @@ pub fn is_header(line: &str) -> bool {
     Columns::from_header(line).is_some()
 }
 
-/// Reads a file.
+/// Reads a file, whose times are of this unit where their name says none.
 ///
 /// # Errors
-/// `input.events` with the row.
-pub fn events(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+/// `input.events` with the row; `input.unit` for times that are hardly microseconds and of which nothing says the unit;
+/// `input.option` for another unit than the file's own.
+pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (mut row, mut line) = (0u64, Vec::new());
     let mut columns: Option<Columns> = None;
     loop {
@@ -59,60 +126,43 @@ pub fn events(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
             return Ok(());
         }
         row += 1;
-        let bad = |what: String| wrong(format!("row {row}: {what}"));
+        let bad = |what: &str| wrong(format!("row {row}: {what}"));
         if line.len() > MOST_ROW {
-            return Err(bad(format!("it is longer than {MOST_ROW} bytes")));
+            return Err(bad(&format!("it is longer than {MOST_ROW} bytes")));
         }
-        let text = std::str::from_utf8(&line).map_err(|_| bad("it is no text".to_string()))?.trim();
+        let text = std::str::from_utf8(&line).map_err(|_| bad("it is no text"))?.trim();
         let text = if row == 1 { text.trim_start_matches('\u{feff}') } else { text };
         if text.is_empty() || text.starts_with('#') {
             continue;
         }
-        let Some(columns) = columns else {
-            let help = "a header names t, x, y and p in any order; y and p may be absent";
-            columns = Some(
-                Columns::from_header(text).ok_or_else(|| bad("it is no header of events".to_string()).help(help))?,
-            );
+        let Some(columns) = &columns else {
+            let help = "a header names t_us, x, y and p in any order; y and p may be absent";
+            let mut named = Columns::from_header(text).ok_or_else(|| bad("it is no header of events").help(help))?;
+            if let Some(why) = &named.refused {
+                return Err(bad(why).help("write a file for each recording, with the columns t_us, x, y and p"));
+            }
+            if named.unit.is_some_and(|unit| said.is_some_and(|said| said != unit)) {
+                let message = "unit= contradicts the unit in the name of the times";
+                return Err(Diagnostic::new("input.option", message).help("leave unit= out"));
+            }
+            named.unit = named.unit.or(said);
+            if named.unit.is_none() {
+                sink.remark(Remark::AssumedMicroseconds);
+            }
+            columns = Some(named);
             continue;
         };
-        let fields: Vec<&str> = text.split(',').map(str::trim).collect();
-        let number = |column: usize, name: &str| -> Result<f64> {
-            let field = fields.get(column).copied().unwrap_or("");
-            let shown: String = field.chars().take(40).collect();
-            field
-                .parse::<f64>()
-                .ok()
-                .filter(|x| x.is_finite())
-                .ok_or_else(|| bad(format!("{name} '{shown}' is no number")))
-        };
-        let place = |column: Option<usize>, name: &str| -> Result<u32> {
-            let Some(column) = column else { return Ok(0) };
-            let value = number(column, name)?;
-            let fits = value.fract() == 0.0 && (0.0..=65_535.0).contains(&value);
-            if fits {
-                Ok(value as u32)
-            } else {
-                Err(bad(format!("{name} {value} is not a whole number from 0 to 65535")))
+        match columns.event(text) {
+            Ok(event) => sink.event(event)?,
+            // The last row may be cut off.
+            Err(problem) if problem.code == "input.events" && line.last() != Some(&b'\n') => {
+                sink.remark(Remark::Cut(line.len() as u64));
             }
-        };
-        let on = match columns.polarity {
-            None => true,
-            Some(column) => match fields.get(column).map(|field| field.to_ascii_lowercase()).as_deref() {
-                Some("true" | "on") => true,
-                Some("false" | "off") => false,
-                _ => match number(column, "polarity")? {
-                    1.0 => true,
-                    0.0 | -1.0 => false,
-                    other => return Err(bad(format!("polarity {other} is not 0, 1 or -1"))),
-                },
-            },
-        };
-        let time = number(columns.time, "time")? * columns.unit_us;
-        if time.abs() > 9e15 {
-            return Err(bad(format!("a time of {time} us")));
+            Err(mut problem) => {
+                problem.message = format!("row {row}: {}", problem.message);
+                return Err(problem);
+            }
         }
-        let (x, y) = (place(Some(columns.x), "x")?, place(columns.y, "y")?);
-        sink.event(Event { t_us: time.round() as i64, x, y, on })?;
     }
 }
 
@@ -132,7 +182,7 @@ mod tests {
 
     fn read(text: &str) -> Result<Vec<(i64, u32, u32, bool)>> {
         let mut kept = Kept(Vec::new());
-        events(&mut text.as_bytes(), &mut kept)?;
+        events(None, &mut text.as_bytes(), &mut kept)?;
         Ok(kept.0.iter().map(|event| (event.t_us, event.x, event.y, event.on)).collect())
     }
 
