@@ -10,7 +10,10 @@ use std::fmt;
 use std::io::Read;
 use std::path::Path;
 
+use super::foreign::hdf5;
+use super::foreign::torch::ZIP;
 use super::spikes::csv;
+use super::spikes::events::aedat::AEDAT;
 use super::spikes::events::text::is_header;
 use super::text::{NPY_MAGIC, is_standard_stream, open, refuse_pointer, unreadable};
 use crate::base::diagnostic::Result;
@@ -18,12 +21,6 @@ use crate::desc::spanned::root_name;
 
 /// Bytes of a file that are looked at: a text may begin with comments.
 const HEAD: usize = 1 << 16;
-/// What every HDF5 file begins with (HDF5 file format specification 3.0, II.A).
-const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// What every zip archive begins with: PyTorch's checkpoints, and archives of NumPy arrays.
-const ZIP: &[u8] = b"PK\x03\x04";
-/// What every version of AEDAT begins with.
-const AEDAT: &[u8] = b"#!AER-DAT";
 
 /// The kinds of recordings, for messages.
 pub const RECORDINGS: &str =
@@ -158,7 +155,7 @@ impl FileKind {
         let extension = name.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         let content = match head {
             _ if head.starts_with(NPY_MAGIC) => Some(FileKind::Npy),
-            _ if head.starts_with(HDF5) => Some(FileKind::Hdf5),
+            _ if head.starts_with(hdf5::MAGIC) => Some(FileKind::Hdf5),
             _ if head.starts_with(AEDAT) => Some(FileKind::Events(EventFormat::Aedat4)),
             _ if head.starts_with(ZIP) => Some(archive(head, extension == "npz")),
             _ if head.starts_with(b"% ") => prophesee(head),

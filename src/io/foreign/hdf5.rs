@@ -30,6 +30,19 @@ const MOST_AXES: usize = 8;
 /// Strings of a data set.
 const MOST_STRINGS: u64 = 1 << 16;
 
+/// Reals of 16 bits: IEEE 754's half precision, and bfloat16.
+const BINARY16: FloatingPointLayout = FloatingPointLayout {
+    bit_offset: 0,
+    bit_precision: 16,
+    exponent_location: 10,
+    exponent_size: 5,
+    mantissa_location: 0,
+    mantissa_size: 10,
+    exponent_bias: 15,
+};
+const BFLOAT16: FloatingPointLayout =
+    FloatingPointLayout { exponent_location: 7, exponent_size: 8, mantissa_size: 7, exponent_bias: 127, ..BINARY16 };
+
 /// A group's members by name.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Group {
@@ -193,6 +206,16 @@ impl Group {
         (numbers.len() == 1).then(|| numbers.reals().next())?
     }
 
+    /// The path and type of a member of a type that is not read.
+    #[must_use]
+    pub fn unread(&self) -> Option<(String, &str)> {
+        self.items.iter().find_map(|(name, item)| match item {
+            Item::Other(what) => Some((name.clone(), what.as_str())),
+            Item::Group(group) => group.unread().map(|(path, what)| (format!("{name}/{path}"), what)),
+            Item::Numbers(_) | Item::Texts(..) => None,
+        })
+    }
+
     /// The only text of a member.
     #[must_use]
     pub fn text(&self, path: &str) -> Option<&str> {
@@ -231,7 +254,15 @@ impl Reading<'_> {
         if what.len() > 300 {
             what = what.chars().take(300).collect();
         }
-        Diagnostic::new("hdf5.format", format!("the HDF5 file cannot be read: {what}")).in_file(self.path)
+        let layout = what.contains("data layout version") || what.contains("chunk index");
+        let mut problem = Diagnostic::new("hdf5.format", format!("the HDF5 file cannot be read: {what}"));
+        if layout {
+            problem = problem.help(
+                "it has a layout of HDF5's newest versions: `h5repack FILE NEW` writes an older one, and for NIR so does \
+                 nir.write(NEW, nir.read(FILE))",
+            );
+        }
+        problem.in_file(self.path)
     }
 }
 
@@ -243,7 +274,30 @@ pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     let mut budget = Reading { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
     let options = FileAccessProperties::new().with_chunk_cache(ChunkCacheConfig::disabled());
     let file = File::from_bytes_with_options(bytes, options).map_err(|error| budget.wrong(&error))?;
+    refuse_events(&file.root()).map_err(|problem| problem.in_file(path))?;
     group(&file.root(), &mut budget, 0)
+}
+
+/// Refuses recordings of events by the names of their groups, before anything is decoded: they are large, and are packed
+/// by filters of their own.
+fn refuse_events(root: &hdf5_pure::Group) -> Result<()> {
+    let has = |group: &str, members: &[&str]| {
+        let found = root.iter_groups().ok().and_then(|mut groups| groups.find(|(name, _)| name == group));
+        let found = found.and_then(|(_, group)| group.datasets().ok()).unwrap_or_default();
+        members.iter().all(|member| found.iter().any(|name| name == member))
+    };
+    let (what, help) = match () {
+        () if has("CD", &["events"]) => (
+            "Metavision's recording of events (CD/events)",
+            "convert it with Metavision's tools: metavision_file_to_dat -i FILE",
+        ),
+        () if has("events", &["x", "y", "t", "p"]) => (
+            "a recording of events in the layout of DSEC (events/x, y, t, p)",
+            "write its events as rows of text with the header t_us,x,y,p",
+        ),
+        () => return Ok(()),
+    };
+    Err(Diagnostic::new("hdf5.events", format!("this HDF5 file is {what}, which is not read")).help(help))
 }
 
 fn group(group: &hdf5_pure::Group, budget: &mut Reading<'_>, depth: usize) -> Result<Group> {
@@ -275,6 +329,8 @@ fn element(datatype: &Datatype) -> Option<(Element, bool)> {
             }
         }
         Datatype::FloatingPoint { size, byte_order, layout } => match (size, layout) {
+            (2, &BINARY16) => (Element::F(2), byte_order),
+            (2, &BFLOAT16) => (Element::Bf16, byte_order),
             (4, &FloatingPointLayout::IEEE754_BINARY32) => (Element::F(4), byte_order),
             (8, &FloatingPointLayout::IEEE754_BINARY64) => (Element::F(8), byte_order),
             _ => return None,
@@ -418,5 +474,28 @@ fn fill(builder: &mut DatasetBuilder, item: &Item) {
         }
         // Neither is ever a data set of a tree that was made to be written.
         Item::Group(_) | Item::Other(_) => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reals_of_sixteen_bits_are_numbers() {
+        let real = |layout, byte_order| Datatype::FloatingPoint { size: 2, byte_order, layout };
+        assert_eq!(element(&real(BINARY16, DatatypeByteOrder::LittleEndian)), Some((Element::F(2), false)));
+        assert_eq!(element(&real(BINARY16, DatatypeByteOrder::BigEndian)), Some((Element::F(2), true)));
+        assert_eq!(element(&real(BFLOAT16, DatatypeByteOrder::LittleEndian)), Some((Element::Bf16, false)));
+    }
+
+    #[test]
+    fn what_is_not_read_is_found_at_any_depth() {
+        let inner = Group {
+            items: BTreeMap::from([("w".to_string(), Item::Other("Compound".to_string()))]),
+            ..Group::default()
+        };
+        let root = Group::default().with("a", Numbers::i64(&[1], &[1])).with("nodes", inner);
+        assert_eq!(root.unread(), Some(("nodes/w".to_string(), "Compound")));
     }
 }

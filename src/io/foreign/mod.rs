@@ -58,6 +58,11 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
 fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let root = hdf5::tree(path, bytes)?;
     let name = network_name(path);
+    let network = root.group("layer").or_else(|| root.group("node"));
+    if let Some((name, what)) = network.and_then(hdf5::Group::unread) {
+        return Err(Diagnostic::new("import.type", format!("'{name}' is of the type {what}, which is not read"))
+            .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
+    }
     if root.group("layer").is_some() {
         netx::read(&root, &name, options)
     } else if root.group("node").is_some() {

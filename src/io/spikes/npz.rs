@@ -12,6 +12,7 @@ use std::path::Path;
 use zip::ZipArchive;
 
 use super::array;
+use super::events::text::is_header;
 use super::labels;
 use super::options::Polarity;
 use super::population::PopulationSpikes;
@@ -78,7 +79,13 @@ pub fn from_bytes(
         file.take(MOST_UNPACKED).read_to_end(&mut bytes).map_err(|error| broken(&error))?;
         npy::Array::from_bytes(path, bytes)
     };
-    let mut recordings = array::from_array(&array_of(spikes)?, units, polarity)?;
+    let spikes = array_of(spikes)?;
+    // x beside a time is a list of events, of which x alone would be read.
+    if is_header(&arrays.join(",")) && spikes.shape().len() == 1 {
+        return Err(wrong(format!("the archive holds events ({}), not spikes", arrays.join(", ")))
+            .help("write them as rows of text with the header t_us,x,y,p (t_s, t_ms or t_ns in other units)"));
+    }
+    let mut recordings = array::from_array(&spikes, units, polarity)?;
     if let Some(name) = named_labels {
         labels::apply(path, &labels::from_array(&array_of(name)?)?, &mut recordings)?;
     }
@@ -123,6 +130,10 @@ mod tests {
         assert_eq!(code(&[("a", spikes.0, spikes.1), ("b", spikes.0, spikes.1)]), "input.npz");
         assert_eq!(code(&[("x", spikes.0, spikes.1), ("y", &[3], &[1, 0, 1])]), "input.labels");
         assert_eq!(code(&[]), "input.npz");
+        // Events are no spikes of the channels x.
+        let events: [(&str, &[u64], &[u8]); 3] = [("x", &[2], &[0, 1]), ("y", &[2], &[1, 0]), ("t", &[2], &[1, 9])];
+        let error = from_bytes(Path::new("a.npz"), archive(&events, stored), "touch", 1, Polarity::Both).unwrap_err();
+        assert!(error.message.contains("holds events (x, y, t)"), "{error}");
         assert_eq!(read(b"no archive".to_vec(), "touch").unwrap_err().code, "input.npz");
     }
 }

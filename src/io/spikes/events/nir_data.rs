@@ -73,6 +73,13 @@ pub fn read(
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>> {
     let group = observable(root, population)?;
+    let &EventOptions { bin_us, steps, .. } = options;
+    if *options != (EventOptions { bin_us, steps, ..EventOptions::default() }) {
+        return Err(Diagnostic::new(
+            "input.option",
+            "NIR data has channels and times: bin_ms and steps are its only options",
+        ));
+    }
     let array = |key: &str, axes: usize| {
         let numbers = group.numbers(key).ok_or_else(|| wrong(format!("the observable has no '{key}'")))?;
         if numbers.shape().len() == axes {
@@ -104,6 +111,19 @@ pub fn read(
         Some("TimeGriddedData") => {
             let data = array("data", 3)?;
             let &[samples, steps, units] = data.shape() else { return Err(wrong("'data' is empty")) };
+            // Each step of the grid is a timestep, so that both have one length.
+            let (grid_us, step_us) = (number(group, "dt").unwrap_or(0.0) * 1e6, bin_us.unwrap_or(expected.dt_ms * 1e3));
+            if (grid_us - step_us).abs() > step_us * 1e-6 {
+                let (grid, step) = (grid_us / 1e3, step_us / 1e3);
+                return Err(wrong(format!("a step of its grid (dt) is {grid} ms, a timestep {step} ms"))
+                    .help(format!("FILE?bin_ms={grid} takes each step of the grid as a timestep")));
+            }
+            if options.steps.is_some_and(|wanted| wanted as usize != steps) {
+                return Err(Diagnostic::new(
+                    "input.option",
+                    format!("the grid has {steps} steps: steps= is for events"),
+                ));
+            }
             check(units as f64)?;
             let all = bound(steps as f64)?;
             let mut recordings = silent(samples, all)?;
@@ -119,6 +139,7 @@ pub fn read(
                 return Err(wrong("'idx' and 'time' have different shapes"));
             }
             check(number(group, "n_neurons").unwrap_or(0.0))?;
+            let values: Option<Vec<f64>> = group.numbers("value").map(|values| values.reals().collect());
             let bin_s = options.bin_us.map_or(expected.dt_ms / 1e3, |us| us / 1e6);
             let end = number(group, "t_max").unwrap_or(0.0);
             // t_max / dt may fall a little short of the number that it means.
@@ -132,6 +153,12 @@ pub fn read(
                 // An index of -1 and an endless time fill up the shorter samples.
                 if unit < 0.0 || !seconds.is_finite() {
                     continue;
+                }
+                if let Some(value) = values.as_ref().map(|values| values.get(at).copied().unwrap_or(f64::NAN))
+                    && value != 1.0
+                {
+                    return Err(wrong(format!("an event carries the value {value}; events of the value 1 are spikes"))
+                        .help("write the events without values, as EventData"));
                 }
                 let step = (seconds / bin_s + 1e-6).floor();
                 if unit >= expected.units as f64 || unit.fract() != 0.0 || !(0.0..f64::from(steps)).contains(&step) {
