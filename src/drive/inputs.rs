@@ -59,7 +59,7 @@ pub fn stimulus(
         };
         let (pairs, labels) = without_labels(path, pairs)?;
         let pairs = pairs.as_slice();
-        let is_manifest = FileKind::of(path)? == FileKind::Ron;
+        let is_manifest = FileKind::detect(path)? == FileKind::Ron;
         let wanted: Vec<usize> = match &argument.population {
             Some(name) => vec![position(name)?],
             None if is_manifest => (0..inputs.len()).collect(),

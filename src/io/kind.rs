@@ -131,7 +131,7 @@ impl FileKind {
     ///
     /// # Errors
     /// `io.*` when it cannot be opened, `io.lfs-pointer`.
-    pub fn of(path: &Path) -> Result<FileKind> {
+    pub fn detect(path: &Path) -> Result<FileKind> {
         if is_standard_stream(path) {
             return Ok(FileKind::Stream);
         }

@@ -67,7 +67,7 @@ fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
         return inspect_shipped(argument);
     }
     let path = Path::new(argument);
-    match FileKind::of(path)? {
+    match FileKind::detect(path)? {
         FileKind::Folder => inspect_folder(path),
         FileKind::Npy => inspect_npy(path),
         FileKind::SpikeList => inspect_csv(path),
@@ -259,7 +259,7 @@ fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
     let mut shapes: Vec<Vec<usize>> = Vec::new();
     for (_, _, file) in &listed {
         // How many spikes a recording of events has is for the options of a run to say.
-        if let FileKind::Events(format) = FileKind::of(file)? {
+        if let FileKind::Events(format) = FileKind::detect(file)? {
             events += foreign::events(file, format)?;
             continue;
         }

@@ -30,7 +30,7 @@ use crate::desc::network::Network;
 #[must_use]
 pub fn is_foreign(path: &Path) -> bool {
     let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron, FileKind::Unknown];
-    FileKind::of(path).map_or_else(|problem| problem.code == "io.lfs-pointer", |kind| !own.contains(&kind))
+    FileKind::detect(path).map_or_else(|problem| problem.code == "io.lfs-pointer", |kind| !own.contains(&kind))
 }
 
 /// Reads a foreign model.

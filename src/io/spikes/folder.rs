@@ -53,7 +53,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     for path in disk::list(folder).map_err(unreadable)? {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let named = match sample_name(&name) {
-            Some(named) if matches!(FileKind::of(&path)?, FileKind::Npy | FileKind::Events(_)) => Some(named),
+            Some(named) if matches!(FileKind::detect(&path)?, FileKind::Npy | FileKind::Events(_)) => Some(named),
             _ => None,
         };
         match named {
@@ -68,7 +68,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
         }
     }
     if found.is_empty() {
-        let is_recording = |path: &Path| matches!(FileKind::of(path), Ok(FileKind::Events(_)));
+        let is_recording = |path: &Path| matches!(FileKind::detect(path), Ok(FileKind::Events(_)));
         let mut events: Vec<_> = others.iter().filter(|(_, path)| is_recording(path)).collect();
         events.sort_by_cached_key(|(name, _)| natural_order(name));
         found = events.iter().zip(0..).map(|((_, path), index)| (index, (None, path.clone()))).collect();

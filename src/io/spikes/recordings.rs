@@ -35,7 +35,7 @@ pub(super) struct Request<'a> {
 pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let Request { expected, options, .. } = request;
     let units = expected.units;
-    match FileKind::of(path)? {
+    match FileKind::detect(path)? {
         FileKind::Folder => read_folder(path, request),
         FileKind::Events(format) => {
             let (spikes, counts) = read_file(path, format, expected, options)?;
@@ -137,7 +137,7 @@ fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpik
 
 /// Reads a source that holds exactly one sample.
 pub(super) fn read_sample(path: &Path, request: Request<'_>) -> Result<PopulationSpikes> {
-    if matches!(FileKind::of(path)?, FileKind::Folder | FileKind::Stream) {
+    if matches!(FileKind::detect(path)?, FileKind::Folder | FileKind::Stream) {
         return Err(Diagnostic::new(
             "input.kind",
             "a sample of a data set is a .npy or a .csv file, or a recording of events",

@@ -31,7 +31,7 @@ pub fn read_spikes(
     expected: &Expected,
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>> {
-    if FileKind::of(path)? != FileKind::Ron {
+    if FileKind::detect(path)? != FileKind::Ron {
         return recordings::read(path, Request { population, expected, options });
     }
     recordings::takes_no_options(path, options)?;
