@@ -662,12 +662,13 @@ mod tests {
             );
             let source = (groups * draw(9, 1, 2), draw(10, 1, 6), draw(11, 1, 6));
             // The size of a convolution's output, as every framework has it; none when the window is larger.
+            let after = (draw(13, 0, 2), draw(14, 0, 2));
             let size = |n: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
-                Some((n + 2 * padding).checked_sub(dilation * (kernel - 1) + 1)? / stride + 1)
+                Some((n + padding).checked_sub(dilation * (kernel - 1) + 1)? / stride + 1)
             };
             let (Some(height), Some(width)) = (
-                size(source.1, kernel.0, stride.0, padding.0, dilation.0),
-                size(source.2, kernel.1, stride.1, padding.1, dilation.1),
+                size(source.1, kernel.0, stride.0, padding.0 + after.0, dilation.0),
+                size(source.2, kernel.1, stride.1, padding.1 + after.1, dilation.1),
             ) else {
                 continue;
             };

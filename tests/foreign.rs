@@ -512,6 +512,7 @@ fn models() -> impl Strategy<Value = ModelBuilder> {
                 weights: tensor(vec![3, 2, 2, 2], kernel[..24].to_vec()),
                 stride: (1, 1),
                 padding: (0, 0),
+                padding_after: (0, 0),
                 dilation: (1, 1),
                 groups: 1,
             };

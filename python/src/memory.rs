@@ -98,7 +98,8 @@ fn kind(weights: &Bound<'_, PyAny>, keywords: &Keywords<'_>, whose: &str) -> PyR
             let pair = |key: &str, usual: u64| Ok::<_, PyErr>(keywords.take(key)?.unwrap_or((usual, usual)));
             let (stride, padding, dilation) = (pair("stride", 1)?, pair("padding", 0)?, pair("dilation", 1)?);
             let groups = keywords.take("groups")?.unwrap_or(1);
-            Ok(ProjectionKind::Conv2d { weights, stride, padding, dilation, groups })
+            let padding_after = keywords.take("padding_after")?.unwrap_or(padding);
+            Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups })
         }
         _ => {
             Err(usage(format!("{whose}: weights are [target, source] or [C', C / groups, kh, kw], not of {axes} axes")))

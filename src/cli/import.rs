@@ -35,9 +35,9 @@ pub struct Args {
     /// Parameters of the neuron, where the file has none: SLAYER's YAML
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
-    /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as on the chip, or the
-    /// threshold is subtracted, which only some targets can do
-    #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("zero", ResetMode::Zero), ("subtract", ResetMode::Subtract)]))]
+    /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as on the chip; or the
+    /// threshold is subtracted at the spike, or a step later as in snnTorch, which only some targets can do
+    #[arg(long, value_name = "HOW", value_parser = one_of_named(&RESETS))]
     reset: Option<ResetMode>,
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)]))]
@@ -61,6 +61,10 @@ pub struct Args {
     #[arg(short, long, value_name = "MODEL.ron")]
     output: Option<PathBuf>,
 }
+
+/// The resets that can be asked for.
+const RESETS: [(&str, ResetMode); 3] =
+    [("zero", ResetMode::Zero), ("subtract", ResetMode::Subtract), ("subtract-later", ResetMode::SubtractLater)];
 
 impl Args {
     fn options(&self) -> Result<Options, Error> {
@@ -142,6 +146,10 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
         let from = projection.from.join(" + ");
         json!([from, projection.to, kind, weights, projection.delay, projection.weight_exp])
     });
+    let layers = imported
+        .layers
+        .iter()
+        .map(|layer| json!([layer.name, layer.shape, layer.scale, layer.zeroed, layer.greatest_error]));
     Findings {
         kind: imported.kind,
         facts: vec![
@@ -156,6 +164,7 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
         ],
         tables: vec![
             FindingsTable::new("populations", &["name", "kind", "shape", "start_step", "parameters"], populations),
+            FindingsTable::new("layers", &["name", "weights", "scale", "became_zero", "largest_error"], layers),
             FindingsTable::new("projections", &["from", "to", "kind", "weights", "delay", "weight_exp"], projections),
         ],
     }

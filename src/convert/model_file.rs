@@ -4,6 +4,7 @@
 //! synapses that a seed stands for, and spikes with a payload, which a written model does not hold.
 
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::desc::network::padding_after;
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use crate::ir::graph::{Graph, Shape, Window};
 use crate::ir::quantised::connectivity::Connectivity;
@@ -69,7 +70,17 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<M
     for projection in &parts.projections {
         let (source, target) = (&parts.populations[projection.source], &parts.populations[projection.target]);
         let (sources, targets) = (source.shape.len() as usize, target.shape.len() as usize);
-        let window = |window: &Window| (pair(window.stride), pair(window.padding));
+        let window = |window: &Window| {
+            let reach = |kernel: u32, dilation: u32| u64::from(dilation) * u64::from(kernel - 1) + 1;
+            let (stride, padding) = (pair(window.stride), pair(window.padding));
+            let (source, target) = (window.source, window.target);
+            let reach = (reach(window.kernel.0, window.dilation.0), reach(window.kernel.1, window.dilation.1));
+            let after = (
+                padding_after(source.1.into(), target.1.into(), reach.0, stride.0, padding.0),
+                padding_after(source.2.into(), target.2.into(), reach.1, stride.1, padding.1),
+            );
+            (stride, padding, after)
+        };
         let kind = match &projection.connectivity {
             Connectivity::Dense { weights, .. } => {
                 let at = |i: usize| f64::from(weights[i % sources * targets + i / sources]);
@@ -85,7 +96,7 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<M
                 ProjectionKind::Sparse(listed)
             }
             Connectivity::Conv2d { window: geometry, kernel } => {
-                let (stride, padding) = window(geometry);
+                let (stride, padding, padding_after) = window(geometry);
                 let (kh, kw) = geometry.kernel;
                 let shape = [geometry.target.0, geometry.source.0 / geometry.groups, kh, kw];
                 ProjectionKind::Conv2d {
@@ -95,13 +106,15 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<M
                     ),
                     stride,
                     padding,
+                    padding_after,
                     dilation: pair(geometry.dilation),
                     groups: geometry.groups.into(),
                 }
             }
             Connectivity::SumPool2d { window: geometry, weight } => {
-                let (stride, padding) = window(geometry);
-                ProjectionKind::SumPool2d { kernel: pair(geometry.kernel), stride, padding, weight: f64::from(*weight) }
+                let (stride, padding, padding_after) = window(geometry);
+                let (kernel, weight) = (pair(geometry.kernel), f64::from(*weight));
+                ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight }
             }
             Connectivity::Random { .. } => return Err(unsupported("a Random projection")),
         };

@@ -369,8 +369,10 @@ projection_desc!(
         pub weights: Weights,
         /// (y, x), default (1, 1).
         pub stride: Option<Spanned<(u64, u64)>>,
-        /// (y, x), default (0, 0).
+        /// Silent rows above and columns left of the source (y, x), default (0, 0).
         pub padding: Option<Spanned<(u64, u64)>>,
+        /// Silent rows below and columns right of the source (y, x), default: `padding`.
+        pub padding_after: Option<Spanned<(u64, u64)>>,
         /// (y, x), default (1, 1).
         pub dilation: Option<Spanned<(u64, u64)>>,
         /// Channel groups, default 1.
@@ -385,8 +387,10 @@ projection_desc!(
         pub kernel: Spanned<(u64, u64)>,
         /// (y, x), default: the window.
         pub stride: Option<Spanned<(u64, u64)>>,
-        /// (y, x), default (0, 0).
+        /// Silent rows above and columns left of the source (y, x), default (0, 0).
         pub padding: Option<Spanned<(u64, u64)>>,
+        /// Silent rows below and columns right of the source (y, x), default: `padding`.
+        pub padding_after: Option<Spanned<(u64, u64)>>,
         /// The weight of each synapse.
         pub weight: Spanned<f64>,
     }
@@ -405,6 +409,15 @@ projection_desc!(
         pub seed: Spanned<u64>,
     }
 );
+
+/// Silent places behind an axis of `source` places that a window with this reach, stride and padding before the axis needs
+/// to give `target` outputs: as many as before where that gives them, else the fewest that do.
+#[must_use]
+pub fn padding_after(source: u64, target: u64, reach: u64, stride: u64, before: u64) -> u64 {
+    let last = target.saturating_sub(1).saturating_mul(stride).saturating_add(reach);
+    let fewest = last.saturating_sub(source.saturating_add(before));
+    if before >= fewest && before - fewest < stride { before } else { fewest }
+}
 
 /// A projection of the file.
 #[derive(Debug, Clone, Deserialize)]

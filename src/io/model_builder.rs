@@ -123,8 +123,10 @@ pub enum ProjectionKind {
         weights: Tensor,
         /// Step.
         stride: (u64, u64),
-        /// Nothing around the source.
+        /// Silent rows above and columns left of the source.
         padding: (u64, u64),
+        /// Silent rows below and columns right of the source.
+        padding_after: (u64, u64),
         /// Distance of neighbours.
         dilation: (u64, u64),
         /// Channel groups.
@@ -136,8 +138,10 @@ pub enum ProjectionKind {
         kernel: (u64, u64),
         /// Step.
         stride: (u64, u64),
-        /// Nothing around the source.
+        /// Silent rows above and columns left of the source.
         padding: (u64, u64),
+        /// Silent rows below and columns right of the source.
+        padding_after: (u64, u64),
         /// The weight of each synapse.
         weight: f64,
     },
@@ -283,6 +287,7 @@ impl ModelBuilder {
                     weights: array_of(network, &conv.weights.source)?,
                     stride: pair(&conv.stride, (1, 1)),
                     padding: pair(&conv.padding, (0, 0)),
+                    padding_after: pair(&conv.padding_after, pair(&conv.padding, (0, 0))),
                     dilation: pair(&conv.dilation, (1, 1)),
                     groups: conv.groups.as_ref().map_or(1, |groups| groups.value),
                 },
@@ -290,6 +295,7 @@ impl ModelBuilder {
                     kernel: pool.kernel.value,
                     stride: pair(&pool.stride, pool.kernel.value),
                     padding: pair(&pool.padding, (0, 0)),
+                    padding_after: pair(&pool.padding_after, pair(&pool.padding, (0, 0))),
                     weight: pool.weight.value,
                 },
                 ProjectionDesc::Random(_) => return Err(seeded("a Random projection")),
@@ -559,16 +565,22 @@ impl Writer<'_> {
                 }
                 out.push(']');
             }
-            ProjectionKind::Conv2d { weights, stride, padding, dilation, groups } => {
+            ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups } => {
                 let weights = self.array(&key, weights.clone());
                 let _ = write!(
                     out,
                     ", weights: {weights}, stride: {stride:?}, padding: {padding:?}, dilation: {dilation:?}, groups: {groups}"
                 );
+                if padding_after != padding {
+                    let _ = write!(out, ", padding_after: {padding_after:?}");
+                }
             }
-            ProjectionKind::SumPool2d { kernel, stride, padding, weight } => {
+            ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight } => {
                 let weight = number(*weight);
                 let _ = write!(out, ", kernel: {kernel:?}, stride: {stride:?}, padding: {padding:?}, weight: {weight}");
+                if padding_after != padding {
+                    let _ = write!(out, ", padding_after: {padding_after:?}");
+                }
             }
         }
         let ProjectionBuilder { delay, weight_exp, sign, weight_bits, weight_scale, .. } = projection;

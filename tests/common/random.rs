@@ -256,7 +256,7 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
     }
 }
 
-/// Convolutions and poolings over a few channels, one after the other, that depend on the seed only: strides, paddings,
+/// Convolutions and poolings over a few channels, one after the other, that depend on the seed only: strides, four paddings,
 /// dilations and groups of all kinds, delays, layers that reach themselves or come back from the layer after.
 pub fn convolutional(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0xc0_4401);
@@ -275,11 +275,12 @@ pub fn convolutional(seed: u64) -> Quantised {
         let stride = if pool { (2, 2) } else { draw.one_of(&[(1, 1), (1, 1), (2, 2), (1, 2)]) };
         let padding = if pool { (0, 0) } else { (draw.from(0, 2) as u32, draw.from(0, 2) as u32) };
         let dilation = if pool { (1, 1) } else { draw.one_of(&[(1, 1), (1, 1), (1, 2), (2, 2)]) };
+        let after = (draw.from(0, 2) as u32, draw.from(0, 2) as u32);
         let side = |s: u32, k: u32, stride: u32, p: u32, d: u32| {
-            (s + 2 * p).checked_sub(d * (k - 1) + 1).map(|rest| rest / stride + 1)
+            (s + p).checked_sub(d * (k - 1) + 1).map(|rest| rest / stride + 1)
         };
-        let height = side(source.1, kernel.0, stride.0, padding.0, dilation.0);
-        let width = side(source.2, kernel.1, stride.1, padding.1, dilation.1);
+        let height = side(source.1, kernel.0, stride.0, padding.0 + after.0, dilation.0);
+        let width = side(source.2, kernel.1, stride.1, padding.1 + after.1, dilation.1);
         let (Some(height), Some(width)) = (height, width) else { continue };
         let groups = if pool || draw.chance(20) { source.0 } else { 1 };
         let channels = if pool { source.0 } else { groups * draw.from(1, if groups > 1 { 2 } else { 7 }) as u32 };

@@ -527,17 +527,19 @@ impl Declared<'_> {
         Ok((pair.value.0 as u32, pair.value.1 as u32))
     }
 
-    /// Checks that the target is exactly what the window makes of the source.
-    fn check_window(&self, window: &Window) -> Result<(), Diagnostic> {
-        let size = |source: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
+    /// Checks that the target is exactly what the window makes of the source, which has so many silent rows and columns
+    /// behind it.
+    fn check_window(&self, window: &Window, after: Option<&Spanned<(u64, u64)>>) -> Result<(), Diagnostic> {
+        let after = self.pair(after, "padding_after", window.padding, 0)?;
+        let size = |source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32| {
             let reach = u64::from(dilation) * u64::from(kernel - 1) + 1;
-            let room = u64::from(source) + 2 * u64::from(padding);
+            let room = u64::from(source) + u64::from(padding.0) + u64::from(padding.1);
             room.checked_sub(reach).map(|slack| slack / u64::from(stride) + 1)
         };
         let w = window;
         let expected = (
-            size(w.source.1, w.kernel.0, w.stride.0, w.padding.0, w.dilation.0),
-            size(w.source.2, w.kernel.1, w.stride.1, w.padding.1, w.dilation.1),
+            size(w.source.1, w.kernel.0, w.stride.0, (w.padding.0, after.0), w.dilation.0),
+            size(w.source.2, w.kernel.1, w.stride.1, (w.padding.1, after.1), w.dilation.1),
         );
         if expected != (Some(u64::from(w.target.1)), Some(u64::from(w.target.2))) {
             let show = |side: Option<u64>| side.map_or("nothing".to_string(), |n| n.to_string());
@@ -551,9 +553,9 @@ impl Declared<'_> {
                 w.target.1,
                 w.target.2
             );
-            return Err(self
-                .error("model.window", message, self.span)
-                .help("size = (source + 2 padding - dilation (kernel - 1) - 1) / stride + 1, rounded down"));
+            return Err(self.error("model.window", message, self.span).help(
+                "size = (source + padding + padding_after - dilation (kernel - 1) - 1) / stride + 1, rounded down",
+            ));
         }
         Ok(())
     }
@@ -603,7 +605,7 @@ impl Declared<'_> {
             dilation: self.pair(conv.dilation.as_ref(), "dilation", (1, 1), 1)?,
             groups: groups as u32,
         };
-        self.check_window(&window)?;
+        self.check_window(&window, conv.padding_after.as_ref())?;
         Ok(ProjectionKind::Conv2d { window, weights, rows })
     }
 
@@ -623,7 +625,7 @@ impl Declared<'_> {
             let message = format!("SumPool2d to '{}' goes from {} to {} channels", self.to(), source.0, target.0);
             return Err(self.error("model.window", message, self.span));
         }
-        self.check_window(&window)?;
+        self.check_window(&window, pool.padding_after.as_ref())?;
         Ok(ProjectionKind::SumPool2d { window, weight: pool.weight.clone() })
     }
 

@@ -20,6 +20,15 @@ pub struct Encoded {
     pub changed: usize,
 }
 
+impl Encoded {
+    /// The weights beside the exponent that the file gave.
+    #[must_use]
+    pub fn in_units(&self, given: i64) -> Vec<f64> {
+        let power = ((self.exponent - given) as f64).exp2();
+        self.weights.iter().map(|weight| weight * power).collect()
+    }
+}
+
 /// The greatest weight exponent (`docs/semantics.md`).
 const GREATEST: i64 = 7;
 

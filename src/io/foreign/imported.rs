@@ -1,5 +1,6 @@
 //! What every reader of a foreign format shares: its options, its result and limits of a core.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use crate::base::fixed::{Delay, ThresholdMantissa};
@@ -41,6 +42,8 @@ pub enum ResetMode {
     Zero,
     /// The threshold is subtracted.
     Subtract,
+    /// The threshold is subtracted in the step after the spike, once the voltage has decayed (snnTorch).
+    SubtractLater,
 }
 
 /// A model that was read from a foreign file.
@@ -52,6 +55,71 @@ pub struct Imported {
     pub model: ModelBuilder,
     /// By which conventions it was read, and what was changed.
     pub notes: Vec<String>,
+    /// What became of the weights of each layer, for files whose weights are rounded.
+    pub layers: Vec<LayerWeights>,
+}
+
+/// What became of the weights of a layer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerWeights {
+    /// The layer.
+    pub name: String,
+    /// `[target, source]`.
+    pub shape: Vec<usize>,
+    /// What a weight of 1 of the file counts in the model.
+    pub scale: f64,
+    /// Share of the weights other than 0 that became 0.
+    pub zeroed: f64,
+    /// The greatest difference between a weight of the file and what stands for it, in the file's units.
+    pub greatest_error: f64,
+    /// Sum of the squares of these differences, as a share of that of the weights.
+    lost: f64,
+}
+
+impl LayerWeights {
+    /// Compares the weights of a file with those of the model, which are `scale` times as large but for rounding.
+    pub(super) fn new(name: &str, shape: &[usize], scale: f64, given: &[f64], made: &[f64]) -> LayerWeights {
+        let (mut used, mut zeroed, mut greatest_error, mut squares, mut errors) = (0usize, 0usize, 0.0f64, 0.0, 0.0);
+        for (given, made) in given.iter().zip(made) {
+            let error = (given - made / scale).abs();
+            used += usize::from(*given != 0.0);
+            zeroed += usize::from(*given != 0.0 && *made == 0.0);
+            greatest_error = greatest_error.max(error);
+            squares += given * given;
+            errors += error * error;
+        }
+        let zeroed = zeroed as f64 / used.max(1) as f64;
+        let lost = if squares > 0.0 { errors / squares } else { 0.0 };
+        LayerWeights { name: name.to_string(), shape: shape.to_vec(), scale, zeroed, greatest_error, lost }
+    }
+
+    /// Whether rounding leaves too little of the layer: most weights became 0, and not just small ones beside large ones.
+    pub(super) fn is_lost(&self) -> bool {
+        self.zeroed > 0.5 && self.lost > 0.1
+    }
+}
+
+impl fmt::Display for LayerWeights {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} {:?}: a weight of 1 counts {}, {:.1} % of the weights became 0, the largest rounding error is {:.4}",
+            self.name,
+            self.shape,
+            self.scale,
+            100.0 * self.zeroed,
+            self.greatest_error
+        )
+    }
+}
+
+/// A number of single precision as the shortest decimal that it stands for, where it has more than 16 significant bits: 0.8, not
+/// 0.800000012. The tool's sums in single precision round away what that adds, sums in double precision would not: a voltage
+/// that comes to 1 there stays at its threshold of 1 here.
+pub(super) fn decimal(single: f64) -> f64 {
+    let narrow = single as f32;
+    let short = narrow.to_bits().trailing_zeros() >= 8;
+    if short { single } else { narrow.to_string().parse().unwrap_or(single) }
 }
 
 /// Names for messages.

@@ -13,13 +13,14 @@ pub mod nir;
 pub mod nir_export;
 pub mod pickle;
 pub mod slayer;
+mod state_dict;
 pub mod torch;
 pub mod window;
 
 use std::path::Path;
 
 use self::imported::listed;
-pub use self::imported::{Imported, Options, ResetMode};
+pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
 use super::budget::MOST_ARRAY;
 use super::kind::FileKind;
 use super::text::read_bytes;
@@ -48,7 +49,7 @@ pub fn read(path: &Path, options: &Options) -> Result<Imported> {
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let imported = match FileKind::from_bytes(&bytes, path) {
         FileKind::Hdf5 => read_hdf5(path, bytes, options),
-        FileKind::Torch => slayer::read_checkpoint(bytes, &network_name(path), options),
+        FileKind::Torch => state_dict::read(bytes, &network_name(path), options),
         FileKind::Npy => slayer::read_set(path, options),
         kind => Err(unknown(path, &bytes, kind)),
     };

@@ -288,7 +288,7 @@ impl Graph {
                 }
                 chain.push(matrix(weights));
             }
-            ProjectionKind::Conv2d { weights, stride, padding, dilation, groups } => {
+            ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
                 let scaled: Vec<f64> = weights.reals().map(|weight| weight * unit).collect();
                 let channels = weights.shape().first().copied().unwrap_or(0);
                 let plane = source.shape.get(1..).unwrap_or_default();
@@ -303,7 +303,7 @@ impl Graph {
                         .with("input_shape", shape(plane)),
                 );
             }
-            ProjectionKind::SumPool2d { kernel, stride, padding, weight } => {
+            ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
                 chain.push(
                     node("SumPool2d")
                         .with("kernel_size", pair(*kernel))

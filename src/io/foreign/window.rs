@@ -6,6 +6,8 @@
 //!
 //! Left out on purpose: transposed convolutions, which only one format knows.
 
+use crate::desc::network::padding_after;
+
 /// The most synapses that are listed one by one, for a whole model.
 pub const MOST_LISTED: usize = 1 << 20;
 
@@ -33,6 +35,20 @@ impl Sliding {
     #[must_use]
     pub fn per_group(&self) -> usize {
         self.source[0] / self.groups
+    }
+
+    /// Silent rows and columns behind the last.
+    #[must_use]
+    pub fn padding_after(&self) -> (u64, u64) {
+        let after = |source: usize, target: usize, size: usize, stride: usize, before: usize, dilation: usize| {
+            let reach = dilation * (size - 1) + 1;
+            padding_after(source as u64, target as u64, reach as u64, stride as u64, before as u64)
+        };
+        let Sliding { source, target, size, stride, padding, dilation, .. } = *self;
+        (
+            after(source[1], target[1], size.0, stride.0, padding.0, dilation.0),
+            after(source[2], target[2], size.1, stride.1, padding.1, dilation.1),
+        )
     }
 
     /// Every synapse as (source unit, target unit, index into a kernel `[out][in / groups][kh][kw]`); nothing where there

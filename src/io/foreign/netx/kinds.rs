@@ -8,6 +8,7 @@ use super::neuron::integrator;
 use super::reader::{Last, Reader, units};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::fixed::SignMode;
+use crate::desc::network::padding_after;
 use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{ProjectionKind, tensor};
 
@@ -77,7 +78,8 @@ impl Reader<'_> {
         let axes: Vec<usize> = kernel.iter().map(|&axis| axis as usize).collect();
         let Geometry { stride, padding, dilation } = geometry;
         self.project(layer, &source, &name, "weight", |weights| {
-            Ok(ProjectionKind::Conv2d { weights: tensor(axes, weights), stride, padding, dilation, groups })
+            let weights = tensor(axes, weights);
+            Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after: padding, dilation, groups })
         })?;
         self.delays(layer)
     }
@@ -93,19 +95,29 @@ impl Reader<'_> {
         }
         let name = self.neurons(layer, &shape)?;
         let Geometry { stride, padding, dilation } = geometry;
+        // SLAYER's pool puts (size mod window) silent rows and columns behind an image that windows do not fill; whether the
+        // file's network did so is in the layer's shape.
+        let after = |axis: usize, window: u64, stride: u64, padding: u64, dilation: u64| {
+            let size = source.shape[axis];
+            let reach = dilation * (window - 1) + 1;
+            padding_after(size, shape[axis], reach, stride, padding).min(padding + size % window)
+        };
+        let padding_after =
+            (after(1, kernel.0, stride.0, padding.0, dilation.0), after(2, kernel.1, stride.1, padding.1, dilation.1));
         let (count, channels) = (layer.numbers("weight")?.len() as u64, shape[0]);
         let places = kernel.0 * kernel.1;
         self.project(layer, &source, &name, "weight", |weights| {
             let first = weights.first().copied().unwrap_or(0.0);
             if weights.iter().all(|&weight| weight == first) && !weights.is_empty() && dilation == (1, 1) {
-                return Ok(ProjectionKind::SumPool2d { kernel, stride, padding, weight: first });
+                return Ok(ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight: first });
             }
             if count != places && Some(count) != places.checked_mul(channels) {
                 return Err(layer.wrong(format!("{count} weights for a window of {places}")));
             }
             let expanded: Vec<f64> = weights.iter().copied().cycle().take((places * channels) as usize).collect();
             let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
-            Ok(ProjectionKind::Conv2d { weights: tensor(axes, expanded), stride, padding, dilation, groups: channels })
+            let (weights, groups) = (tensor(axes, expanded), channels);
+            Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups })
         })?;
         self.delays(layer)
     }

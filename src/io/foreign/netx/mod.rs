@@ -38,6 +38,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         options,
         model: ModelBuilder::new(name, dt_ms),
         notes: Vec::new(),
+        layers: Vec::new(),
         last: None,
         expanded: Cell::new(0),
         slayer_time: false,
@@ -191,7 +192,7 @@ impl Reader<'_> {
             self.model.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });
         }
         self.model.provenance = Some(format!("imported from a lava-dl netx file; {}", self.notes.join("; ")));
-        Ok(Imported { kind: "lava-dl netx", model: self.model, notes: self.notes })
+        Ok(Imported { kind: "lava-dl netx", model: self.model, notes: self.notes, layers: self.layers })
     }
 }
 

@@ -11,7 +11,7 @@ use crate::base::diagnostic::Result;
 use crate::base::fixed::SignMode;
 use crate::desc::tensor::Tensor;
 use crate::io::foreign::encode;
-use crate::io::foreign::imported::LONGEST_DELAY;
+use crate::io::foreign::imported::{LONGEST_DELAY, LayerWeights};
 use crate::io::foreign::window::{MOST_LISTED, Sliding};
 use crate::io::model_builder::{ModelBuilder, Parameter, ProjectionBuilder, ProjectionKind, tensor};
 
@@ -49,6 +49,13 @@ impl Reader<'_> {
                 given.len()
             ));
         }
+        let made = encoded.in_units(exponent as i64);
+        let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &given, &made);
+        if line.is_lost() {
+            return Err(layer.wrong(format!("the weights are too small for integers: {line}"))
+                .help("netx weights are integers, as lava-dl's export_hdf5 writes them; quantise the network before it is exported"));
+        }
+        self.layers.push(line);
         let kind = kind(encoded.weights)?;
         self.connect(layer, source, to, kind, encoded.exponent, encoded.sign)
     }
@@ -172,11 +179,11 @@ fn list(kind: &ProjectionKind, source: &Last, target: &[u64]) -> Option<Vec<(u64
             within(Some(all))
                 .then(|| (0..all).map(|at| (at % sources, at / sources, weights.real(at as usize))).collect())
         }
-        ProjectionKind::Conv2d { weights, stride, padding, dilation, groups } => {
+        ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
             let geometry = Geometry { stride: *stride, padding: *padding, dilation: *dilation };
             windowed(weights, geometry, *groups, &source.shape, target)
         }
-        ProjectionKind::SumPool2d { kernel, stride, padding, weight } => {
+        ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
             let geometry = Geometry { stride: *stride, padding: *padding, dilation: (1, 1) };
             let channels = *source.shape.first()?;
             let places = channels.checked_mul(kernel.0)?.checked_mul(kernel.1)?;

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use crate::base::diagnostic::{Diagnostic, Result};
-use crate::io::foreign::imported::Options;
+use crate::io::foreign::imported::{LayerWeights, Options};
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
 
 /// Parameters that are given for each channel are expanded to at most so many numbers, all layers together.
@@ -39,6 +39,7 @@ pub(super) struct Reader<'a> {
     pub(super) options: &'a Options,
     pub(super) model: ModelBuilder,
     pub(super) notes: Vec<String>,
+    pub(super) layers: Vec<LayerWeights>,
     pub(super) last: Option<Last>,
     pub(super) expanded: Cell<u64>,
     pub(super) slayer_time: bool,

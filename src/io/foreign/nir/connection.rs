@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use super::linear::{Connection, Linear, Window, at, scaled, spread};
+use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delays};
 use super::neuron::reals;
 use super::reader::{MOST_UNITS, Reader, product, unsupported, wrong};
 use crate::base::diagnostic::{Diagnostic, Result};
@@ -15,8 +15,9 @@ use crate::io::foreign::window::{MOST_LISTED, Sliding};
 impl Reader<'_> {
     /// The linear map of these nodes behind a population of this shape.
     pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
+        let (linear, bias) = (Linear::Diagonal(vec![1.0]), None);
         let mut connection =
-            Connection { shape: source.to_vec(), linear: Linear::Diagonal(vec![1.0]), bias: None, delay: None };
+            Connection { shape: source.to_vec(), linear, bias, source_delay: Vec::new(), delay: Vec::new() };
         for name in nodes {
             connection = self.pass(connection, name)?;
         }
@@ -53,14 +54,14 @@ impl Reader<'_> {
                         numbers.shape()
                     )));
                 }
-                self.no_bias_yet(&connection, name)?;
+                self.before_weights(&mut connection, name)?;
                 connection.linear = self.then_dense(connection.linear, weights, targets, sources, name)?;
                 connection.shape = vec![targets];
                 connection.bias = self.bias(group, name, &connection.shape)?;
             }
             "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
                 let window = self.window(&connection.shape, name)?;
-                self.no_bias_yet(&connection, name)?;
+                self.before_weights(&mut connection, name)?;
                 let target = window.sliding.target.to_vec();
                 connection.linear = self.then_window(connection.linear, window, &connection.shape, name)?;
                 connection.shape = target;
@@ -78,25 +79,33 @@ impl Reader<'_> {
                         "the delay field holds 0 to 62 steps",
                     ));
                 }
-                if connection.delay.is_some() {
-                    return Err(unsupported(format!("node '{name}' is the second delay of a way"), "join them"));
-                }
-                connection.delay = Some((0..units).map(|unit| at(&steps, unit) as u32).collect());
+                let steps: Vec<u32> = steps.iter().map(|&steps| steps as u32).collect();
+                connection.delay = sum_of_delays(&connection.delay, &steps);
             }
             other => return Err(wrong(format!("node '{name}' of the type '{other}' is in the middle of a way"))),
         }
         Ok(connection)
     }
 
-    pub(super) fn no_bias_yet(&self, connection: &Connection, name: &str) -> Result<()> {
-        let silent = connection.bias.as_ref().is_none_or(|bias| bias.iter().all(|&b| b == 0.0));
-        if silent && connection.delay.as_ref().is_none_or(|delays| delays.windows(2).all(|pair| pair[0] == pair[1])) {
-            return Ok(());
+    /// Makes the delays so far those of the sources, before weights that mix units.
+    fn before_weights(&self, connection: &mut Connection, name: &str) -> Result<()> {
+        if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {
+            return Err(unsupported(
+                format!("before node '{name}' a bias was added, without a neuron in between"),
+                "multiply the bias with the weights and add the product to the bias behind them",
+            ));
         }
-        Err(unsupported(
-            format!("before node '{name}' a bias or delays of their own were added, without a neuron in between"),
-            "join the layers into one",
-        ))
+        let delay = std::mem::take(&mut connection.delay);
+        let equal = delay.windows(2).all(|pair| pair[0] == pair[1]);
+        if !equal && !matches!(connection.linear, Linear::Diagonal(_)) {
+            return Err(unsupported(
+                format!("between node '{name}' and the weights before it each unit has a delay of its own"),
+                "put a neuron between the two, or give all these units one delay",
+            ));
+        }
+        let delay = if equal { delay.first().map_or_else(Vec::new, |&delay| vec![delay]) } else { delay };
+        connection.source_delay = sum_of_delays(&connection.source_delay, &delay);
+        Ok(())
     }
 
     /// The bias that a node adds, unless it is zero.
@@ -160,30 +169,34 @@ impl Reader<'_> {
         };
         let stride = pair("stride", 1, 1.0)?;
         let dilation = if conv { pair("dilation", 1, 1.0)? } else { (1, 1) };
-        let padding = match node.group.text("padding") {
-            Some("valid") => (0, 0),
+        // Silent places before and behind each axis.
+        let (padding, after) = match node.group.text("padding") {
+            Some("valid") => ((0, 0), (0, 0)),
             Some("same") => {
-                let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
-                if reach.0 % 2 != 0 || reach.1 % 2 != 0 || stride != (1, 1) {
+                if stride != (1, 1) {
                     return Err(unsupported(
-                        format!("node '{name}': padding 'same' of an even kernel, or with a stride"),
+                        format!("node '{name}': padding 'same' with a stride"),
                         "give the padding as numbers",
                     ));
                 }
-                (reach.0 / 2, reach.1 / 2)
+                // As torch pads: where the window has no middle, the greater half is behind.
+                let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
+                let before = (reach.0 / 2, reach.1 / 2);
+                (before, (reach.0 - before.0, reach.1 - before.1))
             }
             Some(other) => return Err(bad(format!("padding '{}'", other.chars().take(40).collect::<String>()))),
             None => {
                 let (y, x) = pair("padding", 0, 0.0)?;
-                if line { (0, x) } else { (y, x) }
+                let both = if line { (0, x) } else { (y, x) };
+                (both, both)
             }
         };
         let side = |n: usize, size: usize, stride: usize, padding: usize, dilation: usize| {
-            (n + 2 * padding).checked_sub(dilation * (size - 1) + 1).map(|room| room / stride + 1)
+            (n + padding).checked_sub(dilation * (size - 1) + 1).map(|room| room / stride + 1)
         };
         let target = (
-            side(height, size.0, stride.0, padding.0, dilation.0),
-            side(width, size.1, stride.1, padding.1, dilation.1),
+            side(height, size.0, stride.0, padding.0 + after.0, dilation.0),
+            side(width, size.1, stride.1, padding.1 + after.1, dilation.1),
         );
         let (Some(to_h), Some(to_w)) = target else {
             return Err(bad(format!("its window is larger than the {height} x {width} that arrive")));

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 
 use super::linear::{Connection, Linear, at, scaled};
 use super::neuron::{Discrete, all};
-use super::reader::{Reader, product, unsupported, wrong};
+use super::reader::{Reader, product, resets, unsupported, wrong};
 use crate::base::diagnostic::Result;
-use crate::io::foreign::imported::NEVER;
+use crate::io::foreign::imported::{LONGEST_DELAY, NEVER, ResetMode};
 use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 
@@ -49,6 +49,9 @@ impl Reader<'_> {
             ));
         }
         let to = self.names[name].clone();
+        if self.options.reset == Some(ResetMode::SubtractLater) && resets(&self.flat.nodes[name].kind) {
+            projections.extend(self.later_subtraction(&to, neuron, units)?);
+        }
         let mut parameters = Vec::new();
         if neuron.threshold.is_none() {
             // What never spikes is in integers: the largest weight takes the whole mantissa.
@@ -77,6 +80,25 @@ impl Reader<'_> {
         }
         self.model.projections.extend(projections);
         Ok(())
+    }
+
+    /// The synapses of each neuron to itself that move a subtraction of the threshold to the step after the spike.
+    fn later_subtraction(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionBuilder>> {
+        let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
+        let weight = |unit: usize| -(neuron.dv.get(unit) / 4096.0) * threshold.get(unit);
+        let kept = |unit: usize| 1.0 - neuron.du.get(unit) / 4096.0;
+        let first: Vec<f64> = (0..units).map(weight).collect();
+        let second: Vec<f64> = (0..units).map(|unit| -kept(unit) * weight(unit)).collect();
+        let mut synapses = Vec::new();
+        for (delay, weights) in [(0, first), (1, second)] {
+            if weights.iter().any(|&weight| weight != 0.0) {
+                self.count(units)?;
+                let own = weights.iter().enumerate().map(|(i, &weight)| (i as u64, i as u64, weight)).collect();
+                let kind = ProjectionKind::Sparse(own);
+                synapses.push(ProjectionBuilder { delay, ..ProjectionBuilder::new(name, name, kind) });
+            }
+        }
+        Ok(synapses)
     }
 
     /// A name that no population has: the one that is asked for, with underscores behind it where that is taken.
@@ -117,7 +139,13 @@ impl Reader<'_> {
         let linear = scaled(connection.linear, &gains, &connection.shape).ok_or_else(|| self.too_many(to))?;
         let (from_name, to_name) = (self.names[from].clone(), self.names[to].clone());
         let source_volume = self.shapes[from].len() == 3;
+        let (before, behind) = (connection.source_delay, connection.delay);
+        let equal = |list: &[u32]| list.windows(2).all(|pair| pair[0] == pair[1]);
+        let own_delays = !equal(&before) || !equal(&behind);
         let kind = match linear {
+            Linear::Window(window) if own_delays => {
+                ProjectionKind::Sparse(window.list().ok_or_else(|| self.too_many(to))?)
+            }
             Linear::Dense(mut weights, sources) => {
                 // A product may not reach the last sources.
                 if sources < source_units {
@@ -132,6 +160,7 @@ impl Reader<'_> {
             Linear::Window(window) if target == window.sliding.target && source_volume => {
                 let pair = |(y, x): (usize, usize)| (y as u64, x as u64);
                 let per_group = window.sliding.per_group();
+                let padding_after = window.sliding.padding_after();
                 match window.kernel {
                     Ok(kernel) => ProjectionKind::Conv2d {
                         weights: tensor(
@@ -140,6 +169,7 @@ impl Reader<'_> {
                         ),
                         stride: pair(window.sliding.stride),
                         padding: pair(window.sliding.padding),
+                        padding_after,
                         dilation: pair(window.sliding.dilation),
                         groups: window.sliding.groups as u64,
                     },
@@ -147,6 +177,7 @@ impl Reader<'_> {
                         kernel: pair(window.sliding.size),
                         stride: pair(window.sliding.stride),
                         padding: pair(window.sliding.padding),
+                        padding_after,
                         weight,
                     },
                 }
@@ -160,10 +191,19 @@ impl Reader<'_> {
         if let ProjectionKind::Sparse(synapses) = &kind {
             self.count(synapses.len())?;
         }
-        let delays = connection.delay.unwrap_or_default();
-        let first = delays.first().copied().unwrap_or(0);
-        let mut projection = ProjectionBuilder { delay: first, ..ProjectionBuilder::new(&from_name, &to_name, kind) };
-        if delays.iter().all(|&delay| delay == first) {
+        let of =
+            |list: &[u32], index: u64| list.get(if list.len() == 1 { 0 } else { index as usize }).copied().unwrap_or(0);
+        let delay_of = |source: u64, target: u64| of(&before, source) + of(&behind, target);
+        let longest = before.iter().max().unwrap_or(&0) + behind.iter().max().unwrap_or(&0);
+        if f64::from(longest) > LONGEST_DELAY {
+            return Err(unsupported(
+                format!("the delays on the way to '{to}' add up to {longest} steps"),
+                "the delay field holds 0 to 62 steps",
+            ));
+        }
+        let mut projection =
+            ProjectionBuilder { delay: delay_of(0, 0), ..ProjectionBuilder::new(&from_name, &to_name, kind) };
+        if !own_delays {
             return Ok(vec![projection]);
         }
         let synapses: Vec<(u64, u64, f64)> = match projection.kind {
@@ -173,16 +213,12 @@ impl Reader<'_> {
                 let sources = source_units as u64;
                 (0..weights.len() as u64).map(|i| (i % sources, i / sources, weights.real(i as usize))).collect()
             }
-            _ => {
-                return Err(unsupported(
-                    format!("'{to}' hears a convolution with delays that differ"),
-                    "give it one delay",
-                ));
-            }
+            // Windows with delays of their own were listed above.
+            ProjectionKind::Conv2d { .. } | ProjectionKind::SumPool2d { .. } => Vec::new(),
         };
         let mut by_delay: BTreeMap<u32, Vec<(u64, u64, f64)>> = BTreeMap::new();
         for synapse in synapses {
-            by_delay.entry(delays[synapse.1 as usize]).or_default().push(synapse);
+            by_delay.entry(delay_of(synapse.0, synapse.1)).or_default().push(synapse);
         }
         projection.kind = ProjectionKind::Sparse(Vec::new());
         Ok(by_delay

@@ -14,8 +14,10 @@ pub(super) struct Connection {
     pub(super) linear: Linear,
     /// Added to what arrives in each step, one for each unit.
     pub(super) bias: Option<Vec<f64>>,
-    /// Delay in steps of each unit that arrives.
-    pub(super) delay: Option<Vec<u32>>,
+    /// Delay in steps of each unit of the source, before the linear part; empty for none.
+    pub(super) source_delay: Vec<u32>,
+    /// Delay in steps of each unit that arrives, behind the linear part; empty for none.
+    pub(super) delay: Vec<u32>,
 }
 
 /// The linear part of a connection.
@@ -85,6 +87,12 @@ impl Window {
         };
         Some(Window { sliding, kernel: Ok(kernel) })
     }
+}
+
+/// The sum of two lists of delays, of which one number counts for all and an empty list for nothing.
+pub(super) fn sum_of_delays(a: &[u32], b: &[u32]) -> Vec<u32> {
+    let get = |list: &[u32], index: usize| list.get(if list.len() == 1 { 0 } else { index }).copied().unwrap_or(0);
+    (0..a.len().max(b.len())).map(|index| get(a, index) + get(b, index)).collect()
 }
 
 /// One number for all, for each channel or for each unit, as one for all or one for each.

@@ -12,8 +12,13 @@
 //! the current has no memory; where it has one, a compartment that spikes in every step delivers it, from step 1 on. A
 //! model that nsim exported is recognised and restored as it was ([`super::nir_export`]).
 //!
-//! Left out on purpose: resets to other values than zero, for which a core has no circuit. A reset by subtraction is asked for
-//! (`--reset subtract`), since the format does not have it.
+//! A reset by subtraction is asked for, since the format does not have it (`--reset subtract`). snnTorch subtracts in the step
+//! after the spike: `v <- b v + I - theta`, b the share that stays. SoftReset subtracts at the spike, so that
+//! `v <- b (v - theta) + I`; a synapse of `-(1 - b) theta` from each neuron to itself makes the two equal
+//! (`--reset subtract-later`). Where the current has a memory of share a, a second one, a step later, of `a (1 - b) theta`
+//! takes away what the current keeps of the first.
+//!
+//! Left out on purpose: resets to other values than zero, for which a core has no circuit.
 
 mod connection;
 mod emit;
@@ -27,11 +32,11 @@ use std::collections::BTreeMap;
 use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode};
 use super::nir_export;
-use crate::base::diagnostic::Result;
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::neurons::NeuronKind;
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
 use graph::unfold;
-use reader::{Flat, Reader, is_population, unsupported, wrong};
+use reader::{Flat, Reader, is_population, resets, unsupported, wrong};
 
 /// Reads the tree of a file.
 ///
@@ -44,7 +49,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     match nir_export::restore(root) {
         Some(Ok(model)) => {
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            return Ok(Imported { kind: "NIR", model, notes });
+            return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new() });
         }
         Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
         None => {}
@@ -67,7 +72,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     reader.network()?;
     let Reader { mut model, notes, .. } = reader;
     model.provenance = Some(format!("imported from a NIR file; {}", notes.join("; ")));
-    Ok(Imported { kind: "NIR", model, notes })
+    Ok(Imported { kind: "NIR", model, notes, layers: Vec::new() })
 }
 
 impl Reader<'_> {
@@ -90,11 +95,11 @@ impl Reader<'_> {
             let neuron = self.discretise(name)?;
             discrete.insert(name.clone(), neuron);
         }
-        let mut resets = false;
+        // Neurons whose file does not say to what value they reset.
+        let mut unsaid = false;
         for name in &order {
             let shape: Vec<u64> = self.shapes[name].iter().map(|&axis| axis as u64).collect();
             let loihi = discrete[name].as_ref().map(|neuron| {
-                resets |= neuron.threshold.is_some();
                 let mut parameters = vec![("du", neuron.du.clone()), ("dv", neuron.dv.clone())];
                 match &neuron.threshold {
                     Some(threshold) => parameters.push(("vth", threshold.clone())),
@@ -102,10 +107,19 @@ impl Reader<'_> {
                 }
                 parameters
             });
-            let fires = discrete[name].as_ref().is_some_and(|neuron| neuron.threshold.is_some());
-            let kind = match self.options.reset {
-                Some(ResetMode::Subtract) if fires => NeuronKind::SoftReset,
-                _ => NeuronKind::Loihi,
+            let node = &self.flat.nodes[name];
+            let (resets, said) = (resets(&node.kind), node.group.get("v_reset").is_some());
+            unsaid |= resets && !said;
+            let kind = match self.options.reset.filter(|&reset| resets && reset != ResetMode::Zero) {
+                Some(_) if said => {
+                    return Err(Diagnostic::new(
+                        "import.option",
+                        format!("node '{name}' has v_reset 0, which --reset {} contradicts", self.reset_name()),
+                    )
+                    .help("leave --reset out: a neuron with v_reset returns to that value"));
+                }
+                Some(_) => NeuronKind::SoftReset,
+                None => NeuronKind::Loihi,
             };
             let name = self.names[name].clone();
             self.model.populations.push(PopulationBuilder { loihi, kind, ..PopulationBuilder::input(&name, shape) });
@@ -116,22 +130,36 @@ impl Reader<'_> {
             }
         }
         self.output(&order)?;
-        if resets && self.options.reset.is_none() {
+        if unsaid && self.options.reset.is_none() {
             self.notes.push(
                 "the file does not say how neurons reset; as on the chip v returns to zero (--reset zero says so; \
-                 a network trained with reset by subtraction will differ)"
+                 a network trained with reset by subtraction will differ: snnTorch subtracts a step after the spike, \
+                 --reset subtract-later, others at the spike, --reset subtract)"
                     .to_string(),
             );
         }
-        if resets && self.options.reset == Some(ResetMode::Subtract) {
-            self.notes.push(
-                "neurons subtract their threshold when they spike (SoftReset): Loihi 1 has no such compartment; nsim convert makes \
-                 them reset to zero and measures the loss"
-                    .to_string(),
-            );
+        if unsaid && self.options.reset.is_some_and(|reset| reset != ResetMode::Zero) {
+            self.notes.push(format!(
+                "neurons subtract their threshold {} (SoftReset): Loihi 1 has no such compartment; nsim convert makes \
+                 them reset to zero and measures the loss",
+                match self.options.reset {
+                    Some(ResetMode::SubtractLater) =>
+                        "in the step after their spike, of which a synapse to themselves takes what decays too early",
+                    _ => "when they spike",
+                }
+            ));
         }
         self.model.timestep_ms = self.dt * 1e3;
         Ok(())
+    }
+
+    /// The value of `--reset`.
+    fn reset_name(&self) -> &'static str {
+        match self.options.reset {
+            Some(ResetMode::Subtract) => "subtract",
+            Some(ResetMode::SubtractLater) => "subtract-later",
+            Some(ResetMode::Zero) | None => "zero",
+        }
     }
 
     fn check_kinds(&self) -> Result<()> {

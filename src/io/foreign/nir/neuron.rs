@@ -5,9 +5,10 @@
 
 use std::cmp::Ordering;
 
-use super::reader::{Reader, product, unsupported, wrong};
+use super::reader::{Reader, product, resets, unsupported, wrong};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::hdf5::Group;
+use crate::io::foreign::imported::decimal;
 use crate::io::model_builder::Parameter;
 
 /// What a neuron is once it is discretised.
@@ -25,7 +26,8 @@ pub(super) struct Discrete {
 /// Finite numbers of a field.
 pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
     let numbers = node.numbers(key).ok_or_else(|| wrong(format!("node '{name}' has no array '{key}'")))?;
-    let reals: Vec<f64> = numbers.reals().collect();
+    let single = numbers.dtype().ends_with("f4");
+    let reals: Vec<f64> = numbers.reals().map(|x| if single { decimal(x) } else { x }).collect();
     match reals.iter().find(|x| !x.is_finite()) {
         Some(x) => Err(wrong(format!("node '{name}': '{key}' has a number that is {x}"))),
         None if reals.is_empty() => Err(wrong(format!("node '{name}': '{key}' is empty"))),
@@ -164,7 +166,7 @@ impl Reader<'_> {
         let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
         let forget = Parameter::Same(4096.0);
         let none = Parameter::Same(0.0);
-        let spiking = matches!(node.kind.as_str(), "CubaLIF" | "LIF" | "IF");
+        let spiking = resets(&node.kind);
         if spiking && !all(&get("v_reset", Some(0.0))?, |v| v == 0.0) {
             return Err(unsupported(
                 format!("node '{name}' resets to another value than 0"),

@@ -55,6 +55,11 @@ pub(super) struct Reader<'a> {
     pub(super) listed: usize,
 }
 
+/// Whether a node is a neuron whose voltage a spike resets.
+pub(super) fn resets(kind: &str) -> bool {
+    matches!(kind, "CubaLIF" | "LIF" | "IF")
+}
+
 /// Whether a node keeps a state, or is an input.
 pub(super) fn is_population(kind: &str) -> bool {
     matches!(kind, "Input" | "CubaLIF" | "LIF" | "IF" | "CubaLI" | "LI" | "I" | "Threshold")
