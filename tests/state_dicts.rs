@@ -5,20 +5,20 @@
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
+#[path = "common/real.rs"]
+mod real;
+
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use nsim::base::diagnostic::Diagnostic;
-use nsim::base::id::{ChannelId, CompartmentId};
 use nsim::base::rng;
 use nsim::compile::frontend::lower::lower;
 use nsim::desc::tensor::Tensor;
 use nsim::io::foreign::{self, Imported, Options, ResetMode};
 use nsim::io::model_builder::{Parameter, ProjectionKind};
-use nsim::ir::graph::PopulationKind;
-use nsim::ir::spikes::Engine as _;
-use nsim::reference::{Model, Options as RealOptions, Reference};
+use real::{STEPS, input, spikes, total};
 
 /// A tensor of a file.
 type Entry = (&'static str, Vec<usize>, Vec<f32>);
@@ -82,52 +82,12 @@ fn neuron(folder: &tempfile::TempDir, text: &str) -> Options {
     Options { neuron: Some(path), ..Options::default() }
 }
 
-const STEPS: usize = 60;
-
-/// Whether an input channel spikes.
-fn input(step: usize, channel: usize) -> bool {
-    rng::below(10, 77, step as u64, channel as u64) < 4
-}
-
-/// Spikes of a population in real numbers: `[step][unit]`.
-fn spikes(imported: &Imported, population: &str, channels: usize) -> Vec<Vec<bool>> {
-    let graph = lower(&imported.model.build(Path::new("net.pt")).unwrap()).unwrap();
-    let mut first = 0;
-    let mut units = 0..0;
-    for (_, found) in graph.populations() {
-        let count = found.shape.len();
-        match &found.kind {
-            PopulationKind::Input => {}
-            _ if found.name == population => units = first..first + count,
-            _ => first += count,
-        }
-        if !units.is_empty() {
-            break;
-        }
-    }
-    assert!(!units.is_empty(), "there is no '{population}'");
-    let model = Model::<f64>::new(&graph, RealOptions::default());
-    let mut engine = Reference::new(&model);
-    engine.begin(STEPS as u32);
-    (0..STEPS)
-        .map(|step| {
-            let spiking = (0..channels).filter(|&c| input(step, c)).map(|c| ChannelId(c as u32));
-            engine.step(&spiking.collect::<Vec<_>>());
-            units.clone().map(|unit| engine.spikes().contains(&CompartmentId(unit))).collect()
-        })
-        .collect()
-}
-
 /// `[target][source]` times spikes.
 fn times(weights: &[f32], spikes: &[bool]) -> Vec<f64> {
     weights
         .chunks(spikes.len())
         .map(|row| row.iter().zip(spikes).filter(|(_, spike)| **spike).map(|(w, _)| f64::from(*w)).sum())
         .collect()
-}
-
-fn total(spikes: &[Vec<bool>]) -> usize {
-    spikes.iter().flatten().filter(|&&spike| spike).count()
 }
 
 /// snnTorch's rules for one layer: `alpha` of 0 has no current, `own` weights reach the layer a step later.
@@ -197,12 +157,12 @@ fn snntorch_gives_what_its_rules_give_with_both_resets_and_biases() {
         let layer = |units, beta, threshold| Snn { units, alpha: 0.0, beta, threshold, subtracts, own: vec![] };
         let hidden = layer(6, 0.875, 1.0).run(&currents(&first, &bias, &given(5)));
         assert!(total(&hidden) > 20, "{}", total(&hidden));
-        assert_eq!(spikes(&imported, "lif1", 5), hidden, "subtracts: {subtracts}");
+        assert_eq!(spikes(&imported.model, "lif1", 5), hidden, "subtracts: {subtracts}");
         // The next layer hears it a step later.
         let later: Vec<Vec<bool>> = std::iter::once(vec![false; 6]).chain(hidden).take(STEPS).collect();
         let out = layer(3, 0.5, 0.75).run(&currents(&second, &[], &later));
         assert!(total(&out) > 10);
-        assert_eq!(spikes(&imported, "lif2", 5), out, "subtracts: {subtracts}");
+        assert_eq!(spikes(&imported.model, "lif2", 5), out, "subtracts: {subtracts}");
         // The file says how it resets: what contradicts it is refused.
         let other = if subtracts { ResetMode::Zero } else { ResetMode::SubtractLater };
         let error = import(&entries, &Options { reset: Some(other), ..Options::default() }).unwrap_err();
@@ -222,7 +182,7 @@ fn snntorch_with_a_current_and_with_recurrent_weights_gives_what_its_rules_give(
     let layer = Snn { units: 4, alpha: 0.5, beta: 0.75, threshold: 1.5, subtracts: true, own };
     let right = layer.run(&currents(&weights, &[], &given(5)));
     assert!(total(&right) > 20);
-    assert_eq!(spikes(&imported, "net_1", 5), right);
+    assert_eq!(spikes(&imported.model, "net_1", 5), right);
 }
 
 #[test]
@@ -239,8 +199,8 @@ fn a_description_stands_for_neurons_that_the_file_lacks() {
     import(&entries, &neuron(&folder, "type: Leaky, beta: 0.9, threshold: 1")).unwrap();
     let imported = import(&entries, &neuron(&folder, "type: Leaky, beta: 0.75, reset_mechanism: zero")).unwrap();
     let layer = Snn { units: 4, alpha: 0.0, beta: 0.75, threshold: 1.0, subtracts: false, own: vec![] };
-    assert_eq!(spikes(&imported, "0", 5).len(), STEPS);
-    assert_eq!(spikes(&imported, "0", 5), layer.run(&currents(&weights, &[], &given(5))));
+    assert_eq!(spikes(&imported.model, "0", 5).len(), STEPS);
+    assert_eq!(spikes(&imported.model, "0", 5), layer.run(&currents(&weights, &[], &given(5))));
 }
 
 #[test]
@@ -266,7 +226,7 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
     }
     assert!(total(&right) > 20, "{}", total(&right));
     // The voltage takes up the current of the step before: everything is one step later than here, where v leaks from step 0.
-    let ours = spikes(&imported, "l", 5);
+    let ours = spikes(&imported.model, "l", 5);
     assert_eq!(ours[..STEPS - 1], right[1..STEPS]);
 }
 

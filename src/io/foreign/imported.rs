@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::base::fixed::{Delay, ThresholdMantissa};
 use crate::desc::network::ThresholdTest;
-use crate::io::model_builder::ModelBuilder;
+use crate::io::model_builder::{ModelBuilder, Parameter};
 
 /// The greatest threshold mantissa: what a compartment gets that should not spike.
 pub(super) const NEVER: f64 = ThresholdMantissa::MAX.get() as f64;
@@ -111,6 +111,12 @@ impl fmt::Display for LayerWeights {
             self.greatest_error
         )
     }
+}
+
+/// The parameters of a compartment that spikes in every step.
+pub(super) fn every_step() -> Vec<(&'static str, Parameter)> {
+    let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 1.0), ("bias_mant", 65.0), ("bias_exp", 0.0)];
+    parameters.map(|(key, value)| (key, Parameter::Same(value))).to_vec()
 }
 
 /// A number of single precision as the shortest decimal that it stands for, where it has more than 16 significant bits: 0.8, not

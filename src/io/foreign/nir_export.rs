@@ -7,7 +7,10 @@
 //! text of the model and its arrays. [`restore`] takes the model from there, provided that exporting it again gives the
 //! file that it was found in: a file that somebody changed is read like any other.
 
+use std::collections::BTreeMap;
+
 use super::hdf5::{Group, Item, Numbers};
+use super::imported::{NEVER, every_step};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::network::{ArrayRef, Network, NetworkFile};
 use crate::desc::neurons::NeuronKind;
@@ -34,13 +37,25 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 /// # Errors
 /// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses beyond 2^24 places.
 pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
+    let dt = model.timestep_ms / 1e3;
     let mut graph =
-        Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt: model.timestep_ms / 1e3 };
-    for population in &model.populations {
+        Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt, biases: BTreeMap::new() };
+    let biases = model.populations.iter().filter(|population| graph.takes_biases_of(model, population));
+    let biases: Vec<String> = biases.map(|population| population.name.clone()).collect();
+    for population in model.populations.iter().filter(|population| !biases.contains(&population.name)) {
         graph.population(population)?;
+        let heard = model.projections.iter().any(|projection| projection.to == population.name);
+        if population.loihi.is_some() && !heard {
+            graph.notes.push(format!(
+                "'{}' hears nothing: nir.read of Python gives it an input of its own, which a file that it writes keeps",
+                population.name
+            ));
+        }
     }
     for (index, projection) in model.projections.iter().enumerate() {
-        graph.projection(model, projection, index)?;
+        if !projection.from.iter().any(|from| biases.contains(from)) {
+            graph.projection(model, projection, index)?;
+        }
     }
     let output = model.population(&model.output).ok_or_else(|| unsupported("the model has no output"))?;
     let name = graph.free("output");
@@ -76,7 +91,7 @@ pub fn restore(root: &Group) -> Option<Result<ModelBuilder, String>> {
 fn restored(metadata: &Group, text: &str) -> Result<ModelBuilder, String> {
     let source = SourceText::new("metadata", text);
     let file = NetworkFile::parse(&source).map_err(|problem| problem.to_string())?;
-    let mut arrays = std::collections::BTreeMap::new();
+    let mut arrays = BTreeMap::new();
     for item in metadata.group("nsim_arrays").into_iter().flat_map(|group| group.items.values()) {
         let Item::Group(entry) = item else { return Err("an array of its metadata is none".to_string()) };
         let (Some(key), Some(numbers)) = (entry.text("key"), entry.numbers("numbers")) else {
@@ -122,9 +137,46 @@ struct Graph {
     edges: Vec<(String, String)>,
     notes: Vec<String>,
     dt: f64,
+    /// Biases of currents with memory that a compartment brings in every step, by population, until a node takes them.
+    biases: BTreeMap<String, Vec<f64>>,
 }
 
 impl Graph {
+    /// Whether a population is what an import makes of biases of a current: a compartment that spikes in every step. Then these
+    /// are kept, and its projections become biases of nodes again.
+    fn takes_biases_of(&mut self, model: &ModelBuilder, population: &PopulationBuilder) -> bool {
+        let is_made = population.units() == 1
+            && population.loihi == Some(every_step())
+            && population.name != model.output
+            && model.projections.iter().all(|projection| projection.to != population.name);
+        let mut sums: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+        for projection in model.projections.iter().filter(|projection| projection.from.contains(&population.name)) {
+            let other = model
+                .projections
+                .iter()
+                .find(|other| other.to == projection.to && !other.from.contains(&population.name) && other.delay == 0);
+            let (ProjectionKind::Dense(weights), 1, 0, Some(other)) =
+                (&projection.kind, projection.from.len(), projection.delay, other)
+            else {
+                return false;
+            };
+            let weights: Vec<f64> = weights.reals().map(|w| w * counts(model, projection)).collect();
+            let by_channel = matches!(other.kind, ProjectionKind::Conv2d { .. })
+                && by_channel(&weights, model.population(&projection.to).map_or(&[][..], |p| &p.shape)).is_some();
+            let holds = by_channel || matches!(other.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
+            let taken = self.biases.contains_key(&projection.to) || sums.contains_key(&projection.to);
+            if !is_made || !holds || taken {
+                return false;
+            }
+            sums.insert(projection.to.clone(), weights);
+        }
+        let any = is_made && !sums.is_empty();
+        if any {
+            self.biases.extend(sums);
+        }
+        any
+    }
+
     /// A name that no node has.
     fn free(&self, name: &str) -> String {
         let mut free = name.to_string();
@@ -180,18 +232,22 @@ impl Graph {
             let fraction = fraction.get(unit);
             if fraction > 0.0 { dt / fraction } else { dt * ENDLESS }
         };
-        let neuron = node("CubaLIF")
+        // What import makes of an integrator: a threshold that nothing reaches.
+        let integrates = get("vth_mant") == Some(&Parameter::Same(NEVER));
+        let neuron = node(if integrates { "CubaLI" } else { "CubaLIF" })
             .with("tau_syn", each(&|unit| tau(&synapse, unit)))
             .with("tau_mem", each(&|unit| tau(&membrane, unit)))
             .with("w_in", each(&|unit| tau(&synapse, unit) / dt))
             .with("r", each(&|unit| tau(&membrane, unit) / dt))
-            .with("v_leak", each(&|unit| bias(unit) * (tau(&membrane, unit) / dt)))
-            .with("v_reset", each(&|_| 0.0))
-            .with("v_threshold", each(&|unit| threshold.get(unit)));
+            .with("v_leak", each(&|unit| bias(unit) * (tau(&membrane, unit) / dt)));
+        let neuron = match integrates {
+            true => neuron,
+            false => neuron.with("v_reset", each(&|_| 0.0)).with("v_threshold", each(&|unit| threshold.get(unit))),
+        };
         self.nodes = std::mem::take(&mut self.nodes).with(name, neuron);
         if population.kind == NeuronKind::SoftReset {
             self.notes.push(format!(
-                "NIR does not say how neurons reset: '{name}' subtracts its threshold (nsim import --reset subtract)"
+                "NIR has no reset by subtraction: other tools will reset '{name}' to zero, only nsim sees what it does"
             ));
         }
         let lost: Vec<&str> = parameters
@@ -216,18 +272,23 @@ impl Graph {
             model.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
         };
         let target = find(&projection.to)?;
-        let real = target.parameter("vth").is_some();
-        // In units of the register divided by 64, as the threshold mantissa is.
-        let unit = match (real, projection.weight_scale) {
-            (true, _) => 1.0,
-            (false, scale) => scale.unwrap_or(1.0) * (projection.weight_exp as f64).exp2(),
-        };
+        let unit = counts(model, projection);
+        let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
+        if matrix && target.shape.len() > 1 {
+            self.notes.push(format!(
+                "weights from {} make a line of '{}', which is {:?}: nir.read of Python will refuse the file, nsim reads it",
+                projection.from.join(" and "),
+                target.name,
+                target.shape
+            ));
+        }
         let sources = projection.from.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
         let together: u64 = sources.iter().map(|source| source.units()).sum();
         let mut first = 0;
         for (part, source) in sources.iter().enumerate() {
             let name = self.free(&format!("w{index}_{part}"));
-            let chain = self.weights(projection, (source, target), (first, together), unit)?;
+            let bias = if projection.delay == 0 { self.bias_for(projection, target) } else { None };
+            let chain = self.weights(projection, (source, target), (first, together), unit, bias)?;
             first += source.units();
             let mut last = source.name.clone();
             for (step, node) in chain.into_iter().enumerate() {
@@ -241,13 +302,26 @@ impl Graph {
         Ok(())
     }
 
+    /// The bias that is still to be brought to a target, where the node of this projection holds it.
+    fn bias_for(&mut self, projection: &ProjectionBuilder, target: &PopulationBuilder) -> Option<Vec<f64>> {
+        let bias = self.biases.get(&target.name)?;
+        let held = match projection.kind {
+            ProjectionKind::Dense(_) | ProjectionKind::Sparse(_) => Some(bias.clone()),
+            ProjectionKind::Conv2d { .. } => by_channel(bias, &target.shape),
+            ProjectionKind::SumPool2d { .. } => None,
+        }?;
+        self.biases.remove(&target.name);
+        Some(held)
+    }
+
     /// The nodes from a source to a target, in order.
     fn weights(
-        &self,
+        &mut self,
         projection: &ProjectionBuilder,
         (source, target): (&PopulationBuilder, &PopulationBuilder),
         (first, together): (u64, u64),
         unit: f64,
+        bias: Option<Vec<f64>>,
     ) -> Result<Vec<Group>> {
         let (rows, columns) = (target.units(), source.units());
         let mut chain = Vec::new();
@@ -260,7 +334,12 @@ impl Graph {
         let pair = |(y, x): (u64, u64)| Numbers::i64(&[2], &[y as i64, x as i64]);
         let matrix = |weights: Vec<f64>| {
             let weights: Vec<f64> = weights.iter().map(|w| w * unit).collect();
-            node("Linear").with("weight", Numbers::f64(&[rows as usize, columns as usize], &weights))
+            let linear = node(if bias.is_some() { "Affine" } else { "Linear" })
+                .with("weight", Numbers::f64(&[rows as usize, columns as usize], &weights));
+            match &bias {
+                Some(bias) => linear.with("bias", Numbers::f64(&[rows as usize], bias)),
+                None => linear,
+            }
         };
         match &projection.kind {
             ProjectionKind::Dense(weights) => {
@@ -290,18 +369,24 @@ impl Graph {
             }
             ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
                 let scaled: Vec<f64> = weights.reals().map(|weight| weight * unit).collect();
-                let channels = weights.shape().first().copied().unwrap_or(0);
-                let plane = source.shape.get(1..).unwrap_or_default();
-                chain.push(
-                    node("Conv2d")
-                        .with("weight", Numbers::f64(weights.shape(), &scaled))
-                        .with("bias", Numbers::f64(&[channels], &vec![0.0; channels]))
-                        .with("stride", pair(*stride))
-                        .with("padding", pair(*padding))
-                        .with("dilation", pair(*dilation))
-                        .with("groups", Numbers::i64(&[], &[*groups as i64]))
-                        .with("input_shape", shape(plane)),
-                );
+                let kernel = (weights.shape(), scaled.as_slice());
+                chain.push(self.convolution(
+                    (source, target),
+                    kernel,
+                    (*stride, *padding, *dilation),
+                    *groups,
+                    bias,
+                )?);
+            }
+            ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight }
+                if padding != padding_after =>
+            {
+                // NIR's pools have one padding an axis; a kernel can have zeros.
+                let channels = source.shape.first().copied().unwrap_or(1);
+                let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize);
+                let weights = vec![weight * unit; axes.iter().product()];
+                let step = (*stride, *padding, (1, 1));
+                chain.push(self.convolution((source, target), (&axes, &weights), step, channels, None)?);
             }
             ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
                 chain.push(
@@ -318,10 +403,150 @@ impl Graph {
         // The target's own shape, where weights make a line of it.
         if projection.delay > 0 {
             let seconds = vec![f64::from(projection.delay) * self.dt; rows as usize];
-            chain.push(node("Delay").with("delay", Numbers::f64(&[rows as usize], &seconds)));
+            let line = [rows as usize];
+            let volume: Vec<usize> = target.shape.iter().map(|&axis| axis as usize).collect();
+            let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
+            let axes = if matrix { &line[..] } else { &volume[..] };
+            chain.push(node("Delay").with("delay", Numbers::f64(axes, &seconds)));
         }
         Ok(chain)
     }
+
+    /// A convolution as NIR has it: one padding for both ends of an axis, and square, since `nir.read` of Python takes the
+    /// height of a kernel for its width. Rows and columns of zeros before and behind a kernel do both: with F before and B behind,
+    /// of a dilation d, a padding of `before + F d` on both sides acts like `before + d (F - B)` behind.
+    fn convolution(
+        &mut self,
+        (source, target): (&PopulationBuilder, &PopulationBuilder),
+        (axes, weights): (&[usize], &[f64]),
+        (stride, before, dilation): Step,
+        groups: u64,
+        bias: Option<Vec<f64>>,
+    ) -> Result<Group> {
+        let (&[out, inner, kh, kw], &[_, from_h, from_w], &[_, to_h, to_w]) =
+            (axes, source.shape.as_slice(), target.shape.as_slice())
+        else {
+            return Err(unsupported(format!("the convolution to '{}' has no volumes", target.name)));
+        };
+        let rows = Axis {
+            from: from_h,
+            to: to_h,
+            kernel: kh as u64,
+            stride: stride.0,
+            before: before.0,
+            dilation: dilation.0,
+        };
+        let columns = Axis {
+            from: from_w,
+            to: to_w,
+            kernel: kw as u64,
+            stride: stride.1,
+            before: before.1,
+            dilation: dilation.1,
+        };
+        let least = rows.kernel.max(columns.kernel);
+        let sizes = least..=2 * least + rows.before + columns.before + 2;
+        let square = sizes.clone().find_map(|size| Some((rows.widened(size)?, columns.widened(size)?)));
+        let (rows, columns) = match square {
+            Some(both) => both,
+            None => {
+                self.notes.push(format!(
+                    "the kernel to '{}' is {kh} x {kw} and cannot be made square: nir.read of Python may refuse the file, nsim \
+                     reads it",
+                    target.name
+                ));
+                let own = |axis: Axis| (axis.kernel..=*sizes.end()).find_map(|size| axis.widened(size));
+                own(rows).zip(own(columns)).ok_or_else(|| {
+                    unsupported(format!("the paddings of the convolution to '{}' have no form in NIR", target.name))
+                })?
+            }
+        };
+        let (height, width) = (rows.size as usize, columns.size as usize);
+        // `nir.read` takes the channels of a kernel for those of its input, so groups become zeros too where they fit.
+        let all = inner * groups as usize;
+        let in_one = groups > 1 && (out * all * height * width) as u64 <= MOST_MATRIX;
+        if groups > 1 && !in_one {
+            self.notes.push(format!(
+                "the convolution to '{}' has {groups} groups: nir.read of Python will refuse the file, nsim reads it",
+                target.name
+            ));
+        }
+        let (groups, planes) = if in_one { (1, all) } else { (groups, inner) };
+        let mut wide = vec![0.0; out * planes * height * width];
+        for (index, weight) in weights.iter().enumerate() {
+            let (plane, y, x) =
+                (index / (kh * kw), index / kw % kh + rows.first as usize, index % kw + columns.first as usize);
+            let (channel, within) = (plane / inner, plane % inner);
+            let group = if in_one { channel / (out / (all / inner)) } else { 0 };
+            wide[((channel * planes + group * inner + within) * height + y) * width + x] = *weight;
+        }
+        let pair = |y: u64, x: u64| Numbers::i64(&[2], &[y as i64, x as i64]);
+        Ok(node("Conv2d")
+            .with("weight", Numbers::f64(&[out, planes, height, width], &wide))
+            .with("bias", Numbers::f64(&[out], &bias.unwrap_or_else(|| vec![0.0; out])))
+            .with("stride", pair(rows.stride, columns.stride))
+            .with("padding", pair(rows.padding, columns.padding))
+            .with("dilation", pair(dilation.0, dilation.1))
+            .with("groups", Numbers::i64(&[], &[groups as i64]))
+            .with("input_shape", shape(&source.shape[1..])))
+    }
+}
+
+/// Stride, padding before and dilation of a window, as (y, x).
+type Step = ((u64, u64), (u64, u64), (u64, u64));
+
+/// A window along one axis.
+#[derive(Clone, Copy)]
+struct Axis {
+    from: u64,
+    to: u64,
+    kernel: u64,
+    stride: u64,
+    before: u64,
+    dilation: u64,
+}
+
+/// The same window with zeros around its kernel and one padding for both ends.
+struct Widened {
+    size: u64,
+    /// Zeros before the kernel.
+    first: u64,
+    stride: u64,
+    padding: u64,
+}
+
+impl Axis {
+    /// The window with a kernel of this size, if it then gives the same outputs.
+    fn widened(&self, size: u64) -> Option<Widened> {
+        let zeros = size.checked_sub(self.kernel)?;
+        let reach = self.dilation * (size - 1) + 1;
+        // One output needs no stride: a large one leaves room behind.
+        let stride = if self.to == 1 && zeros > 0 { self.from + reach + self.before } else { self.stride };
+        (0..=zeros).find_map(|first| {
+            let padding = self.before + first * self.dilation;
+            let outputs = (self.from + 2 * padding).checked_sub(reach)? / stride + 1;
+            (outputs == self.to).then_some(Widened { size, first, stride, padding })
+        })
+    }
+}
+
+/// What a weight of 1 of a projection counts, in units of the register divided by 64, as the threshold mantissa is, or in those
+/// of a real threshold.
+fn counts(model: &ModelBuilder, projection: &ProjectionBuilder) -> f64 {
+    let real = model.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
+    match (real, projection.weight_scale) {
+        (true, _) => 1.0,
+        (false, scale) => scale.unwrap_or(1.0) * (projection.weight_exp as f64).exp2(),
+    }
+}
+
+/// One bias a channel, where all units of a channel have the same.
+fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Vec<f64>> {
+    let &[channels, height, width] = shape else { return None };
+    let plane = (height * width) as usize;
+    let equal = plane > 0 && biases.len() as u64 == channels * height * width;
+    let channel = |chunk: &[f64]| chunk.iter().all(|bias| *bias == chunk[0]).then(|| chunk[0]);
+    if equal { biases.chunks(plane).map(channel).collect() } else { None }
 }
 
 /// A threshold that nothing has.

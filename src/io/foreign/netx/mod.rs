@@ -73,6 +73,33 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
     }
 }
 
+/// The fields of a type of layers (`docs/import.md` says what is done with each); none for a type that is not imported.
+fn fields(kind: &str) -> &'static [&'static str] {
+    match kind {
+        "flatten" | "average" => &["type", "shape", "neuron", "bias", "delay"],
+        "input" => &["type", "shape", "neuron", "weight", "bias"],
+        "dense" | "dense_rec" => {
+            &["type", "shape", "neuron", "weight", "weight_rec", "bias", "delay", "inFeatures", "outFeatures"]
+        }
+        "conv" | "pool" | "convT" | "unpool" => &[
+            "type",
+            "shape",
+            "neuron",
+            "weight",
+            "bias",
+            "delay",
+            "kernelSize",
+            "stride",
+            "padding",
+            "dilation",
+            "groups",
+            "inChannels",
+            "outChannels",
+        ],
+        _ => &[],
+    }
+}
+
 impl Reader<'_> {
     fn layer(&mut self, number: u32, group: &Group) -> Result<()> {
         let Some(kind) = group.text("type") else {
@@ -86,6 +113,14 @@ impl Reader<'_> {
                 "resonate-and-fire layers have no counterpart on a Loihi 1 core",
             ));
         }
+        let known = fields(kind);
+        if let (false, Some(key)) = (known.is_empty(), group.items.keys().find(|key| !known.contains(&key.as_str()))) {
+            return Err(layer.unsupported(
+                format!("layers of the type '{kind}' do not have a field '{key}'"),
+                "remove it if the network does not depend on it",
+            ));
+        }
+        self.check_sizes(&layer)?;
         match kind {
             "input" => self.input(&layer),
             "flatten" => self.flatten(&layer),
@@ -147,6 +182,38 @@ impl Reader<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Holds the sizes that a file repeats to those that its arrays have.
+    fn check_sizes(&self, layer: &Layer<'_>) -> Result<()> {
+        let shape = layer.reals("shape").unwrap_or_default();
+        let all: f64 = shape.iter().product();
+        let kernel: Vec<f64> = match layer.kind.as_str() {
+            "conv" | "convT" => layer.axes("weight", 4)?.iter().skip(2).map(|&side| side as f64).collect(),
+            _ => Vec::new(),
+        };
+        let before = self.last.as_ref().map(|last| (last.units() as f64, last.shape[0] as f64));
+        let all_before = before.map(|before| before.0);
+        let channels_before = before.map(|before| before.1);
+        for (key, right) in [
+            ("outFeatures", Some(all)),
+            ("inFeatures", all_before),
+            ("outChannels", shape.first().copied()),
+            ("inChannels", channels_before),
+        ] {
+            if let (Some(given), Some(right)) = (layer.group.number(key), right)
+                && given != right
+            {
+                return Err(layer.wrong(format!("{key} is {given}, the arrays have {right}")));
+            }
+        }
+        match layer.group.numbers("kernelSize") {
+            Some(given) if !kernel.is_empty() && !given.reals().zip(&kernel).all(|(a, b)| a == *b) => {
+                let given: Vec<f64> = given.reals().collect();
+                Err(layer.wrong(format!("kernelSize is {given:?}, the kernel is {kernel:?}")))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn flatten(&mut self, layer: &Layer<'_>) -> Result<()> {

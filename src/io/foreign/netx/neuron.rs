@@ -8,6 +8,21 @@ use crate::base::diagnostic::Result;
 use crate::io::foreign::imported::NEVER;
 use crate::io::model_builder::Parameter;
 
+/// The fields of a neuron; tauRho and scaleRho shape the gradient of a training.
+const FIELDS: [&str; 11] = [
+    "type",
+    "iDecay",
+    "vDecay",
+    "vThMant",
+    "refDelay",
+    "gradedSpike",
+    "wgtExp",
+    "weight_exp",
+    "theta",
+    "tauRho",
+    "scaleRho",
+];
+
 impl Reader<'_> {
     /// Neuron parameters of a layer of compartments, its bias included.
     pub(super) fn parameters(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Vec<(&'static str, Parameter)>> {
@@ -87,6 +102,19 @@ impl Reader<'_> {
         }
         if layer.group.number("neuron/gradedSpike").is_some_and(|graded| graded != 0.0) {
             return Err(layer.unsupported("its spikes are graded", "spikes of a Loihi 1 core carry no value"));
+        }
+        let neuron = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
+        if let Some(key) = neuron.into_iter().find(|key| !FIELDS.contains(&key.as_str())) {
+            return Err(layer.unsupported(
+                format!("its neuron has a field '{key}', which neurons of the type {kind} do not have"),
+                "remove it if the network does not depend on it",
+            ));
+        }
+        if let (Some(theta), Some(mantissa)) =
+            (layer.group.number("neuron/theta"), layer.group.number("neuron/vThMant"))
+            && theta != 64.0 * mantissa
+        {
+            return Err(layer.wrong(format!("theta is {theta}, and vThMant {mantissa} makes {}", 64.0 * mantissa)));
         }
         let mut parameters = Vec::new();
         for (ours, theirs, range) in [

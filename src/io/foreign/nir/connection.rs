@@ -29,9 +29,19 @@ impl Reader<'_> {
         let group = node.group;
         let units = product(&connection.shape).ok_or_else(|| wrong(format!("'{name}' hears too many units")))?;
         match node.kind.as_str() {
-            "Pass" | "Output" => {}
+            "Pass" | "Output" => self.check_shape(name, units)?,
             // Every population is flattened in C order; the batch axis is not in a file.
-            "Flatten" => connection.shape = vec![units],
+            "Flatten" => {
+                let dim = |key: &str, default: f64| group.number(key).unwrap_or(default);
+                let (start, end, axes) = (dim("start_dim", 1.0), dim("end_dim", -1.0), connection.shape.len() as f64);
+                if !(start == 0.0 || start == 1.0) || !(end == -1.0 || end >= axes - 1.0) {
+                    return Err(unsupported(
+                        format!("node '{name}' flattens the axes {start} to {end} only, of {:?}", connection.shape),
+                        "flatten all axes: start_dim 0 (or 1, behind a batch), end_dim -1",
+                    ));
+                }
+                connection.shape = vec![units];
+            }
             "Scale" => {
                 let scale = reals(group, name, "scale")?;
                 let scale = spread(scale, &connection.shape).ok_or_else(|| {
@@ -146,6 +156,13 @@ impl Reader<'_> {
             }
         };
         let conv = matches!(node.kind.as_str(), "Conv1d" | "Conv2d");
+        if let Some(plane) = node.group.numbers("input_shape") {
+            let plane: Vec<f64> = plane.reals().collect();
+            let arrives = [height as f64, width as f64];
+            if !(plane == arrives || (line && plane == arrives[1..])) {
+                return Err(bad(format!("its input_shape is {plane:?}, {height} x {width} arrive")));
+            }
+        }
         let (size, out, groups, kernel) = if conv {
             let numbers = node.group.numbers("weight").ok_or_else(|| bad("it has no weight".to_string()))?;
             let (out, per_group, size) = match *numbers.shape() {
@@ -206,6 +223,16 @@ impl Reader<'_> {
         }
         let (source, target) = ([channels, height, width], [out, to_h, to_w]);
         Ok(Window { sliding: Sliding { source, target, size, stride, padding, dilation, groups }, kernel })
+    }
+
+    /// Refuses a shape of the file that is not what arrives.
+    pub(super) fn check_shape(&self, name: &str, units: usize) -> Result<()> {
+        let Some(shape) = self.flat.nodes[name].group.numbers("shape") else { return Ok(()) };
+        let shape: Vec<f64> = shape.reals().collect();
+        if shape.is_empty() || shape.iter().product::<f64>() == units as f64 {
+            return Ok(());
+        }
+        Err(wrong(format!("node '{name}' has the shape {shape:?}, and {units} units arrive")))
     }
 
     pub(super) fn too_many(&self, name: &str) -> Diagnostic {

@@ -8,7 +8,7 @@ use super::linear::{Connection, Linear, at, scaled};
 use super::neuron::{Discrete, all};
 use super::reader::{Reader, product, resets, unsupported, wrong};
 use crate::base::diagnostic::Result;
-use crate::io::foreign::imported::{LONGEST_DELAY, NEVER, ResetMode};
+use crate::io::foreign::imported::{LONGEST_DELAY, NEVER, ResetMode, every_step};
 use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 
@@ -114,9 +114,7 @@ impl Reader<'_> {
     pub(super) fn always(&mut self) -> String {
         let name = self.free_name("always");
         if self.model.population(&name).is_none() {
-            let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 0.0), ("bias_mant", 1.0), ("bias_exp", 0.0)];
-            let parameters = parameters.map(|(key, value)| (key, Parameter::Same(value))).to_vec();
-            self.model.populations.push(PopulationBuilder::loihi(&name, vec![1], parameters));
+            self.model.populations.push(PopulationBuilder::loihi(&name, vec![1], every_step()));
         }
         name
     }
@@ -261,13 +259,14 @@ impl Reader<'_> {
         if leading.len() > 1 {
             self.notes.push(format!("{} ways lead to outputs; '{}' is taken", leading.len(), path[0]));
         }
+        let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
+        self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;
         let plain = path[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
         if plain && neurons(&path[0]) {
             self.model.output = self.names[&path[0]].clone();
             return Ok(());
         }
         // Weights without a neuron behind them: v shows what they sum in each step.
-        let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
         let output = output.clone();
         let name = self.free_name("output");
         self.names.insert(output.clone(), name.clone());

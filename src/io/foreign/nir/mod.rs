@@ -36,7 +36,7 @@ use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::neurons::NeuronKind;
 use crate::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
 use graph::unfold;
-use reader::{Flat, Reader, is_population, resets, unsupported, wrong};
+use reader::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
 
 /// Reads the tree of a file.
 ///
@@ -48,6 +48,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut notes = Vec::new();
     match nir_export::restore(root) {
         Some(Ok(model)) => {
+            check_restored(&model, options)?;
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
             return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new() });
         }
@@ -73,6 +74,28 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let Reader { mut model, notes, .. } = reader;
     model.provenance = Some(format!("imported from a NIR file; {}", notes.join("; ")));
     Ok(Imported { kind: "NIR", model, notes, layers: Vec::new() })
+}
+
+/// Refuses options that contradict a model of nsim's own.
+fn check_restored(model: &ModelBuilder, options: &Options) -> Result<()> {
+    let ours = |kind| model.populations.iter().any(|population| population.loihi.is_some() && population.kind == kind);
+    let contradicted = match options.reset {
+        None => None,
+        Some(ResetMode::Zero) => ours(NeuronKind::SoftReset).then_some("--reset zero"),
+        Some(_) => (!ours(NeuronKind::SoftReset)).then_some("--reset by subtraction"),
+    };
+    let other_step = options.dt_ms.is_some_and(|dt| (dt / model.timestep_ms - 1.0).abs() > 1e-9);
+    match contradicted.or(other_step.then_some("--dt")) {
+        None => Ok(()),
+        Some(option) => Err(Diagnostic::new(
+            "import.option",
+            format!(
+                "the file holds a model of nsim with a timestep of {} ms, which {option} contradicts",
+                model.timestep_ms
+            ),
+        )
+        .help("leave the option out: the model is restored as it was")),
+    }
 }
 
 impl Reader<'_> {
@@ -177,6 +200,14 @@ impl Reader<'_> {
             "Output",
         ];
         for (name, node) in &self.flat.nodes {
+            let known = fields(&node.kind);
+            let unknown = |key: &&String| !known.contains(&key.as_str()) && !WITHOUT_MEANING.contains(&key.as_str());
+            if let (false, Some(key)) = (known.is_empty(), node.group.items.keys().find(unknown)) {
+                return Err(unsupported(
+                    format!("node '{name}' has a field '{key}', which nodes of the type '{}' do not have", node.kind),
+                    "remove it if the network does not depend on it",
+                ));
+            }
             if !is_population(&node.kind) && !LINEAR.contains(&node.kind.as_str()) {
                 return Err(unsupported(
                     format!("node '{name}' is of the type '{}'", node.kind),

@@ -55,6 +55,31 @@ pub(super) struct Reader<'a> {
     pub(super) listed: usize,
 }
 
+/// Fields that every node may have and that say nothing of the network.
+pub(super) const WITHOUT_MEANING: [&str; 4] = ["type", "metadata", "input_type", "output_type"];
+
+/// The fields of a type of nodes (`docs/import.md` says what is done with each); none for a type that is not read.
+pub(super) fn fields(kind: &str) -> &'static [&'static str] {
+    match kind {
+        "Input" | "Output" | "Pass" => &["shape"],
+        "Linear" => &["weight"],
+        "Affine" => &["weight", "bias"],
+        "Scale" => &["scale"],
+        "Conv1d" | "Conv2d" => &["weight", "bias", "stride", "padding", "dilation", "groups", "input_shape"],
+        "SumPool2d" | "AvgPool2d" => &["kernel_size", "stride", "padding"],
+        "Flatten" => &["start_dim", "end_dim"],
+        "Delay" => &["delay"],
+        "CubaLIF" => &["tau_syn", "tau_mem", "r", "v_leak", "v_reset", "v_threshold", "w_in"],
+        "CubaLI" => &["tau_syn", "tau_mem", "r", "v_leak", "w_in"],
+        "LIF" => &["tau", "r", "v_leak", "v_reset", "v_threshold"],
+        "LI" => &["tau", "r", "v_leak"],
+        "IF" => &["r", "v_reset", "v_threshold"],
+        "I" => &["r"],
+        "Threshold" => &["threshold"],
+        _ => &[],
+    }
+}
+
 /// Whether a node is a neuron whose voltage a spike resets.
 pub(super) fn resets(kind: &str) -> bool {
     matches!(kind, "CubaLIF" | "LIF" | "IF")
