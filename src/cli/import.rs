@@ -23,7 +23,7 @@ use crate::report::inspect::{Findings, FindingsTable};
 #[command(after_help = "EXAMPLES:
   nsim import network.net -o model.ron              a network of lava-dl's netx
   nsim import network.net --image digit.npy         its input layer driven by an image
-  nsim import weights.pt --neuron slip_loihi.yml    a checkpoint of SLAYER, or one of its sets of .npy
+  nsim import weights.pt --neuron slip_loihi.yml    a state dict of PyTorch, or one of SLAYER's sets of .npy
   nsim import graph.nir --dt 0.1 -o model.ron       NIR, with the timestep that its file does not have
   nsim import network.net                           only say what it holds")]
 pub struct Args {
@@ -32,7 +32,7 @@ pub struct Args {
     /// Milliseconds that a timestep stands for, where the file does not say
     #[arg(long, value_name = "MS")]
     dt: Option<f64>,
-    /// Parameters of the neuron, where the file has none: SLAYER's YAML
+    /// Type and parameters of the neurons, where the file has none: a YAML file
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
     /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as on the chip; or the
@@ -54,7 +54,7 @@ pub struct Args {
     /// The first of these resets, counted from a layer's start
     #[arg(long, value_name = "STEPS", default_value_t = 0, requires = "reset_interval")]
     reset_offset: u32,
-    /// Size of the input of a network that begins with a convolution
+    /// Size of the input of a network that begins with a convolution, or with a dense layer on an image
     #[arg(long, value_name = "C,H,W", value_delimiter = ',')]
     input_shape: Option<Vec<u64>>,
     /// The model file to write; its arrays go beside it as .safetensors

@@ -420,7 +420,7 @@ mod tests {
         let (source, file) = read::<TargetFile>("targets/tiny.ron");
         let file = TargetFile { chips_x: 128.into(), chips_y: 128.into(), ..file };
         let (_, chip) = read::<Chip>("chips/loihi1.ron");
-        let (_, constants) = read::<Constants>("constants/davies2018.ron");
+        let (_, constants) = read::<Constants>("constants/loihi1-evidence.ron");
         assert_eq!(
             u64::from(Target::new(&file, &source, chip.clone(), vec![constants.clone()]).unwrap().cores()),
             MOST_CORES
