@@ -1,8 +1,9 @@
 //! Runs samples through an engine and keeps what was asked for.
 //!
-//! Comes in: an engine, samples, the output population, probes, perhaps a rule by which a sample ends before its last
-//! step. Goes out: an [`Outcome`] for each sample, in run order. Samples share nothing: each begins from rest, nothing
-//! drains at its end. A sample that is decided early did what the first steps of the whole sample do, count by count.
+//! Input: an engine, samples, the output population, probes, perhaps a rule by which a sample ends
+//! before its last step. Output: an [`Outcome`] for each sample, in run order. Samples share
+//! nothing: each begins from rest, nothing drains at its end. A sample that is decided early did
+//! what the first steps of the whole sample do, count by count.
 
 pub mod cores;
 pub mod decision;
@@ -17,11 +18,13 @@ pub mod steps;
 pub mod timeline;
 pub mod warnings;
 
-use decision::{Decision, EarlyExit};
+use decision::{Decision, EarlyExit, Rule};
 use sha2::{Digest, Sha256};
 
 use crate::base::id::CompartmentId;
 use crate::ir::activity::{Overflow, Totals};
+use crate::ir::potentials::Potentials;
+use crate::ir::quantised::Output;
 use crate::ir::spikes::{Copies, Engine, Sample};
 
 /// What a probe records.
@@ -57,8 +60,8 @@ pub struct Probe {
 /// What to keep of each sample, and when it ends.
 #[derive(Debug, Clone)]
 pub struct Keep {
-    /// First compartment and size of the output population.
-    pub output: (CompartmentId, u32),
+    /// The compartments that decide.
+    pub output: Output,
     /// Probes; the steps that an early exit leaves off stay zero in them.
     pub probes: Vec<Probe>,
     /// What decides a sample before its last step, and whether it ends then; its outputs are those of `output`.
@@ -66,10 +69,12 @@ pub struct Keep {
 }
 
 /// What one sample did.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Outcome {
     /// Spikes of each output.
     pub counts: Vec<u32>,
+    /// Scores of the outputs, where their potentials decide.
+    pub potentials: Option<Potentials>,
     /// (step, output) of each output spike, ascending.
     pub spikes: Vec<(u32, u32)>,
     /// Timesteps that were run.
@@ -89,9 +94,13 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// The output with most spikes, the lowest on a tie; none when all are silent.
+    /// The output that potentials decide for, where they do; else the one with most spikes, the
+    /// lowest on a tie, none when all are silent.
     #[must_use]
     pub fn class(&self) -> Option<u32> {
+        if let Some(potentials) = &self.potentials {
+            return potentials.class();
+        }
         let most = self.counts.iter().copied().max().filter(|&most| most > 0)?;
         self.counts.iter().position(|&count| count == most).map(|class| class as u32)
     }
@@ -126,23 +135,38 @@ pub fn run_copies<E: Engine + ?Sized>(
     mut after_step: impl FnMut(&E, Passed),
 ) -> Outcome {
     let mut shown = Vec::new();
-    let (first, size) = keep.output;
-    let mut outcome = Outcome { counts: vec![0; size as usize], ..Outcome::default() };
+    let Output { first, count: size, decision: read_out, start_step } = keep.output;
+    let potentials = Potentials::new(read_out, size);
+    let mut outcome = Outcome { counts: vec![0; size as usize], potentials, ..Outcome::default() };
     outcome.probes = keep.probes.iter().map(|probe| vec![0; probe.count as usize * sample.steps() as usize]).collect();
-    let mut decision = keep.early_exit.as_ref().map(|exit| Decision::new(exit, sample.steps()));
+    let exit = keep.early_exit.as_ref();
+    // Potentials that decide are certain after the last step only.
+    let by_spikes = exit.filter(|_| outcome.potentials.is_none());
+    let mut decision = by_spikes.map(|exit| Decision::new(exit, sample.steps()));
+    let margin = exit.and_then(|exit| match exit.rule {
+        Rule::Margin(margin) => Some(f64::from(margin.get())),
+        Rule::Certain => None,
+    });
     engine.begin(sample.steps());
     let mut step = 0;
     // Certainty may come in the midst of silence.
     let in_silence = |decision: &Option<Decision<'_>>, begin, end| decision.as_ref()?.decided_in_silence(begin, end);
-    let ends = keep.early_exit.as_ref().is_some_and(|exit| exit.ends);
+    let ends = exit.is_some_and(|exit| exit.ends);
     while step < sample.steps() && !(ends && outcome.decided_at.is_some()) {
         // A decision in silence takes its time, which is lost where the engine is not at rest.
-        if sample.at(step).is_empty() && (decision.is_none() || engine.rest(0)) {
+        let may_rest = match &outcome.potentials {
+            Some(_) => margin.is_none() || outcome.decided_at.is_some(),
+            None => decision.is_none() || engine.rest(0),
+        };
+        if sample.at(step).is_empty() && may_rest {
             let next = sample.next_spike(step);
             let decided = in_silence(&decision, step, next);
             let passed = decided.map_or(next, |decided| decided + 1) - step;
             if engine.rest(passed) {
                 outcome.skipped_steps += u64::from(passed);
+                if let Some(potentials) = &mut outcome.potentials {
+                    potentials.rest((step + passed).saturating_sub(start_step.max(step)));
+                }
                 after_step(engine, Passed { steps: passed, decided: outcome.decided_at.is_some() });
                 step += passed;
                 if decided.is_some() {
@@ -169,6 +193,12 @@ pub fn run_copies<E: Engine + ?Sized>(
         after_step(engine, Passed { steps: 1, decided: outcome.decided_at.is_some() });
         if decision.as_mut().is_some_and(|decision| decision.decided_after(step)) {
             (outcome.decided_at, decision) = (Some(step), None);
+        }
+        if let Some(potentials) = outcome.potentials.as_mut().filter(|_| step >= start_step) {
+            potentials.add(|output| engine.potential(CompartmentId(first.0 + output)));
+            if outcome.decided_at.is_none() && margin.is_some_and(|margin| potentials.lead() >= margin) {
+                outcome.decided_at = Some(step);
+            }
         }
         step += 1;
     }

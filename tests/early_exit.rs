@@ -25,9 +25,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 
 fn keep(network: &Quantised, rule: Option<Rule>) -> Keep {
-    let output = &network.populations()[network.parts().output];
-    let output = (output.first_compartment().unwrap(), output.shape.len());
-    Keep { output, probes: Vec::new(), early_exit: rule.map(|rule| EarlyExit::new(rule, network)) }
+    Keep { output: network.output(), probes: Vec::new(), early_exit: rule.map(|rule| EarlyExit::new(rule, network)) }
 }
 
 fn margin(margin: u32) -> Rule {

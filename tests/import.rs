@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use nsim::base::id::ChannelId;
 use nsim::compile::{Options as MapOptions, compile, front};
-use nsim::desc::network::{Network, ThresholdTest};
+use nsim::desc::network::{Network, ReadOut, ThresholdTest};
 use nsim::desc::tensor::Tensor;
 use nsim::drive::{Keep, Probe, Quantity, run_sample};
 use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
@@ -18,6 +18,7 @@ use nsim::io::foreign::{self, Options};
 use nsim::io::model::load_model;
 use nsim::io::npy;
 use nsim::io::target::load_target;
+use nsim::ir::quantised::Output;
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
 
@@ -31,14 +32,14 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
     let quantised = &compiled.quantised;
     let population = &quantised.populations()[quantised.population_named(population).unwrap()];
     let (first, count) = (population.first_compartment().unwrap(), population.shape.len());
+    let output = Output { first, count, decision: ReadOut::Spikes, start_step: 0 };
     let image = Image::new(&compiled.program, 1).unwrap();
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
     let events: Vec<_> =
         inputs.into_iter().filter(|event| event.0 < steps).map(|(step, c)| (step, ChannelId(c))).collect();
     let sample = Sample::new(steps, &events, None).unwrap();
     let probes = vec![Probe { first, count, quantity: Quantity::Spikes }];
-    let outcome =
-        run_sample(&mut machine, &sample, &Keep { output: (first, count), probes, early_exit: None }, |_, _| ());
+    let outcome = run_sample(&mut machine, &sample, &Keep { output, probes, early_exit: None }, |_, _| ());
     outcome.spikes.into_iter().collect()
 }
 

@@ -220,12 +220,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
             assert_eq!(check_stimulus(&pruned, &[&loud], 0).unwrap_err().code, "input.pruned");
         }
     }
-    let output = &whole.populations()[whole.parts().output];
-    let keep = Keep {
-        output: (output.first_compartment().unwrap(), output.shape.len()),
-        probes: Vec::new(),
-        early_exit: None,
-    };
+    let keep = Keep { output: whole.output(), probes: Vec::new(), early_exit: None };
     let outcome = run_sample(&mut golden, &shown, &keep, |_, _| ());
     (fixed, scene, [outcome.totals.spikes, outcome.spikes.len() as u64])
 }

@@ -27,10 +27,9 @@ use rayon::prelude::*;
 
 /// Output spikes, and u and v of every compartment.
 fn keep(network: &Quantised) -> Keep {
-    let output = &network.populations()[network.parts().output];
     let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
     Keep {
-        output: (output.first_compartment().unwrap(), output.shape.len()),
+        output: network.output(),
         probes: [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into(),
         early_exit: None,
     }

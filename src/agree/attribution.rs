@@ -8,6 +8,7 @@
 use rayon::prelude::*;
 
 use super::causes::{Cause, Rung};
+use super::classes::ClassTally;
 use super::ladder::Ladder;
 use super::metrics::TrainSums;
 use super::trace::{Comparison, Layer};
@@ -16,8 +17,8 @@ use crate::ir::spikes::Sample;
 /// How far a rung is from the trained network.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Distance {
-    /// Share of samples with the same class.
-    pub class_agreement: f64,
+    /// Share of samples with the same class, of those that both decide; `None` when there are none.
+    pub class_agreement: Option<f64>,
     /// Coincidence factor over all layers.
     pub coincidence: f64,
     /// Potentials over all layers, in thresholds.
@@ -26,7 +27,7 @@ pub struct Distance {
 
 impl Distance {
     /// Of a network from itself.
-    pub const EQUAL: Distance = Distance { class_agreement: 1.0, coincidence: 1.0, potential_rmse: Some(0.0) };
+    pub const EQUAL: Distance = Distance { class_agreement: Some(1.0), coincidence: 1.0, potential_rmse: Some(0.0) };
 }
 
 /// A row of the attribution.
@@ -94,6 +95,9 @@ pub struct Measured {
     pub layers: Vec<TrainSums>,
 }
 
+/// The class of a sample by the trained network and by a rung.
+type Classes = (Option<u32>, Option<u32>);
+
 /// Compares rungs with one of them over samples, all rungs of a sample at once.
 #[must_use]
 pub fn distances(ladder: &Ladder, from: Rung, rungs: &[Rung], output: &Layer, samples: &[&Sample]) -> Vec<Distance> {
@@ -119,21 +123,20 @@ pub fn measured(
                 comparison.add(0, layer, &trained, &trace, ladder.shift(rung) - first.shift(from));
                 comparison.tally
             });
-            (sums.collect(), trained.class(output) == trace.class(output))
+            (sums.collect(), (trained.class(output), trace.class(output)))
         };
-        to.iter().map(one).collect::<Vec<(Vec<TrainSums>, bool)>>()
+        to.iter().map(one).collect::<Vec<(Vec<TrainSums>, Classes)>>()
     };
-    let each: Vec<Vec<(Vec<TrainSums>, bool)>> = samples.par_iter().map(of_sample).collect();
+    let each: Vec<Vec<(Vec<TrainSums>, Classes)>> = samples.par_iter().map(of_sample).collect();
     let of_rung = |rung: usize| {
-        let (mut by_layer, mut same) = (vec![TrainSums::default(); layers.len()], 0usize);
+        let mut by_layer = vec![TrainSums::default(); layers.len()];
         for sample in &each {
             by_layer.iter_mut().zip(&sample[rung].0).for_each(|(sum, tally)| sum.merge(tally));
-            same += usize::from(sample[rung].1);
         }
         let mut sum = TrainSums::default();
         by_layer.iter().for_each(|tally| sum.merge(tally));
         let distance = Distance {
-            class_agreement: same as f64 / samples.len().max(1) as f64,
+            class_agreement: ClassTally::new(each.iter().map(|sample| sample[rung].1)).agreement(),
             coincidence: sum.coincidence(),
             potential_rmse: sum.potential_rmse(),
         };

@@ -5,6 +5,7 @@
 
 use rayon::prelude::*;
 
+use super::classes::ClassTally;
 use super::ladder::{Ladder, layers};
 use super::trace::{Comparison, Layer, Trace, measured_shift};
 use crate::base::diagnostic::{Diagnostic, Result};
@@ -86,8 +87,8 @@ pub struct LayerRow {
 pub struct Agreement {
     /// Layer by layer.
     pub layers: Vec<LayerRow>,
-    /// Samples of the same class; `None` when no classes were recorded.
-    pub same_class: Option<usize>,
+    /// The classes of the two; `None` when those of the first are not known.
+    pub classes: Option<ClassTally>,
     /// Share of right classes of the counterpart and of the deployed network, when samples have labels.
     pub accuracy: Option<(f64, f64)>,
 }
@@ -118,8 +119,8 @@ fn recorded_trace(
     sample: &Sample,
     compartments: u32,
 ) -> Trace {
-    let mut trace =
-        Trace { steps: sample.steps(), trains: vec![Vec::new(); compartments as usize], potentials: Vec::new() };
+    let trains = vec![Vec::new(); compartments as usize];
+    let mut trace = Trace { steps: sample.steps(), trains, ..Trace::default() };
     for (layer, samples) in recorded {
         trace.steps = trace.steps.min(samples[index].steps);
         let mut events = samples[index].events.clone();
@@ -131,13 +132,15 @@ fn recorded_trace(
     trace
 }
 
-/// What a network in real numbers does in a sample, potentials in thresholds.
-pub fn real_trace(graph: &Graph, compartments: u32) -> impl Fn(&Sample) -> Trace + Sync + use<> {
+/// What a network in real numbers, whose integers are these, does in a sample, potentials in
+/// thresholds.
+pub fn real_trace(graph: &Graph, integers: &Quantised) -> impl Fn(&Sample) -> Trace + Sync + use<> {
+    let recorded = (integers.compartments(), integers.output());
     let (model, thresholds) =
         (Model::<f64>::new(graph, reference::Options::default()), neuron::model_thresholds(graph));
     move |sample| {
         let potential = |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
-        Trace::record(&mut Reference::new(&model), sample, compartments, potential)
+        Trace::record(&mut Reference::new(&model), sample, recorded, potential)
     }
 }
 
@@ -150,10 +153,10 @@ pub fn machine_trace<'a>(
     program: &'a Program,
 ) -> Result<impl Fn(&Sample) -> Trace + Sync + use<'a>> {
     let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
-    let (thresholds, compartments) = (neuron::thresholds(network), network.compartments());
+    let (thresholds, recorded) = (neuron::thresholds(network), (network.compartments(), network.output()));
     Ok(move |sample: &Sample| {
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-        Trace::record(&mut machine, sample, compartments, |m, c| relative(m, c, &thresholds))
+        Trace::record(&mut machine, sample, recorded, |m, c| relative(m, c, &thresholds))
     })
 }
 
@@ -199,6 +202,8 @@ pub fn compare_networks(
             steps: trace.steps,
             trains: vec![Vec::new(); all as usize],
             potentials: vec![0.0; if trace.potentials.is_empty() { 0 } else { all as usize * row }],
+            decision: trace.decision,
+            deciding: trace.deciding.clone(),
         };
         for (here, there) in &pairs {
             for i in 0..here.count {
@@ -232,7 +237,7 @@ struct Tally {
     layers: Vec<Layer>,
     output: Layer,
     comparisons: Vec<(Comparison, i32)>,
-    same: usize,
+    classes: ClassTally,
     right: (usize, usize),
 }
 
@@ -250,7 +255,7 @@ impl Tally {
                 comparison.add(first + i, layer, a, b, *shift);
             }
             let (class_a, class_b) = (a.class(&self.output), b.class(&self.output));
-            self.same += usize::from(class_a == class_b);
+            self.classes.add(class_a, class_b);
             self.right.0 += usize::from(class_a == sample.label());
             self.right.1 += usize::from(class_b == sample.label());
         }
@@ -263,7 +268,7 @@ impl Tally {
         let rows = self.layers.into_iter().zip(self.comparisons);
         Agreement {
             layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
-            same_class: known.then_some(self.same),
+            classes: known.then_some(self.classes),
             accuracy: labelled.then(|| (share(self.right.0), share(self.right.1))),
         }
     }
@@ -277,6 +282,7 @@ pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Prog
     let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
     let network = ladder.deployed();
     let (compartments, output) = (network.compartments(), output_layer(network));
+    let recorded_of = (compartments, network.output());
     let thresholds = neuron::thresholds(network);
     let real = match counterpart {
         Counterpart::Srm => Some(graph.clone()),
@@ -303,14 +309,14 @@ pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Prog
         (_, Some((model, thresholds))) => {
             let potential =
                 |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
-            Trace::record(&mut Reference::new(model), sample, compartments, potential)
+            Trace::record(&mut Reference::new(model), sample, recorded_of, potential)
         }
-        (_, None) => Trace::record(&mut Golden::new(network), sample, compartments, |g, c| relative(g, c, &thresholds)),
+        (_, None) => Trace::record(&mut Golden::new(network), sample, recorded_of, |g, c| relative(g, c, &thresholds)),
     };
     let limit = steps.unwrap_or(u32::MAX);
     let pair = |(index, sample): (usize, &&Sample)| {
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-        let second = Trace::record(&mut machine, sample, compartments, |m, c| relative(m, c, &thresholds));
+        let second = Trace::record(&mut machine, sample, recorded_of, |m, c| relative(m, c, &thresholds));
         let first = counterpart_trace(index, sample).until(limit);
         progress();
         (first, second.until(limit))

@@ -13,10 +13,11 @@ use std::sync::OnceLock;
 use petgraph::graph::NodeIndex;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::base::id::Id;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::exponents::Detail;
 use crate::compile::frontend::quantise::{quantise_with, scales};
-use crate::desc::network::ThresholdTest;
+use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::ir::graph::{self, Graph, NeuronParameters, PopulationKind, SrmParameters};
 use crate::ir::quantised::{self, Quantised, Reset, Units};
 use crate::ir::spikes::Sample;
@@ -371,7 +372,10 @@ impl Ladder {
             steps,
             trains: vec![Vec::new(); self.compartments as usize],
             potentials: if potentials { vec![0.0; self.compartments as usize * steps as usize] } else { Vec::new() },
+            decision: self.calibrated.parts().decision,
+            deciding: Vec::new(),
         };
+        let deciding = self.calibrated.parts().output.index();
         let mut spikes: Vec<(usize, u32)> = Vec::new();
         let links = self.links(rung);
         for now in 0..steps {
@@ -403,6 +407,9 @@ impl Ladder {
                         let place = (first as usize + neuron) * steps as usize + now as usize;
                         trace.potentials[place] = (potential / state.neurons[neuron].threshold) as f32;
                     }
+                }
+                if index == deciding && trace.decision != ReadOut::Spikes && now >= state.start_step {
+                    trace.deciding.push(state.potentials().to_vec());
                 }
             }
             for link in links.iter().filter(|link| !link.restores || rung.has(Cause::HardReset)) {

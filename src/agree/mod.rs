@@ -8,6 +8,7 @@
 
 pub mod attribution;
 pub mod causes;
+pub mod classes;
 pub mod compare;
 pub mod ladder;
 mod links;

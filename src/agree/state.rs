@@ -130,6 +130,11 @@ impl State {
         self.held.fill(0);
     }
 
+    /// The potentials after a step and its resets.
+    pub fn potentials(&self) -> &[f64] {
+        if self.hard && self.taps.is_empty() { &self.v } else { &self.shown }
+    }
+
     /// The refractory response of a neuron in register units.
     fn refractory(&mut self, i: usize) -> f64 {
         let threshold = self.neurons[i].threshold;

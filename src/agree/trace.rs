@@ -2,6 +2,9 @@
 
 use super::metrics::TrainSums;
 use crate::base::id::CompartmentId;
+use crate::desc::network::ReadOut;
+use crate::ir::potentials::Potentials;
+use crate::ir::quantised::Output;
 use crate::ir::spikes::{Engine, Sample};
 
 /// A population as a trace has it: its neurons' place in the network.
@@ -24,6 +27,10 @@ pub struct Trace {
     pub trains: Vec<Vec<u32>>,
     /// `[compartment][step]`, the potential after each step in thresholds; empty when none were kept.
     pub potentials: Vec<f32>,
+    /// What decides.
+    pub decision: ReadOut,
+    /// The potentials of the outputs after each step where potentials decide; else empty.
+    pub deciding: Vec<Vec<f64>>,
 }
 
 impl Trace {
@@ -31,7 +38,7 @@ impl Trace {
     pub fn record<E: Engine>(
         engine: &mut E,
         sample: &Sample,
-        compartments: u32,
+        (compartments, output): (u32, Output),
         potential: impl Fn(&E, CompartmentId) -> f64,
     ) -> Trace {
         let steps = sample.steps();
@@ -39,6 +46,8 @@ impl Trace {
             steps,
             trains: vec![Vec::new(); compartments as usize],
             potentials: vec![0.0; compartments as usize * steps as usize],
+            decision: output.decision,
+            deciding: Vec::new(),
         };
         engine.begin(steps);
         for step in 0..steps {
@@ -48,6 +57,10 @@ impl Trace {
                 trace.potentials[c as usize * steps as usize + step as usize] =
                     potential(engine, CompartmentId(c)) as f32;
             }
+            if output.decision != ReadOut::Spikes && step >= output.start_step {
+                let outputs = (output.first.0..output.first.0 + output.count).map(CompartmentId);
+                trace.deciding.push(outputs.map(|output| engine.potential(output)).collect());
+            }
         }
         trace
     }
@@ -56,15 +69,22 @@ impl Trace {
     #[must_use]
     pub fn until(mut self, steps: u32) -> Trace {
         let (kept, all) = (steps.min(self.steps), self.steps.max(1) as usize);
+        self.deciding.truncate((self.deciding.len() as u32).saturating_sub(self.steps - kept) as usize);
         self.trains.iter_mut().for_each(|train| train.retain(|&t| t < kept));
         self.potentials = self.potentials.chunks(all).flat_map(|row| row[..kept as usize].to_vec()).collect();
         self.steps = kept;
         self
     }
 
-    /// The class by spikes of an output layer: most spikes, lowest index on a tie, none when silent.
+    /// The class by what decides: by spikes the output of this layer with most, the lowest index on
+    /// a tie, none when silent.
     #[must_use]
     pub fn class(&self, output: &Layer) -> Option<u32> {
+        let outputs = self.deciding.first().map_or(0, Vec::len);
+        if let Some(mut potentials) = Potentials::new(self.decision, outputs as u32) {
+            self.deciding.iter().for_each(|step| potentials.add(|output| step[output as usize]));
+            return potentials.class();
+        }
         let counts = self.trains[output.first as usize..(output.first + output.count) as usize].iter().map(Vec::len);
         let most = counts.clone().max().filter(|&most| most > 0)?;
         counts.clone().position(|count| count == most).map(|class| class as u32)
@@ -247,7 +267,8 @@ mod tests {
     }
 
     fn trace(trains: [&[u32]; 3]) -> Trace {
-        Trace { steps: 20, trains: trains.map(<[u32]>::to_vec).to_vec(), potentials: vec![0.0; 60] }
+        let trains = trains.map(<[u32]>::to_vec).to_vec();
+        Trace { steps: 20, trains, potentials: vec![0.0; 60], ..Trace::default() }
     }
 
     #[test]
@@ -278,5 +299,14 @@ mod tests {
         assert_eq!(comparison.tally.potential_rmse(), Some(0.5));
         assert_eq!(a.class(&layer()), Some(0));
         assert_eq!(trace([&[1], &[], &[]]).class(&layer()), None);
+    }
+
+    #[test]
+    fn potentials_decide_where_the_network_says_so_and_up_to_the_steps_that_are_compared() {
+        let deciding = || vec![vec![1.0, 2.0], vec![5.0, 3.0]];
+        let by = |decision| Trace { steps: 2, decision, deciding: deciding(), ..trace([&[], &[2], &[]]) };
+        assert_eq!(by(ReadOut::GreatestV).class(&layer()), Some(0));
+        assert_eq!(by(ReadOut::GreatestV).until(1).class(&layer()), Some(1));
+        assert_eq!(by(ReadOut::GreatestV).until(0).class(&layer()), None);
     }
 }

@@ -300,12 +300,7 @@ mod tests {
     }
 
     fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {
-        let output = &network.populations()[network.parts().output];
-        let keep = Keep {
-            output: (output.first_compartment().unwrap(), output.shape.len()),
-            probes: Vec::new(),
-            early_exit: None,
-        };
+        let keep = Keep { output: network.output(), probes: Vec::new(), early_exit: None };
         run_sample(&mut Golden::new(network), sample, &keep, |_, _| ()).counts
     }
 

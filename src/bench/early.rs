@@ -62,6 +62,10 @@ impl Trial {
             let Some(label) = sample.label() else {
                 return Err(Error::Usage(format!("sample {index} of those tested has no label")));
             };
+            if outcome.potentials.is_some() {
+                let message = "accuracy over time is that of the spikes so far, and potentials decide this model";
+                return Err(Error::Usage(message.to_string()));
+            }
             let mut counts = vec![0.0f32; outcome.counts.len()];
             let mut spikes = outcome.spikes.iter().peekable();
             let mut right_since = None;

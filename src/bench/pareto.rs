@@ -12,6 +12,7 @@ use std::hint::black_box;
 use std::num::NonZeroU32;
 use std::time::{Duration, Instant};
 
+use crate::agree::classes::ClassTally;
 use crate::agree::ladder::layers;
 use crate::agree::metrics::TrainSums;
 use crate::agree::trace::{Comparison, Layer, Trace};
@@ -126,8 +127,8 @@ pub struct VariantRow {
     pub spread: f64,
     /// Repeats.
     pub repeats: usize,
-    /// Share of samples with the class of the trained network.
-    pub class_agreement: f64,
+    /// Share of samples with the class of the trained network, of those that both decide.
+    pub class_agreement: Option<f64>,
     /// Share of right classes, when samples have labels.
     pub accuracy: Option<f64>,
     /// Coincidence factor over all layers.
@@ -213,19 +214,23 @@ impl<'a> Subject<'a> {
         let thresholds = model_thresholds(self.graph);
         let mut engine = Reference::new(model);
         let potential = |e: &Reference<'_, F>, c: CompartmentId| e.potential(c) / thresholds[c.0 as usize];
-        self.samples.iter().map(|s| Trace::record(&mut engine, s, thresholds.len() as u32, potential)).collect()
+        let recorded = (thresholds.len() as u32, self.deployed.output());
+        self.samples.iter().map(|s| Trace::record(&mut engine, s, recorded, potential)).collect()
     }
 
     /// Traces of an integer engine; with merged steps, spikes at the last step of each group.
     fn traces<E: Engine>(&self, engine: &mut E, network: &Quantised, merged: u32) -> Vec<Trace> {
         let thresholds = neuron::thresholds(network);
         let potential = |e: &E, c: CompartmentId| f64::from(e.v(c)) / thresholds[c.0 as usize];
+        let recorded = (network.compartments(), network.output());
         let one = |sample: &&Sample| {
             if merged == 1 {
-                return Trace::record(engine, sample, network.compartments(), potential);
+                return Trace::record(engine, sample, recorded, potential);
             }
-            let mut trace = Trace::record(engine, &merge(sample, merged), network.compartments(), potential);
+            let mut trace = Trace::record(engine, &merge(sample, merged), recorded, potential);
             trace.potentials.clear();
+            let merged_steps = |step| std::iter::repeat_n(step, merged as usize);
+            trace.deciding = trace.deciding.into_iter().flat_map(merged_steps).take(sample.steps() as usize).collect();
             trace.steps = sample.steps();
             let late = |t: &mut u32| *t = (*t * merged + merged - 1).min(sample.steps() - 1);
             trace.trains.iter_mut().flatten().for_each(late);
@@ -238,7 +243,7 @@ impl<'a> Subject<'a> {
     fn row(&self, variant: Variant, traces: &[Trace], times: &[f64]) -> VariantRow {
         let integers = !matches!(variant, Variant::Reference { .. });
         let shift = if integers && self.graph.has_srm() { -1 } else { 0 };
-        let (mut tally, mut same, mut right) = (TrainSums::default(), 0usize, 0usize);
+        let (mut tally, mut classes, mut right) = (TrainSums::default(), ClassTally::default(), 0usize);
         for ((trained, trace), sample) in self.trained.iter().zip(traces).zip(&self.samples) {
             for layer in &self.layers {
                 let mut comparison = Comparison::default();
@@ -246,7 +251,7 @@ impl<'a> Subject<'a> {
                 tally.merge(&comparison.tally);
             }
             let class = trace.class(&self.output);
-            same += usize::from(trained.class(&self.output) == class);
+            classes.add(trained.class(&self.output), class);
             right += usize::from(class.is_some() && class == sample.label());
         }
         let share = |count: usize| count as f64 / self.samples.len().max(1) as f64;
@@ -258,7 +263,7 @@ impl<'a> Subject<'a> {
             us_per_timestep: median,
             spread,
             repeats: times.len(),
-            class_agreement: share(same),
+            class_agreement: classes.agreement(),
             accuracy: labelled.then(|| share(right)),
             coincidence: tally.coincidence(),
             potential_rmse: tally.potential_rmse(),
@@ -304,8 +309,8 @@ impl<'a> Subject<'a> {
             let times = self.timed(|| given.iter().for_each(|sample| drive(&mut machine, sample)));
             return Ok(self.row(variant, &self.traces(&mut machine, network, merged), &times));
         };
-        let output = (CompartmentId(self.output.first), self.output.count);
-        let keep = Keep { output, probes: Vec::new(), early_exit: Some(EarlyExit::new(rule, network)) };
+        let keep =
+            Keep { output: network.output(), probes: Vec::new(), early_exit: Some(EarlyExit::new(rule, network)) };
         let times = self.timed(|| {
             given.iter().for_each(|sample| _ = black_box(run_sample(&mut machine, sample, &keep, |_, _| ())));
         });
@@ -334,8 +339,7 @@ impl<'a> Subject<'a> {
             Deployment::from_placement("mapped", &compiled.placement, self.target, 1, work).timing(transport, 1);
         let meter = StepMeter::new(MeterSettings::new(tables, timing, program, timestep));
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
-        let output = (CompartmentId(self.output.first), self.output.count);
-        let keep = Keep { output, probes: Vec::new(), early_exit: None };
+        let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
         let times = self.timed(|| {
             for sample in &self.samples {
                 let mut seen = meter.fresh();
@@ -507,7 +511,7 @@ mod tests {
             us_per_timestep: us,
             spread: 0.0,
             repeats: 1,
-            class_agreement: 1.0,
+            class_agreement: Some(1.0),
             accuracy: None,
             coincidence,
             potential_rmse: None,

@@ -12,11 +12,19 @@ use crate::cli::args::values::one_of_named;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::frontend;
-use crate::desc::network::ThresholdTest;
+use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::error::Error;
 use crate::io::foreign::{self, Imported, Options, ResetMode};
 use crate::io::model_builder::{ModelBuilder, ProjectionKind};
 use crate::report::inspect::{Findings, FindingsTable};
+
+/// What decides, by its name.
+static DECISIONS: [(&str, ReadOut); 4] = [
+    (ReadOut::Spikes.name(), ReadOut::Spikes),
+    (ReadOut::GreatestV.name(), ReadOut::GreatestV),
+    (ReadOut::SumOfV.name(), ReadOut::SumOfV),
+    (ReadOut::LastV.name(), ReadOut::LastV),
+];
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -42,6 +50,10 @@ pub struct Args {
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)]))]
     threshold: Option<ThresholdTest>,
+    /// What of the output decides: spikes, or its potential, the greatest, the sum or the last
+    /// [default: spikes, or the potential of an output that never spikes]
+    #[arg(long, value_name = "HOW", value_parser = one_of_named(&DECISIONS))]
+    decision: Option<ReadOut>,
     /// An image as .npy, 0 to 1 or 8 bits, that drives the bias of an input layer with neurons
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
@@ -79,6 +91,7 @@ impl Args {
             neuron: self.neuron.clone(),
             reset: self.reset,
             threshold: self.threshold,
+            decision: self.decision,
             image: self.image.clone(),
             first_step: self.first_step,
             reset_interval: self.reset_interval,
@@ -119,8 +132,9 @@ fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
 
 /// What was imported, for people and scripts.
 fn findings(imported: &Imported, files: &[String]) -> Findings {
-    let ModelBuilder { name, timestep_ms, populations, projections, output, reset, threshold, semantics, .. } =
-        &imported.model;
+    let ModelBuilder {
+        name, timestep_ms, populations, projections, output, decision, reset, threshold, semantics, ..
+    } = &imported.model;
     let reset = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
     let populations = populations.iter().map(|population| {
         let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
@@ -158,6 +172,7 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             ("semantics", json!(semantics)),
             ("threshold", json!(threshold)),
             ("output", json!(output)),
+            ("decision", json!(decision)),
             ("reset", json!(reset)),
             ("notes", json!(imported.notes)),
             ("written", if files.is_empty() { json!(null) } else { json!(files) }),

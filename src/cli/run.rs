@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::base::id::Id;
 use crate::cli::args::input::{InputArgs, check_pruned, select};
 use crate::cli::args::jobs::{self, Job, Prepared, Wanted};
 use crate::cli::args::steps::{self, recorded};
@@ -120,10 +119,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     check_pruned(network, &samples, &args.input)?;
     let probes = args.probes.probes(network, &samples)?;
     io::write::check_all_free(probes.iter().map(|named| args.probes.path(named)), context.force)?;
-    let output = &network.populations()[network.parts().output];
-    let first = output.first_compartment().unwrap_or_else(|| Id::new(0));
     let keep = Keep {
-        output: (first, output.shape.len()),
+        output: network.output(),
         probes: probes.iter().filter_map(NamedProbe::engine).collect(),
         early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
     };

@@ -89,8 +89,8 @@ pub fn key(
 
 fn network(network: &Quantised, key: &mut Key) {
     let parts = network.parts();
-    let Parts { name, semantics, threshold, reset, gathers, .. } = parts;
-    key.text(&format!("{name} {semantics:?} {threshold:?} {reset:?} {gathers}"));
+    let Parts { name, decision, semantics, threshold, reset, gathers, .. } = parts;
+    key.text(&format!("{name} {decision:?} {semantics:?} {threshold:?} {reset:?} {gathers}"));
     parts.output.0.hash(key);
     parts.populations.iter().for_each(|one| population(one, key));
     parts.projections.iter().for_each(|one| projection(one, key));

@@ -50,7 +50,8 @@ impl Seen {
 #[must_use]
 pub fn is_mapped_alike(a: &Quantised, b: &Quantised) -> bool {
     let (one, other) = (a.parts(), b.parts());
-    let frame = |parts: &Parts| (parts.output, parts.semantics, parts.threshold, parts.reset, parts.gathers);
+    let frame =
+        |parts: &Parts| (parts.output, parts.decision, parts.semantics, parts.threshold, parts.reset, parts.gathers);
     if a.pruned().is_some() || b.pruned().is_some() || one.name != other.name || frame(one) != frame(other) {
         return false;
     }

@@ -29,6 +29,7 @@ use crate::base::id::ChannelId;
 use crate::compile::frontend::analytic::Fit;
 use crate::compile::frontend::exponents::Detail;
 use crate::convert::staged::Measured;
+use crate::desc::network::ReadOut;
 use crate::desc::tensor::{Numbers, Tensor};
 use crate::desc::training::TrainingFile;
 use crate::ir::graph::{Graph, PopulationKind, ProjectionKind};
@@ -183,6 +184,9 @@ impl Task {
         file: &TrainingFile,
         plan: Plan,
     ) -> Result<Task> {
+        if graph.facts().decision != ReadOut::Spikes {
+            return Err(unlike(graph, "its potentials decide, and training is by the spikes of the output"));
+        }
         let mut channels = graph.populations().filter(|(_, p)| matches!(p.kind, PopulationKind::Input));
         for (input, &size) in file.inputs.iter().zip(&plan.topology.inputs) {
             let same = |(_, p): &(NodeIndex, &crate::ir::graph::Population)| {

@@ -86,7 +86,11 @@ pub fn sentence(measured: &Measured) -> String {
         None => format!("{name} silent"),
     });
     let layers: Vec<String> = layers.collect();
-    format!("classes agree in {:.4}, coincidence {}", measured.distance.class_agreement, layers.join(", "))
+    let classes = measured
+        .distance
+        .class_agreement
+        .map_or("no class is compared".to_string(), |share| format!("classes agree in {share:.4}"));
+    format!("{classes}, coincidence {}", layers.join(", "))
 }
 
 impl Job {

@@ -19,6 +19,7 @@ use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
 use crate::agree::causes::{Cause, Rung};
+use crate::agree::classes::ClassTally;
 use crate::agree::compare::output_layer;
 use crate::agree::ladder::Ladder;
 use crate::agree::metrics::{TrainSums, coincidence};
@@ -86,8 +87,8 @@ named_variants!(Stage {
 /// How near a conversion is on the calibration samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConversionScore {
-    /// Share of samples with the class of the trained network.
-    pub class_agreement: f64,
+    /// The classes of the trained network and of the converted one.
+    pub classes: ClassTally,
     /// Coincidence factor over all layers.
     pub coincidence: f64,
     /// The mean of the layers' coincidence factors.
@@ -99,7 +100,7 @@ pub struct ConversionScore {
 impl ConversionScore {
     /// What is minimised: wrong classes, wrong counts of the output, spikes that do not coincide.
     fn distance(&self) -> f64 {
-        2.0 * (1.0 - self.class_agreement) + self.count_error + (1.0 - self.mean_coincidence)
+        2.0 * (1.0 - self.classes.kept()) + self.count_error + (1.0 - self.mean_coincidence)
     }
 }
 
@@ -413,7 +414,7 @@ fn scored(
     samples: &[&Sample],
     trained: &[Trace],
 ) -> ConversionScore {
-    let each: Vec<(Vec<TrainSums>, bool)> = samples
+    let each: Vec<(Vec<TrainSums>, (Option<u32>, Option<u32>))> = samples
         .par_iter()
         .zip(trained)
         .map(|(sample, trained)| {
@@ -423,19 +424,18 @@ fn scored(
                 comparison.add(0, layer, trained, &machine, -1);
                 comparison.tally
             };
-            (layers.iter().map(sums).collect(), trained.class(output) == machine.class(output))
+            (layers.iter().map(sums).collect(), (trained.class(output), machine.class(output)))
         })
         .collect();
-    let (mut by_layer, mut same) = (vec![TrainSums::default(); layers.len()], 0usize);
-    for (sums, agrees) in &each {
+    let mut by_layer = vec![TrainSums::default(); layers.len()];
+    for (sums, _) in &each {
         by_layer.iter_mut().zip(sums).for_each(|(all, sums)| all.merge(sums));
-        same += usize::from(*agrees);
     }
     let mut all = TrainSums::default();
     by_layer.iter().for_each(|sums| all.merge(sums));
     let last = layers.iter().position(|layer| layer == output).map_or(all, |place| by_layer[place]);
     ConversionScore {
-        class_agreement: same as f64 / samples.len().max(1) as f64,
+        classes: ClassTally::new(each.iter().map(|(_, classes)| *classes)),
         coincidence: all.coincidence(),
         mean_coincidence: by_layer.iter().map(TrainSums::coincidence).sum::<f64>() / by_layer.len().max(1) as f64,
         count_error: last.count_error(),

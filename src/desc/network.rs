@@ -19,6 +19,7 @@ pub use super::tensor::ArrayRef;
 use super::tensor::{Numbers, Tensor};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use crate::base::fixed::SignMode;
+use crate::base::names::named_variants;
 use crate::base::shared::Shared;
 
 /// Where an array of weights or parameters comes from.
@@ -512,6 +513,27 @@ pub enum WeightRounding {
     Floor,
 }
 
+/// What of the output population decides a sample.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum ReadOut {
+    /// The output with most spikes.
+    #[default]
+    Spikes,
+    /// The output whose potential v is greatest in any step.
+    GreatestV,
+    /// The output whose potentials of all steps have the greatest sum.
+    SumOfV,
+    /// The output whose potential is greatest after the last step.
+    LastV,
+}
+
+named_variants!(ReadOut {
+    Spikes = "spikes",
+    GreatestV = "greatest_v",
+    SumOfV = "sum_of_v",
+    LastV = "last_v",
+});
+
 /// u and v of each population return to zero before the updates of steps `start_step + offset + k * interval`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -535,8 +557,11 @@ pub struct NetworkFile {
     pub populations: Vec<Spanned<PopulationDesc>>,
     /// Projections in order.
     pub projections: Vec<Spanned<ProjectionDesc>>,
-    /// The population whose spikes decide.
+    /// The population that decides.
     pub output: Spanned<String>,
+    /// What of it decides.
+    #[serde(default)]
+    pub decision: ReadOut,
     /// Names of the classes, one for each output compartment.
     pub classes: Option<Spanned<Vec<String>>>,
     /// Periodic reset.

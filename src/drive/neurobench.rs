@@ -132,13 +132,8 @@ impl NeuroBench {
         samples: &[&Sample],
         mut run: impl FnMut(&[&Sample], &Keep) -> Result<(Vec<Outcome>, SourceCounts)>,
     ) -> Result<NeuroBench> {
-        let output = &network.populations()[network.parts().output];
         let voltages = Probe { first: Id::new(0), count: network.compartments(), quantity: Quantity::V };
-        let keep = Keep {
-            output: (output.first_compartment().unwrap_or_else(|| Id::new(0)), output.shape.len()),
-            probes: vec![voltages],
-            early_exit: None,
-        };
+        let keep = Keep { output: network.output(), probes: vec![voltages], early_exit: None };
         let (mut plain, mut graded, mut updates, mut spikes, mut timesteps) = (0, 0, 0, 0, 0);
         let mut right = Some(0u32);
         for group in groups(samples, network.compartments() as usize) {

@@ -13,6 +13,7 @@ use super::Outcome;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, Id};
 use crate::ir::activity::{Activity, Overflow, Totals};
+use crate::ir::potentials::Potentials;
 use crate::ir::program::Program;
 use crate::ir::source_counts::{LeftField, SourceCounts};
 use crate::machine::ranks::transport::Ranks;
@@ -116,6 +117,8 @@ pub(super) fn to_words(
         list(&mut words, &first.map_or(Vec::new(), |(step, id)| vec![step.into(), id.0.into()]));
         let spikes = outcome.spikes.iter().filter(|_| with_outputs);
         list(&mut words, &spikes.flat_map(|&(step, output)| [step.into(), output.into()]).collect::<Vec<u64>>());
+        let known = outcome.potentials.iter().flat_map(Potentials::known);
+        list(&mut words, &known.flat_map(|(output, score)| [output.into(), score.to_bits()]).collect::<Vec<_>>());
         for probe in &outcome.probes {
             // Of a rank's compartments only, and mostly zero.
             let values = probe.iter().enumerate().filter(|(_, value)| **value != 0);
@@ -196,6 +199,11 @@ fn add_outcome(outcome: &mut Outcome, words: &mut Words<'_>) {
     }
     if !spikes.is_empty() {
         outcome.spikes.sort_unstable();
+    }
+    for known in words.list().chunks_exact(2) {
+        if let Some(potentials) = &mut outcome.potentials {
+            potentials.learn(known[0] as u32, f64::from_bits(known[1]));
+        }
     }
     for probe in &mut outcome.probes {
         for value in words.list().chunks_exact(2) {

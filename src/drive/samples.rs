@@ -7,10 +7,12 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use super::decision::Rule;
 use super::ranks::{Found, RankRow, merge_words, part_of, peak_mib, to_words};
 use super::{Keep, Outcome, Passed, Probe, Quantity, run_copies, run_sample};
 use crate::base::diagnostic::Diagnostic;
 use crate::base::id::{CompartmentId, Id};
+use crate::desc::network::ReadOut;
 use crate::golden::Golden;
 use crate::ir::activity::{Activity, StepActivity};
 use crate::ir::firing_rates::Rates;
@@ -139,13 +141,18 @@ fn on_ranks<M: Meter>(
     new_meter: impl Fn() -> M + Sync,
 ) -> Result<Run<M>, Diagnostic> {
     let Running { keep, copies, skip, per_step, progress, .. } = running;
+    let margin = keep.early_exit.as_ref().is_some_and(|exit| matches!(exit.rule, Rule::Margin(_)));
+    if margin && keep.output.decision != ReadOut::Spikes {
+        let message = "potentials decide this model, and no one of several processes has them all";
+        return Err(Diagnostic::new("run.early-exit", message).help("run it in one process, or without an early exit"));
+    }
     let begin = Instant::now();
     let part = part_of(program, ranks)?;
     let here = RankRow::here(&part, ranks.rank());
     let shards = if here.synapses > SHARED { rayon::current_num_threads() } else { 1 };
     let image = laid_out(&part, Division { shards, in_turn: true })?;
     // Whoever decides has to see all outputs.
-    let shown = keep.early_exit.as_ref().map(|_| keep.output);
+    let shown = keep.early_exit.as_ref().map(|_| (keep.output.first, keep.output.count));
     let is_first = ranks.rank() == 0;
     let run_all = || {
         let mut machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);

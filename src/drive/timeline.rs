@@ -140,13 +140,8 @@ impl Timeline {
                 Raster { population, units, every: units.div_ceil(MOST_UNITS).max(1), spikes: Vec::new(), cut: false }
             })
             .collect();
-        let output = &network.populations()[network.parts().output];
         let probe = |&first: &CompartmentId| Probe { first, count: 1, quantity: Quantity::V };
-        let keep = Keep {
-            output: (output.first_compartment().unwrap_or(CompartmentId(0)), output.shape.len()),
-            probes: potentials.iter().map(probe).collect(),
-            early_exit: None,
-        };
+        let keep = Keep { output: network.output(), probes: potentials.iter().map(probe).collect(), early_exit: None };
         let running =
             Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
         let meter = || Watch {

@@ -5,8 +5,9 @@
 //! share of the threshold that it reached is the change to make.
 
 use crate::base::diagnostic::Result;
+use crate::base::fixed::ThresholdMantissa;
 use crate::base::id::{CompartmentId, PopulationId};
-use crate::desc::network::ThresholdTest;
+use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::drive::populations::{ByPopulation, PopulationCounts};
 use crate::drive::samples::{Running, fast};
 use crate::drive::{Keep, Outcome};
@@ -92,8 +93,14 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
     let (nearest, first) = (nearest(run, &silent), first_overflow(run));
     for &(id, row) in &rows {
         let is_output = id == network.parts().output;
+        let by_potential = is_output && network.parts().decision != ReadOut::Spikes;
         let mut add = |code, message| found.push(Warning { code, population: Some(row.name.clone()), message });
-        if let Some(place) = silent.iter().position(|&silent| silent == id) {
+        if by_potential {
+            // That such an output never spikes is as it should be.
+            if let Some(message) = still(run, id) {
+                add("silent-output", message);
+            }
+        } else if let Some(place) = silent.iter().position(|&silent| silent == id) {
             let change = wake(run, id, nearest.get(place).copied().flatten());
             let what = if is_output { "the output never spikes, so that no sample is decided" } else { "never spikes" };
             add(if is_output { "silent-output" } else { "silent-population" }, format!("{what}: {change}"));
@@ -134,8 +141,17 @@ fn counted(number: u64, thing: &str) -> String {
     format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
-/// What makes a silent population fire.
-fn wake(run: Finished<'_>, id: PopulationId, nearest: Option<Nearest>) -> String {
+/// Why the potentials of the output that they should decide by never leave zero.
+fn still(run: Finished<'_>, id: PopulationId) -> Option<String> {
+    let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
+    let why =
+        || unreached(run, id).unwrap_or_else(|| "the weights that lead to it round to zero; raise them".to_string());
+    let what = "the potentials of the output never leave 0, so that no sample is decided";
+    (!decided && !run.outcomes.is_empty()).then(|| format!("{what}: {}", why()))
+}
+
+/// Why nothing reaches a population; `None` where something does.
+fn unreached(run: Finished<'_>, id: PopulationId) -> Option<String> {
     let network = run.network;
     let populations = network.populations();
     let mut sources: Vec<PopulationId> =
@@ -152,11 +168,30 @@ fn wake(run: Finished<'_>, id: PopulationId, nearest: Option<Nearest>) -> String
         Units::Input(_) => false,
     };
     if sources.is_empty() && !biased {
-        return "no projection leads to it; add one, or a bias".to_string();
+        return Some("no projection leads to it; add one, or a bias".to_string());
     }
     if !sources.is_empty() && !sources.iter().any(fired) && !biased {
         let names: Vec<String> = sources.iter().take(LISTED).map(|&s| format!("'{}'", populations[s].name)).collect();
-        return format!("nothing reaches it while {} is silent; look there first", names.join(" and "));
+        let are = if names.len() == 1 { "is" } else { "are" };
+        return Some(format!("nothing reaches it while {} {are} silent; look there first", names.join(" and ")));
+    }
+    None
+}
+
+/// What makes a silent population fire.
+fn wake(run: Finished<'_>, id: PopulationId, nearest: Option<Nearest>) -> String {
+    let network = run.network;
+    if let Some(why) = unreached(run, id) {
+        return why;
+    }
+    let integrates = |units: &Units| match units {
+        Units::Compartments { neurons, .. } => !neurons.any(|neuron| neuron.vth != ThresholdMantissa::MAX),
+        Units::Input(_) => false,
+    };
+    if id == network.parts().output && integrates(&network.populations()[id].units) {
+        return "its thresholds are the greatest, as those of a layer that is read out by its potential: write `decision: \
+                GreatestV` (or SumOfV, LastV) into the model, or try it with --set decision=GreatestV"
+            .to_string();
     }
     match (nearest, run.ran) {
         (Some(nearest), _) if nearest.potential <= 0 => {

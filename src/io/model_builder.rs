@@ -16,8 +16,8 @@ use super::write;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::base::fixed::SignMode;
 use crate::desc::network::{
-    ArrayRef, Network, NetworkFile, ParameterValue, PopulationDesc, ProjectionDesc, ResetDesc, Semantics, Source,
-    SparseDesc, ThresholdTest, WeightRounding,
+    ArrayRef, Network, NetworkFile, ParameterValue, PopulationDesc, ProjectionDesc, ReadOut, ResetDesc, Semantics,
+    Source, SparseDesc, ThresholdTest, WeightRounding,
 };
 use crate::desc::neurons::NeuronKind;
 use crate::desc::spanned::Spanned;
@@ -196,8 +196,10 @@ pub struct ModelBuilder {
     pub populations: Vec<PopulationBuilder>,
     /// Projections in order.
     pub projections: Vec<ProjectionBuilder>,
-    /// The population whose spikes decide.
+    /// The population that decides.
     pub output: String,
+    /// What of it decides.
+    pub decision: ReadOut,
     /// Names of the classes.
     pub classes: Vec<String>,
     /// Periodic reset.
@@ -318,6 +320,7 @@ impl ModelBuilder {
             }
         }
         model.output = file.output.value.clone();
+        model.decision = file.decision;
         model.classes = file.classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone());
         model.reset = file.reset.as_ref().map(|reset| reset.value);
         model.threshold = file.threshold;
@@ -358,6 +361,7 @@ impl ModelBuilder {
             let _ = writeln!(out, "    reset: (interval: {}, offset: {}),", reset.interval, reset.offset);
         }
         let settings = [
+            ("decision", unless_default(&self.decision)),
             ("threshold", unless_default(&self.threshold)),
             ("semantics", unless_default(&self.semantics)),
             ("weight_rounding", unless_default(&self.weight_rounding)),

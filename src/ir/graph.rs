@@ -11,7 +11,7 @@ use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
 
 use crate::base::diagnostic::{SourceText, Span};
 use crate::base::fixed::{Delay, Payload, SignMode};
-use crate::desc::network::{ResetDesc, Semantics, ThresholdTest, WeightRounding};
+use crate::desc::network::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::desc::neurons::NeuronKind;
 use crate::desc::spanned::Spanned;
 use crate::desc::tensor::{Numbers, Tensor};
@@ -357,6 +357,8 @@ pub struct NetworkFacts {
     pub source: SourceText,
     /// Milliseconds that a timestep stands for.
     pub timestep_ms: f64,
+    /// What of the output population decides.
+    pub decision: ReadOut,
     /// Names of classes, one for each output compartment, or none.
     pub classes: Vec<String>,
     /// Periodic reset.
@@ -417,7 +419,7 @@ impl Graph {
         &self.graph[node]
     }
 
-    /// The population whose spikes decide.
+    /// The population that decides.
     #[must_use]
     pub fn output(&self) -> NodeIndex {
         self.output

@@ -154,6 +154,8 @@ impl CoreGroups {
             populations: populations.into(),
             graded,
             output: whole.output,
+            decision: whole.decision,
+            output_start: whole.output_start,
             semantics: whole.semantics,
             threshold: whole.threshold,
             reset: whole.reset,

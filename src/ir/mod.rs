@@ -10,6 +10,7 @@ pub mod graph;
 pub mod groups;
 pub mod partition;
 pub mod placement;
+pub mod potentials;
 pub mod program;
 pub mod pruned;
 pub mod quantised;

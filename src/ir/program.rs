@@ -17,12 +17,12 @@ use crate::base::csr::Csr;
 use crate::base::fixed::{Delay, Payload, WEIGHT_SHIFT};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::shared::Shared;
-use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::network::{ReadOut, Semantics, ThresholdTest};
 use crate::ir::dealt::Dealt;
 use crate::ir::partition::Seat;
 use crate::ir::placement::{Mesh, Site};
 use crate::ir::quantised::connectivity::SynapseFormat;
-use crate::ir::quantised::{Neuron, Population, Reset};
+use crate::ir::quantised::{Neuron, Output, Population, Reset};
 
 /// An input axon of a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -326,8 +326,12 @@ pub struct Parts {
     pub populations: IdVec<PopulationId, Option<Compartments>>,
     /// Sources of graded spikes, ascending; all others send binary spikes.
     pub graded: Vec<Graded>,
-    /// The population whose spikes decide.
+    /// The population that decides.
     pub output: PopulationId,
+    /// What of it decides.
+    pub decision: ReadOut,
+    /// The step before which it is held at zero.
+    pub output_start: u32,
     /// Which arithmetic.
     pub semantics: Semantics,
     /// When a compartment spikes.
@@ -521,6 +525,8 @@ impl Program {
             populations: whole.populations.clone(),
             graded: whole.graded.clone(),
             output: whole.output,
+            decision: whole.decision,
+            output_start: whole.output_start,
             semantics: whole.semantics,
             threshold: whole.threshold,
             reset: whole.reset,
@@ -574,9 +580,10 @@ impl Program {
     /// # Panics
     /// Never: the constructor has checked it.
     #[must_use]
-    pub fn output(&self) -> (CompartmentId, u32) {
+    pub fn output(&self) -> Output {
         let output = self.parts.populations[self.parts.output].expect("checked by the constructor");
-        (output.first, output.count)
+        let Parts { decision, output_start: start_step, .. } = self.parts;
+        Output { first: output.first, count: output.count, decision, start_step }
     }
 
     /// Number of compartments.

@@ -263,6 +263,10 @@ pub trait Engine {
     fn u(&self, compartment: CompartmentId) -> i32;
     /// The membrane after the last step: 0 at a spike and while refractory.
     fn v(&self, compartment: CompartmentId) -> i32;
+    /// The membrane as a number of the engine's own: not rounded where it computes in real numbers.
+    fn potential(&self, compartment: CompartmentId) -> f64 {
+        self.v(compartment).into()
+    }
     /// What a probe of the chip's voltage register reads: the refractory counter while it is running
     /// (`docs/semantics.md`, probes), the membrane otherwise.
     fn v_register(&self, compartment: CompartmentId) -> i32;

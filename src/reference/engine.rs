@@ -392,6 +392,10 @@ impl<F: Real> Engine for Reference<'_, F> {
         self.potential(compartment).round() as i32
     }
 
+    fn potential(&self, compartment: CompartmentId) -> f64 {
+        Reference::potential(self, compartment)
+    }
+
     /// There is no register: the same as `v`.
     fn v_register(&self, compartment: CompartmentId) -> i32 {
         self.v(compartment)

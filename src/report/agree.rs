@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of, wrapped};
 use crate::agree::attribution::{Attribution, LayerLoss, Share};
 use crate::agree::causes::Cause;
+use crate::agree::classes::ClassTally;
 use crate::agree::compare::{Agreement, LayerRow};
 use crate::compile::frontend::analytic::Fit;
 use crate::convert::search::{ConversionScore, SearchResult};
@@ -25,8 +26,8 @@ pub struct AgreeReport<'a> {
     pub seed: Option<u64>,
     /// How many.
     pub samples: usize,
-    /// Samples of the same class; none when no classes are known of the first.
-    pub same_class: Option<usize>,
+    /// The classes of the two; none when those of the first are not known.
+    pub classes: Option<ClassTally>,
     /// Share of right classes of the two, when samples have labels.
     pub accuracy: Option<(f64, f64)>,
     /// Layer by layer.
@@ -55,7 +56,7 @@ impl<'a> AgreeReport<'a> {
             input,
             seed,
             samples,
-            same_class: agreement.same_class,
+            classes: agreement.classes,
             accuracy: agreement.accuracy,
             layers: &agreement.layers,
             found: None,
@@ -78,8 +79,18 @@ pub fn named_fits(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
 pub fn nothing() -> Value {
     json!({
         "schema": "nsim.agree/1", "model": null, "target": null, "fits": false, "reasons": [], "samples": 0,
-        "class_agreement": null, "layers": [], "conversion": null, "attribution": [],
+        "compared": 0, "class_agreement": null, "layers": [], "conversion": null, "attribution": [],
     })
+}
+
+/// How often classes agree, and how many samples are not compared.
+pub(super) fn classes_text(classes: &ClassTally) -> String {
+    let undecided = classes.undecided();
+    let rest = if undecided.is_empty() { String::new() } else { format!("; not compared: {undecided}") };
+    match classes.agreement() {
+        Some(share) => format!("classes agree in {share:.4} of {}{rest}", count(classes.compared as u64, "sample")),
+        None => format!("no sample is decided by both, so that no class is compared{rest}"),
+    }
 }
 
 /// Digits that a figure is good for.
@@ -119,7 +130,7 @@ pub(super) fn layer_json(row: &LayerRow) -> Value {
 
 fn score_json(score: &ConversionScore) -> Value {
     json!({
-        "class_agreement": rounded(score.class_agreement),
+        "class_agreement": score.classes.agreement().map(rounded),
         "coincidence": rounded(score.coincidence),
         "count_error": rounded(score.count_error),
     })
@@ -143,22 +154,22 @@ const SHARE_COLUMNS: [Column<Share>; 8] = [
     ("forward", |share| four(share.forward)),
     ("reversed", |share| four(share.reversed)),
     ("interaction", |share| four(share.interaction())),
-    ("classes agree", |share| four(share.rung.class_agreement)),
+    ("classes agree", |share| or_empty(share.rung.class_agreement.map(four))),
     ("coincidence", |share| four(share.rung.coincidence)),
     ("potential rmse", |share| or_empty(share.rung.potential_rmse.map(four))),
 ];
 
 impl AgreeReport<'_> {
-    /// Share of samples with the same class.
+    /// Share of samples with the same class, of those that both decide.
     #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
-        self.same_class.map(|same| same as f64 / self.samples.max(1) as f64)
+        self.classes.and_then(|classes| classes.agreement())
     }
 
     fn share_json(share: &Share) -> Value {
         json!({
             "cause": share.cause.name(),
-            "class_agreement": rounded(share.rung.class_agreement),
+            "class_agreement": share.rung.class_agreement.map(rounded),
             "coincidence": rounded(share.rung.coincidence),
             "potential_rmse": share.rung.potential_rmse.map(rounded),
             "share": rounded(share.share),
@@ -199,6 +210,7 @@ impl AgreeReport<'_> {
             "input": self.input,
             "seed": self.seed,
             "samples": self.samples,
+            "compared": self.classes.map(|classes| classes.compared),
             "class_agreement": self.class_agreement().map(rounded),
             "accuracy_a": self.accuracy.map(|(a, _)| rounded(a)),
             "accuracy_b": self.accuracy.map(|(_, b)| rounded(b)),
@@ -248,7 +260,7 @@ impl AgreeReport<'_> {
             let score = |score: &ConversionScore| {
                 format!(
                     "class agreement {:.4}, coincidence {:.4}, output counts off by {:.2} %",
-                    score.class_agreement,
+                    score.classes.kept(),
                     score.coincidence,
                     100.0 * score.count_error
                 )
@@ -283,8 +295,9 @@ impl AgreeReport<'_> {
         let mut out = format!("{}, {} of {}", self.model, count(self.samples as u64, "sample"), self.input.join(" "));
         out += &self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
         out += &format!("; a: {}, b: on simulated cores.\n\n", self.against);
-        if let Some(agreement) = self.class_agreement() {
-            out += &format!("Classes agree in {agreement:.4}");
+        if let Some(classes) = &self.classes {
+            let said = classes_text(classes);
+            out += &format!("{}{}", said[..1].to_uppercase(), &said[1..]);
             out += &self.accuracy.map_or(String::new(), |(a, b)| format!("; accuracy {a:.4} (a), {b:.4} (b)"));
             out += ".\n\n";
         }
@@ -296,7 +309,7 @@ impl AgreeReport<'_> {
             for (name, score) in [("analytic start", &found.start), ("search", &found.end)] {
                 out += &format!(
                     "| {name} | {:.4} | {:.4} | {:.2} % |\n",
-                    score.class_agreement,
+                    score.classes.kept(),
                     score.coincidence,
                     100.0 * score.count_error
                 );
@@ -362,8 +375,8 @@ impl AgreeReport<'_> {
         if self.layers.iter().any(|row| row.shift != 0) {
             out += "shift: steps by which b answers later than a (negative: earlier); removed before comparing\n";
         }
-        if let Some(agreement) = self.class_agreement() {
-            out += &format!("\nclasses agree in {:.4} of {}\n", agreement, count(self.samples as u64, "sample"));
+        if let Some(classes) = &self.classes {
+            out += &format!("\n{}\n", classes_text(classes));
         }
         if let Some((a, b)) = self.accuracy {
             out += &format!("accuracy {a:.4} (a), {b:.4} (b)\n");

@@ -31,7 +31,7 @@ fn rounded(x: f64) -> f64 {
 const STAGES: [Column<StageRow>; 7] = [
     ("stage", |row| row.name.clone()),
     ("kept", |row| if row.kept { "yes" } else { "no" }.to_string()),
-    ("classes agree", |row| four(row.distance.class_agreement)),
+    ("classes agree", |row| or_empty(row.distance.class_agreement.map(four))),
     ("coincidence", |row| four(row.distance.coincidence)),
     ("gain", |row| or_empty(row.gain.map(four))),
     ("left to gain", |row| or_empty(row.left.map(four))),
@@ -40,7 +40,7 @@ const STAGES: [Column<StageRow>; 7] = [
 
 const LEFT: [Column<Left>; 4] = [
     ("real numbers in place of", |left| left.cause.name().to_string()),
-    ("classes agree", |left| four(left.without.class_agreement)),
+    ("classes agree", |left| or_empty(left.without.class_agreement.map(four))),
     ("coincidence", |left| four(left.without.coincidence)),
     ("potential rmse", |left| or_empty(left.without.potential_rmse.map(four))),
 ];
@@ -64,7 +64,7 @@ fn exponents(layer: &LayerLoss) -> String {
 
 fn distance(distance: &Distance) -> Value {
     json!({
-        "class_agreement": rounded(distance.class_agreement),
+        "class_agreement": distance.class_agreement.map(rounded),
         "coincidence": rounded(distance.coincidence),
         "potential_rmse": distance.potential_rmse.map(rounded),
     })
@@ -157,7 +157,7 @@ impl ConvertReport<'_> {
             "stages": self.done.converted.stages.iter().map(stage).collect::<Vec<_>>(),
             "layers": self.done.converted.layers.iter().map(layer).collect::<Vec<_>>(),
             "left": self.done.converted.left.iter().map(left).collect::<Vec<_>>(),
-            "class_agreement": rounded(self.done.converted.calibration.distance.class_agreement),
+            "class_agreement": self.done.converted.calibration.distance.class_agreement.map(rounded),
             "calibration": measured(&self.done.converted.calibration),
             "held_out": self.done.held_out.as_ref().map(measured),
             "fine_tune": self.tuned.map(Tuned::json),

@@ -3,10 +3,12 @@
 use serde_json::{Value, json};
 
 use super::text::count;
+use crate::desc::network::ReadOut;
 use crate::drive::decision::Rule;
 use crate::drive::neurobench::NeuroBench;
 use crate::drive::{Outcome, accuracy, digest};
 use crate::ir::activity::{Activity, Overflow, Totals};
+use crate::ir::potentials::Potentials;
 use crate::ir::quantised::Quantised;
 use crate::report::detail::Detail;
 use crate::report::map::pruned_json;
@@ -49,8 +51,8 @@ pub struct RunReport<'a> {
 pub fn nothing(engine: &str) -> Value {
     json!({
         "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
-        "samples": 0, "timesteps": 0, "predicted": [], "labels": null, "accuracy": null, "output_counts": [],
-        "digest": null, "activity": null, "skipped": null, "overflow": null, "decided_at": [], "wall_s": null,
+        "samples": 0, "timesteps": 0, "predicted": [], "decision": null, "undecided": 0, "labels": null, "accuracy": null, "output_counts": [],
+        "output_scores": null, "digest": null, "activity": null, "skipped": null, "overflow": null, "decided_at": [], "wall_s": null,
         "us_per_timestep": null, "populations": [], "inputs": [], "cores": [], "warnings": [],
     })
 }
@@ -86,6 +88,11 @@ fn neurobench_text(metrics: &NeuroBench) -> String {
     out
 }
 
+/// A potential, or a sum of them: whole in integers.
+fn score_text(score: f64) -> String {
+    if score.fract() == 0.0 { format!("{score:.0}") } else { format!("{score:.4}") }
+}
+
 impl RunReport<'_> {
     fn labels(&self) -> Option<Vec<u32>> {
         self.labels.iter().copied().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())
@@ -93,6 +100,11 @@ impl RunReport<'_> {
 
     fn accuracy(&self) -> Option<f64> {
         accuracy(self.outcomes, self.labels.iter().copied())
+    }
+
+    /// Samples without a class.
+    fn undecided(&self) -> usize {
+        self.outcomes.iter().filter(|outcome| outcome.class().is_none()).count()
     }
 
     fn timesteps(&self) -> u64 {
@@ -186,9 +198,13 @@ impl RunReport<'_> {
             "samples": self.outcomes.len(),
             "timesteps": self.timesteps(),
             "predicted": self.outcomes.iter().map(Outcome::class).collect::<Vec<_>>(),
+            "decision": self.network.parts().decision.name(),
+            "undecided": self.undecided(),
             "labels": self.labels(),
             "accuracy": self.accuracy(),
             "output_counts": self.outcomes.iter().map(|outcome| &outcome.counts).collect::<Vec<_>>(),
+            "output_scores": self.outcomes.iter()
+                .map(|outcome| outcome.potentials.as_ref().map(Potentials::scores)).collect::<Option<Vec<_>>>(),
             "digest": digest(self.outcomes),
             "activity": {
                 "spikes_in": totals.spikes_in,
@@ -268,10 +284,19 @@ impl RunReport<'_> {
         }
         out += &format!("\n{}, {}\n\n", count(self.outcomes.len() as u64, "sample"), count(steps, "timestep"));
         const SHOWN: usize = 12;
-        out += &format!("{:>7} {:>12} {:>12}  spikes of outputs\n", "sample", "label", "predicted");
+        let scores = match parts.decision {
+            ReadOut::Spikes => "spikes of outputs",
+            ReadOut::GreatestV => "greatest v of outputs",
+            ReadOut::SumOfV => "sum of v of outputs",
+            ReadOut::LastV => "last v of outputs",
+        };
+        out += &format!("{:>7} {:>12} {:>12}  {scores}\n", "sample", "label", "predicted");
         for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).take(SHOWN).enumerate() {
             let label = if label.is_some() { self.class_name(label) } else { "-".to_string() };
-            let counts: Vec<String> = outcome.counts.iter().take(24).map(ToString::to_string).collect();
+            let counts: Vec<String> = match &outcome.potentials {
+                Some(potentials) => potentials.scores().iter().take(24).map(|score| score_text(*score)).collect(),
+                None => outcome.counts.iter().take(24).map(ToString::to_string).collect(),
+            };
             let more = if outcome.counts.len() > 24 { " .." } else { "" };
             out += &format!(
                 "{sample:>7} {label:>12} {:>12}  {}{more}\n",
@@ -282,6 +307,9 @@ impl RunReport<'_> {
         if self.outcomes.len() > SHOWN {
             out +=
                 &format!("{:>7} {} more; all of them with --format csv or json\n", "..", self.outcomes.len() - SHOWN);
+        }
+        if self.undecided() > 0 {
+            out += &format!("\nundecided {} of {}\n", self.undecided(), count(self.outcomes.len() as u64, "sample"));
         }
         out += &self.early_exit_text();
         out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");

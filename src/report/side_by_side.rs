@@ -23,8 +23,12 @@ pub struct Compared {
 }
 
 impl Compared {
-    fn class_agreement(&self, samples: usize) -> Option<f64> {
-        self.agreement.same_class.map(|same| same as f64 / samples.max(1) as f64)
+    fn class_agreement(&self) -> Option<f64> {
+        self.agreement.classes.and_then(|classes| classes.agreement())
+    }
+
+    fn compared(&self) -> Option<usize> {
+        self.agreement.classes.map(|classes| classes.compared)
     }
 }
 
@@ -47,6 +51,7 @@ pub struct SideBySideReport<'a> {
 struct Row {
     against: String,
     accuracy: Option<f64>,
+    compared_samples: Option<usize>,
     class_agreement: Option<f64>,
     layer: String,
     spikes: u64,
@@ -63,10 +68,11 @@ impl Row {
     }
 }
 
-const COLUMNS: [Column<Row>; 9] = [
+const COLUMNS: [Column<Row>; 10] = [
     ("network", |row| row.against.clone()),
     ("accuracy", |row| or_empty(row.accuracy.map(four))),
     ("classes agree", |row| or_empty(row.class_agreement.map(four))),
+    ("of samples", |row| or_empty(row.compared_samples)),
     ("layer", |row| row.layer.clone()),
     ("spikes", |row| row.spikes.to_string()),
     ("coincidence", |row| row.figure(|row| row.comparison.tally.coincidence())),
@@ -81,7 +87,7 @@ impl SideBySideReport<'_> {
     /// The least share of samples of the same class.
     #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
-        let each = self.networks.iter().map(|network| network.class_agreement(self.samples));
+        let each = self.networks.iter().map(|network| network.class_agreement());
         each.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)
     }
 
@@ -101,6 +107,7 @@ impl SideBySideReport<'_> {
             network.agreement.layers.iter().map(|row| Row {
                 against: "as trained".to_string(),
                 accuracy: network.agreement.accuracy.map(|(trained, _)| trained),
+                compared_samples: None,
                 class_agreement: None,
                 layer: row.name.clone(),
                 spikes: row.comparison.tally.spikes_a,
@@ -111,7 +118,8 @@ impl SideBySideReport<'_> {
             network.agreement.layers.iter().map(|row| Row {
                 against: network.against.clone(),
                 accuracy: network.agreement.accuracy.map(|(_, deployed)| deployed),
-                class_agreement: network.class_agreement(self.samples),
+                compared_samples: network.compared(),
+                class_agreement: network.class_agreement(),
                 layer: row.name.clone(),
                 spikes: row.comparison.tally.spikes_b,
                 compared: Some(row.clone()),
@@ -135,7 +143,8 @@ impl SideBySideReport<'_> {
                 "against": network.against,
                 "model": network.name,
                 "cores": network.cores,
-                "class_agreement": network.class_agreement(self.samples),
+                "compared": network.compared(),
+                "class_agreement": network.class_agreement(),
                 "accuracy_a": network.agreement.accuracy.map(|(trained, _)| trained),
                 "accuracy_b": network.agreement.accuracy.map(|(_, deployed)| deployed),
             })
@@ -147,6 +156,7 @@ impl SideBySideReport<'_> {
             "input": self.input,
             "seed": self.seed,
             "samples": self.samples,
+            "compared": self.networks.iter().map(Compared::compared).min().flatten(),
             "class_agreement": self.class_agreement(),
             "networks": networks.collect::<Vec<_>>(),
             "layers": layers.collect::<Vec<_>>(),

@@ -12,7 +12,7 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::base::rng;
 use crate::compile::{CompileError, Options, compile};
-use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::network::{ReadOut, Semantics, ThresholdTest};
 use crate::desc::neurons::NeuronKind;
 use crate::desc::resource::Resource;
 use crate::desc::target::Target;
@@ -119,6 +119,7 @@ impl Plan {
             .into(),
             projections: self.links.iter().map(projection).collect::<Result<Vec<_>, _>>()?.into(),
             output: PopulationId(1),
+            decision: ReadOut::Spikes,
             classes: Vec::new(),
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,

@@ -5,14 +5,16 @@
 //! counts, energy and time are those of a whole run, digit for digit: what arrives does not depend on who receives it, and a step costs
 //! the same whenever the same compartments of the last populations move and fire in it, so that it is priced once for each such set.
 //!
-//! Left out on purpose: several copies, payloads, more than 64 compartments in last populations, runs of more steps than 4 MiB hold.
-//! Their variants are run whole.
+//! Left out on purpose: several copies, payloads, outputs whose potentials decide, more than 64
+//! compartments in last populations, runs of more steps than 4 MiB hold. Their variants are run
+//! whole.
 
 use std::sync::{Arc, Mutex};
 
 use crate::base::id::{CompartmentId, CoreId, Id, PopulationId};
 use crate::compile::Compiled;
 use crate::cost::{MeterSettings, StepCost, StepMeter};
+use crate::desc::network::ReadOut;
 use crate::drive::Outcome;
 use crate::drive::priced::{Metered, SampleRun};
 use crate::drive::samples::Run;
@@ -207,7 +209,8 @@ fn places(mut word: u64) -> impl Iterator<Item = usize> {
 fn last_of(compiled: &Compiled) -> Option<Vec<Last>> {
     let network = &compiled.one;
     let graded = network.populations().iter().any(|population| population.payload.is_some());
-    if compiled.options.copies != 1 || graded || network.pruned().is_some() {
+    let by_spikes = network.parts().decision == ReadOut::Spikes;
+    if compiled.options.copies != 1 || graded || network.pruned().is_some() || !by_spikes {
         return None;
     }
     let mut last = Vec::new();

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::base::diagnostic::SourceText;
-use crate::base::id::Id;
 use crate::bench::Environment;
 use crate::bench::early::{Trial, TrialRun};
 use crate::bench::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
@@ -145,9 +144,7 @@ fn trial(
         return Err(Error::Fault(format!("{model}: it was not made ready for real numbers")));
     };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let output_population = &quantised.populations()[quantised.parts().output];
-    let first = output_population.first_compartment().unwrap_or_else(|| Id::new(0));
-    let keep = Keep { output: (first, output_population.shape.len()), probes: Vec::new(), early_exit: None };
+    let keep = Keep { output: quantised.output(), probes: Vec::new(), early_exit: None };
     let (model, units) =
         (Model::<f64>::new(graph, Options::default()), (quantised.channels(), quantised.compartments()));
     let outcomes = output::with_progress(context, samples.len(), "samples", |progress| {

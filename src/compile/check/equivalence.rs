@@ -171,6 +171,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
         (found.populations.iter().copied().eq(populations), "list of populations"),
         (network.populations().iter().all(|p| carries_the_same(network, p, program)), "payload of a population"),
         (found.output == meant.output, "output population"),
+        (program.output() == network.output(), "decision"),
         (found.semantics == meant.semantics, "semantics"),
         (found.threshold == meant.threshold, "threshold test"),
         (found.reset == meant.reset, "reset"),

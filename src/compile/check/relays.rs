@@ -87,6 +87,7 @@ fn check_frame(original: &Quantised, relayed: &Quantised, later: &IdVec<Populati
         (meant.populations.len() <= found.populations.len(), "the list of populations"),
         (original.channels() == relayed.channels(), "the number of input channels"),
         (found.output == meant.output, "the output population"),
+        (found.decision == meant.decision, "the decision"),
         (found.semantics == meant.semantics && found.semantics == Semantics::Hardware, "the semantics"),
         (found.threshold == meant.threshold, "the threshold test"),
         (found.reset == meant.reset, "the reset"),

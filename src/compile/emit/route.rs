@@ -130,6 +130,8 @@ pub(super) fn assemble(
         populations,
         graded: graded(network),
         output: parts.output,
+        decision: parts.decision,
+        output_start: network.output().start_step,
         semantics: parts.semantics,
         threshold: parts.threshold,
         reset: parts.reset,

@@ -102,6 +102,7 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
         name: file.name.clone(),
         source: network.source().clone(),
         timestep_ms: file.timestep_ms.value,
+        decision: file.decision,
         classes,
         reset: file.reset.as_ref().map(|reset| reset.value),
         threshold: file.threshold,

@@ -90,6 +90,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         populations,
         projections,
         output: population_id(graph.output()),
+        decision: facts.decision,
         classes: facts.classes.clone(),
         semantics: facts.semantics,
         threshold: facts.threshold,

@@ -213,6 +213,7 @@ mod tests {
     use crate::compile::testing::{limits, random_network, target};
     use crate::compile::{DEFAULT_RATE, Front, place};
     use crate::ir::firing_rates::Rates;
+    use crate::ir::quantised::Parts;
 
     fn placed(seed: u64, copies: u32) -> (Placed, Target, Options) {
         let board = target(4, 2, limits().with(Resource::Compartments, 6 + seed as u32 % 40));
@@ -274,7 +275,8 @@ mod tests {
             assert_eq!(format!("{:?}", read.populations()), format!("{:?}", network.populations()), "seed {seed}");
             let frame = |network: &Quantised| {
                 let parts = network.parts();
-                (parts.output, parts.semantics, parts.threshold, parts.reset, parts.gathers, parts.timestep_ms)
+                let Parts { output, decision, semantics, threshold, reset, gathers, timestep_ms, .. } = *parts;
+                (output, decision, semantics, threshold, reset, gathers, timestep_ms)
             };
             assert_eq!(frame(&read), frame(&network));
             // Whatever words say, reading them ends and allocates no more than there is.

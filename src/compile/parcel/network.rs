@@ -23,7 +23,7 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, PopulationId};
 use crate::compile::error::CompileError;
 use crate::compile::parcel::words::{Damaged, Reader, Writer};
-use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::network::{ReadOut, Semantics, ThresholdTest};
 use crate::desc::neurons::NeuronKind;
 use crate::ir::graph::{PerCompartment, Shape, Window};
 use crate::ir::quantised::connectivity::{Connectivity, SynapseFormat};
@@ -73,6 +73,7 @@ pub fn write(network: &Quantised, wanted: Wanted<'_>, words: &mut Writer) {
     words.text(&parts.name);
     words.wide(parts.timestep_ms.to_bits());
     words.put(parts.output.0);
+    words.put(ReadOut::ALL.iter().position(|one| *one == parts.decision).unwrap_or(ReadOut::ALL.len()) as u32);
     texts(&parts.classes, words);
     words.put(SEMANTICS.iter().position(|one| *one == parts.semantics).unwrap_or(SEMANTICS.len()) as u32);
     words.put(TESTS.iter().position(|one| *one == parts.threshold).unwrap_or(TESTS.len()) as u32);
@@ -225,6 +226,7 @@ fn record(pruned: &Pruned, words: &mut Writer) {
 /// [`CompileError::Fault`].
 pub fn read(words: &mut Reader<'_>) -> Result<Quantised, CompileError> {
     let (name, timestep_ms, output) = (words.text()?, f64::from_bits(words.wide()?), PopulationId(words.take()?));
+    let decision = words.one_of(&ReadOut::ALL)?;
     let classes = read_texts(words)?;
     let (semantics, threshold) = (words.one_of(&SEMANTICS)?, words.one_of(&TESTS)?);
     let reset = match words.is_some()? {
@@ -244,6 +246,7 @@ pub fn read(words: &mut Reader<'_>) -> Result<Quantised, CompileError> {
         populations: populations.into(),
         projections: projections.into(),
         output,
+        decision,
         classes,
         semantics,
         threshold,

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use crate::base::fixed::{Delay, ThresholdMantissa};
-use crate::desc::network::ThresholdTest;
+use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::io::model_builder::{ModelBuilder, Parameter};
 
 /// The greatest threshold mantissa: what a compartment gets that should not spike.
@@ -23,6 +23,8 @@ pub struct Options {
     pub reset: Option<ResetMode>,
     /// When a compartment spikes, if not strictly above its threshold.
     pub threshold: Option<ThresholdTest>,
+    /// What of the output decides, if not what suits its neurons.
+    pub decision: Option<ReadOut>,
     /// An image to drive the input layer's bias.
     pub image: Option<PathBuf>,
     /// The step at which layer 0 starts, layer k starting k steps later.
@@ -126,6 +128,30 @@ pub(super) fn decimal(single: f64) -> f64 {
     let narrow = single as f32;
     let short = narrow.to_bits().trailing_zeros() >= 8;
     if short { single } else { narrow.to_string().parse().unwrap_or(single) }
+}
+
+impl Imported {
+    /// The same, decided by potentials where the output never spikes: by their sum where they
+    /// forget everything in a step, by the last where they forget nothing, else by the greatest.
+    #[must_use]
+    pub(super) fn read_out(mut self) -> Self {
+        let output = self.model.population(&self.model.output).and_then(|output| output.loihi.as_ref());
+        let parameter = |key: &str| output?.iter().find(|(given, _)| *given == key).map(|(_, value)| value);
+        if parameter("vth_mant") != Some(&Parameter::Same(NEVER)) {
+            return self;
+        }
+        let both = |value: f64| [parameter("du"), parameter("dv")].map(|own| own == Some(&Parameter::Same(value)));
+        self.model.decision = match (both(4096.0), both(0.0)) {
+            ([true, true], _) => ReadOut::SumOfV,
+            (_, [true, _] | [_, true]) => ReadOut::LastV,
+            _ => ReadOut::GreatestV,
+        };
+        self.notes.push(format!(
+            "'{}' never spikes, so its potential decides: {:?} (--decision says otherwise)",
+            self.model.output, self.model.decision
+        ));
+        self
+    }
 }
 
 /// Names for messages.

@@ -53,7 +53,9 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
         FileKind::Npy => slayer::read_set(path, options),
         kind => Err(unknown(path, &bytes, kind)),
     };
-    imported.map_err(|problem| problem.or_in_file(path))
+    let mut imported = imported.map_err(|problem| problem.or_in_file(path))?;
+    imported.model.decision = options.decision.unwrap_or(imported.model.decision);
+    Ok(imported)
 }
 
 fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {

@@ -13,7 +13,7 @@ use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Payload, Refractory, ThresholdMantissa, VmaxExponent, VminExponent,
 };
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
-use crate::desc::network::{Semantics, ThresholdTest};
+use crate::desc::network::{ReadOut, Semantics, ThresholdTest};
 use crate::desc::neurons::NeuronKind;
 use crate::ir::graph::{PerCompartment, Shape};
 use crate::ir::pruned;
@@ -177,6 +177,19 @@ impl Reset {
     }
 }
 
+/// The compartments that decide a sample, and what of them does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Output {
+    /// The first compartment.
+    pub first: CompartmentId,
+    /// Number of compartments.
+    pub count: u32,
+    /// What of them decides.
+    pub decision: ReadOut,
+    /// The step before which they are held at zero, and do not decide.
+    pub start_step: u32,
+}
+
 /// What the parts of a [`Quantised`] network are made from.
 #[derive(Debug, Clone)]
 pub struct Parts {
@@ -188,8 +201,10 @@ pub struct Parts {
     pub populations: IdVec<PopulationId, Population>,
     /// Projections in the order of the file.
     pub projections: IdVec<ProjectionId, Projection>,
-    /// The population whose spikes decide.
+    /// The population that decides.
     pub output: PopulationId,
+    /// What of it decides.
+    pub decision: ReadOut,
     /// Names of classes, or none.
     pub classes: Vec<String>,
     /// Which arithmetic.
@@ -214,6 +229,7 @@ impl Parts {
             populations: Default::default(),
             projections: Default::default(),
             output: PopulationId(0),
+            decision: ReadOut::Spikes,
             classes: Vec::new(),
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,
@@ -392,6 +408,21 @@ impl Quantised {
     #[must_use]
     pub fn parts(&self) -> &Parts {
         &self.parts
+    }
+
+    /// The compartments that decide.
+    ///
+    /// # Panics
+    /// Never: the constructor has checked that the output has compartments.
+    #[must_use]
+    pub fn output(&self) -> Output {
+        let (output, decision) = (&self.parts.populations[self.parts.output], self.parts.decision);
+        let Units::Compartments { first, start_step, .. } = output.units else {
+            unreachable!("checked by the constructor")
+        };
+        // SLAYER's loop starts at step 1.
+        let least = u32::from(self.parts.semantics == Semantics::Slayer);
+        Output { first, count: output.shape.len(), decision, start_step: start_step.max(least) }
     }
 
     /// Populations in the order of the file.

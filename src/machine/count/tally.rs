@@ -31,7 +31,7 @@ fn is_dense(format: &CoreFormat) -> bool {
     format.index_bits.is_none()
 }
 
-/// The kinds of synapses in a core's lists.
+use crate::ir::quantised::Output;
 #[derive(Debug)]
 enum ListKinds {
     /// Only dense ones.
@@ -303,7 +303,7 @@ impl<'p> Tally<'p> {
 
     /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one less.
     pub fn add_step(&self, (channels, spikes): (&[ChannelId], &[CompartmentId]), left: u32, step: &mut StepActivity) {
-        let (first, size) = self.program.output();
+        let Output { first, count: size, .. } = self.program.output();
         step.channels.extend_from_slice(channels);
         step.fired.extend_from_slice(spikes);
         step.spikes_out += spikes.iter().filter(|c| (first.0..first.0 + size).contains(&c.0)).count() as u64;

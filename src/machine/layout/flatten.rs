@@ -167,7 +167,7 @@ mod tests {
     use crate::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
     use crate::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
     use crate::base::rng;
-    use crate::desc::network::{Semantics, ThresholdTest};
+    use crate::desc::network::{ReadOut, Semantics, ThresholdTest};
     use crate::ir::partition::Seat;
     use crate::ir::placement::{Mesh, Site};
     use crate::ir::program::{
@@ -266,6 +266,8 @@ mod tests {
                 .into(),
             graded: Vec::new(),
             output: PopulationId(0),
+            decision: ReadOut::Spikes,
+            output_start: 0,
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,
             reset: None,

@@ -258,8 +258,10 @@ impl Reader<'_> {
         if let Some(interval) = self.options.reset_interval {
             self.model.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });
         }
-        self.model.provenance = Some(format!("imported from a lava-dl netx file; {}", self.notes.join("; ")));
-        Ok(Imported { kind: "lava-dl netx", model: self.model, notes: self.notes, layers: self.layers })
+        let mut imported =
+            Imported { kind: "lava-dl netx", model: self.model, notes: self.notes, layers: self.layers }.read_out();
+        imported.model.provenance = Some(format!("imported from a lava-dl netx file; {}", imported.notes.join("; ")));
+        Ok(imported)
     }
 }
 

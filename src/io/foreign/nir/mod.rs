@@ -71,9 +71,10 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         listed: 0,
     };
     reader.network()?;
-    let Reader { mut model, notes, .. } = reader;
-    model.provenance = Some(format!("imported from a NIR file; {}", notes.join("; ")));
-    Ok(Imported { kind: "NIR", model, notes, layers: Vec::new() })
+    let Reader { model, notes, .. } = reader;
+    let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new() }.read_out();
+    imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
+    Ok(imported)
 }
 
 /// Refuses options that contradict a model of nsim's own.

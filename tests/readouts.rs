@@ -1,0 +1,286 @@
+//! What decides a sample: spikes of the output, or its potential. Every engine, every command and
+//! every reader by the same rule.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use common::random;
+use nsim::base::rng;
+use nsim::desc::network::ReadOut;
+use nsim::drive::decision::{EarlyExit, Rule};
+use nsim::drive::{Keep, Outcome, Probe, Quantity, run_sample};
+use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
+use nsim::ir::quantised::{Parts, Quantised};
+use rayon::prelude::*;
+use serde_json::Value;
+
+/// The class by the definition, from the potentials `[output][step]` from the output's first step
+/// on.
+fn class(read_out: ReadOut, v: &[Vec<i32>]) -> Option<u32> {
+    let score = |v: &Vec<i32>| match read_out {
+        ReadOut::GreatestV => v.iter().copied().max().map_or(0, i64::from),
+        ReadOut::SumOfV => v.iter().copied().map(i64::from).sum(),
+        _ => v.last().copied().map_or(0, i64::from),
+    };
+    let scores: Vec<i64> = v.iter().map(score).collect();
+    let moved = v.iter().flatten().any(|&v| v != 0);
+    let best = scores.iter().max().filter(|_| moved)?;
+    scores.iter().position(|score| score == best).map(|class| class as u32)
+}
+
+fn keep(network: &Quantised, rule: Option<Rule>) -> Keep {
+    let output = network.output();
+    let probe = Probe { first: output.first, count: output.count, quantity: Quantity::V };
+    let early_exit = rule.map(|rule| EarlyExit::new(rule, network));
+    Keep { output, probes: if rule.is_none() { vec![probe] } else { Vec::new() }, early_exit }
+}
+
+#[test]
+fn every_engine_decides_by_the_potentials_that_a_probe_reads() {
+    let decided: usize = (0..240u64)
+        .into_par_iter()
+        .map(|seed| {
+            let random = random::network(seed);
+            let decision = ReadOut::ALL[1 + seed as usize % 3];
+            let network = Quantised::new(Parts { decision, ..random.parts().clone() }).unwrap();
+            let sample = random::sample(&network, seed);
+            let mut classes = Vec::new();
+            for (name, mut engine) in common::engines(&network) {
+                let what = format!("network {seed}, {name}");
+                let mut run = |rule| run_sample(engine.as_mut(), &sample, &keep(&network, rule), |_, _| ());
+                let whole = run(None);
+                let from = (network.output().start_step as usize).min(whole.steps as usize);
+                let rows = whole.probes[0].chunks(sample.steps().max(1) as usize).map(|row| row[from..].to_vec());
+                assert_eq!(whole.class(), class(decision, &rows.collect::<Vec<_>>()), "{what}");
+                // Nothing is certain before the last step, which no early exit then leaves off.
+                let certain = Outcome {
+                    probes: whole.probes.clone(),
+                    skipped_steps: whole.skipped_steps,
+                    ..run(Some(Rule::Certain))
+                };
+                assert_eq!(certain, whole, "{what}");
+                let margin = run(Some("40".parse().unwrap()));
+                let until = margin.steps as usize;
+                let row = |row: &[i32]| row[from.min(until)..until].to_vec();
+                let rows: Vec<Vec<i32>> = whole.probes[0].chunks(sample.steps().max(1) as usize).map(row).collect();
+                assert_eq!(margin.class(), class(decision, &rows), "{what}");
+                classes.push((whole.class(), whole.potentials, margin.potentials));
+            }
+            assert!(classes.iter().all(|found| *found == classes[0]), "network {seed}");
+            usize::from(classes[0].0.is_some())
+        })
+        .sum();
+    assert!(decided > 100, "{decided} decided");
+}
+
+fn nsim(folder: &Path, line: &str) -> (i32, String, String) {
+    let output = Command::cargo_bin("nsim").unwrap().current_dir(folder).args(line.split(' ')).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+}
+
+fn object(folder: &Path, line: &str, status: i32) -> Value {
+    let (code, stdout, stderr) = nsim(folder, &format!("{line} --format json"));
+    assert_eq!(code, status, "{line}: {stderr}");
+    serde_json::from_str(&stdout).unwrap_or_else(|error| panic!("{line}: {error}: {stdout}"))
+}
+
+const STEPS: usize = 40;
+const SAMPLES: usize = 6;
+const CHANNELS: usize = 4;
+
+/// Random spikes `[samples, channels, steps]` with so many steps without any at the end; the last
+/// sample has none.
+fn write_input(folder: &Path, name: &str, empty: usize) {
+    let spike = |i: u64| u8::from((i as usize) < (SAMPLES - 1) * CHANNELS * STEPS && rng::below(5, 3, i, 0) == 0);
+    let spikes: Vec<u8> = (0..(SAMPLES * CHANNELS * STEPS) as u64).map(spike).collect();
+    let bytes: Vec<u8> = spikes.chunks(STEPS).flat_map(|row| [row, &vec![0; empty]].concat()).collect();
+    let steps = STEPS + empty;
+    let shape = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({SAMPLES}, {CHANNELS}, {steps}), }}");
+    let head = format!("{shape:<117}\n");
+    let file = [b"\x93NUMPY\x01\x00", &(head.len() as u16).to_le_bytes()[..], head.as_bytes(), &bytes].concat();
+    std::fs::write(folder.join(name), file).unwrap();
+}
+
+fn group<const N: usize>(members: [(&str, Item); N]) -> Group {
+    members.into_iter().fold(Group::default(), |group, (name, item)| group.with(name, item))
+}
+
+fn reals(shape: &[usize], values: &[f64]) -> Item {
+    Numbers::f64(shape, values).into()
+}
+
+const WEIGHTS: [f64; 12] = [0.5, -0.25, 0.125, 0.25, -0.5, 0.75, 0.25, -0.125, 0.25, 0.5, -0.75, 0.125];
+
+/// A NIR file: an input, weights, and this node as its output.
+fn write_nir(folder: &Path, node: Option<(&str, &[(&str, f64)])>) {
+    let weights = group([("type", "Linear".into()), ("weight", reals(&[3, CHANNELS], &WEIGHTS))]);
+    let shape = |n: i64| Item::from(Numbers::i64(&[1], &[n]));
+    let mut nodes = group([
+        ("in", group([("type", "Input".into()), ("shape", shape(CHANNELS as i64))]).into()),
+        ("w", weights.into()),
+        ("out", group([("type", "Output".into()), ("shape", shape(3))]).into()),
+    ]);
+    let mut edges = vec!["in", "w"];
+    if let Some((kind, fields)) = node {
+        let neuron = fields
+            .iter()
+            .fold(group([("type", kind.into())]), |group, (key, value)| group.with(key, reals(&[3], &[*value; 3])));
+        nodes = nodes.with("o", neuron);
+        edges.extend(["w", "o", "o", "out"]);
+    } else {
+        let fields = [("r", reals(&[CHANNELS], &[1.0; 4])), ("v_threshold", reals(&[CHANNELS], &[0.5; 4]))];
+        let spiking =
+            fields.into_iter().fold(group([("type", "IF".into())]), |group, (key, item)| group.with(key, item));
+        nodes = nodes.with("h", spiking);
+        edges = vec!["in", "h", "h", "w", "w", "out"];
+    }
+    let edges = Item::Texts(vec![edges.len() / 2, 2], edges.into_iter().map(str::to_string).collect());
+    let graph = group([("type", "NIRGraph".into()), ("nodes", nodes.into()), ("edges", edges)]);
+    let root = Group::default().with("version", "1.0.8").with("node", graph);
+    std::fs::write(folder.join("net.nir"), hdf5::write(&root).unwrap()).unwrap();
+}
+
+const LEAKY: (&str, &[(&str, f64)]) = ("LI", &[("tau", 5e-3), ("r", 5.0), ("v_leak", 0.0)]);
+
+/// The classes of a run, from a probe of v over all of its steps.
+fn by_probe(folder: &Path, model: &str, (population, drain): (&str, usize), read_out: ReadOut) -> Vec<Option<u32>> {
+    write_input(folder, "long.npy", drain);
+    let line = format!("run {model} --input long.npy --probe {population}.v -o probes --force");
+    object(folder, &line, 0);
+    let v = common::Array::read(&folder.join(format!("probes/{population}.v.npy")));
+    let row =
+        |sample, output| (drain..STEPS + drain).map(|step| v.at([sample, output, step]) as i32).collect::<Vec<_>>();
+    (0..SAMPLES).map(|sample| class(read_out, &(0..3).map(|output| row(sample, output)).collect::<Vec<_>>())).collect()
+}
+
+fn predicted(object: &Value) -> Vec<Option<u32>> {
+    object["predicted"].as_array().unwrap().iter().map(|class| class.as_u64().map(|class| class as u32)).collect()
+}
+
+#[test]
+fn an_output_that_never_spikes_is_read_out_by_its_potential() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    let integrator: (&str, &[(&str, f64)]) = ("I", &[("r", 1.0)]);
+    for (node, output, decision, name) in [
+        (Some(LEAKY), ("o", 0), ReadOut::GreatestV, "greatest_v"),
+        (Some(integrator), ("o", 0), ReadOut::LastV, "last_v"),
+        (None, ("output", 0), ReadOut::SumOfV, "sum_of_v"),
+    ] {
+        write_nir(folder, node);
+        let (code, text, stderr) = nsim(folder, "import net.nir --dt 1 -o m.ron --force");
+        assert_eq!(code, 0, "{stderr}");
+        assert!(text.contains("its potential decides"), "{text}");
+        let run = object(folder, "run m.ron --input in.npy", 0);
+        assert_eq!((&run["decision"], &run["undecided"]), (&name.into(), &1.into()));
+        assert_eq!(predicted(&run), by_probe(folder, "m.ron", output, decision), "{name}");
+        assert!(predicted(&run)[..SAMPLES - 1].iter().all(Option::is_some), "{run}");
+        // Nothing advises to make it spike, and a sample without input is no reason to warn.
+        assert_eq!(run["warnings"], Value::Array(Vec::new()), "{name}");
+        for engine in ["golden", "reference", "fast --early-exit certain", "fast --neurobench"] {
+            let other = object(folder, &format!("run m.ron --input in.npy --engine {engine}"), 0);
+            assert_eq!(other["predicted"], run["predicted"], "{name}, {engine}");
+        }
+        let agree = object(folder, "agree m.ron --input in.npy --require-class-agreement 1", 0);
+        assert_eq!((&agree["compared"], &agree["class_agreement"]), (&5.into(), &1.0.into()), "{name}");
+        assert_eq!(agree["attribution"][0]["class_agreement"], 1.0, "{name}");
+        // What the import chose, its option and the model's field decide otherwise.
+        for other in ["greatest_v", "sum_of_v", "last_v"] {
+            object(folder, &format!("import net.nir --dt 1 --decision {other} -o other.ron --force"), 0);
+            let run = object(folder, "run other.ron --input in.npy", 0);
+            let read_out = ReadOut::ALL.into_iter().find(|read_out| read_out.name() == other).unwrap();
+            assert_eq!(predicted(&run), by_probe(folder, "other.ron", output, read_out), "{name} by {other}");
+            let set = object(folder, &format!("run m.ron --input in.npy --set decision={read_out:?}"), 0);
+            assert_eq!((&set["predicted"], &set["decision"]), (&run["predicted"], &other.into()), "{name} by {other}");
+        }
+        // An exported file gives it back.
+        assert_eq!(nsim(folder, "export m.ron -o back.nir --force").0, 0);
+        assert_eq!(object(folder, "run back.nir --input in.npy", 0)["decision"], name);
+    }
+}
+
+#[test]
+fn samples_without_a_decision_are_no_agreement() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    write_nir(folder, Some(LEAKY));
+    object(folder, "import net.nir --dt 1 --decision spikes -o silent.ron", 0);
+    let run = object(folder, "run silent.ron --input in.npy", 0);
+    assert_eq!((&run["undecided"], &run["decision"]), (&SAMPLES.into(), &"spikes".into()));
+    // The remedy that is printed decides every sample with input.
+    let message = run["warnings"][0]["message"].as_str().unwrap();
+    assert!(message.contains("--set decision=GreatestV"), "{message}");
+    let remedied = object(folder, "run silent.ron --input in.npy --set decision=GreatestV", 0);
+    assert_eq!((&remedied["undecided"], remedied["warnings"].as_array().unwrap().len()), (&1.into(), 0));
+    let agree = object(folder, "agree silent.ron --input in.npy --require-class-agreement 0", 1);
+    assert_eq!((&agree["compared"], &agree["class_agreement"]), (&0.into(), &Value::Null));
+    let (code, text, _) = nsim(folder, "agree silent.ron --input in.npy");
+    assert_eq!(code, 0);
+    assert!(text.contains("not compared: 6 neither decides"), "{text}");
+    // Two networks, each by its own decision.
+    object(folder, "import net.nir --dt 1 -o decided.ron", 0);
+    let line = "agree decided.ron --input in.npy --against silent.ron";
+    assert_eq!(object(folder, line, 0)["compared"], 0);
+    assert!(nsim(folder, line).1.contains("not compared: 5 a decides alone, 1 neither decides"));
+    let several = format!("{line} --against decided.ron --require-class-agreement 1");
+    let both = object(folder, &several, 1);
+    assert_eq!(both["networks"][0]["compared"], 0);
+    assert_eq!((&both["networks"][1]["compared"], &both["networks"][1]["class_agreement"]), (&5.into(), &1.0.into()));
+    // A network in which nothing reaches the output still has its warning.
+    let nothing = "run decided.ron --input scene:noise?samples=1&steps=20&rate=0";
+    let run = object(folder, nothing, 0);
+    assert_eq!(run["warnings"][0]["code"], "silent-output");
+    assert!(run["warnings"][0]["message"].as_str().unwrap().contains("'in' is silent"), "{run}");
+}
+
+#[test]
+fn a_conversion_keeps_what_decides() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    let model = r#"Network(name: "read-out", timestep_ms: 1.0, populations: [Input(name: "in", shape: [4]),
+        Srm(name: "hidden", shape: [5], tau_sr_ms: 5, tau_ref_ms: 1, scale_ref: 2, theta: 10),
+        Srm(name: "out", shape: [3], tau_sr_ms: 5, tau_ref_ms: 1, scale_ref: 2, theta: 1000)],
+        projections: [Dense(from: ["in"], to: "hidden", weights: Uniform(low: -1, high: 9, seed: 1)),
+          Dense(from: ["hidden"], to: "out", weights: Uniform(low: -4, high: 6, seed: 2))],
+        output: "out", decision: SumOfV)"#;
+    std::fs::write(folder.join("srm.ron"), model).unwrap();
+    let convert = object(folder, "convert srm.ron --input in.npy -o loihi.ron", 0);
+    assert!(convert["class_agreement"].is_number(), "{convert}");
+    let (trained, converted) = ("run srm.ron --input in.npy", "run loihi.ron --input in.npy");
+    let (trained, converted) = (object(folder, trained, 0), object(folder, converted, 0));
+    assert_eq!((&trained["decision"], &converted["decision"]), (&"sum_of_v".into(), &"sum_of_v".into()));
+    assert_eq!(trained["undecided"], 1);
+    let same = predicted(&trained).iter().zip(&predicted(&converted)).filter(|(a, b)| a == b).count();
+    assert!(same >= SAMPLES - 1, "{trained} {converted}");
+}
+
+#[test]
+fn public_cases_have_the_classes_of_their_potentials() {
+    let Some(cases) = common::data("cases") else { return };
+    let case = cases.join("readout-by-potential");
+    let right = std::fs::read_to_string(case.join("right.csv")).unwrap();
+    let column = |place| right.lines().skip(1).map(|line| line.split(',').nth(place).unwrap().parse().ok()).collect();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(case.join("net.nir"), folder.path().join("net.nir")).unwrap();
+    std::fs::copy(case.join("input.npy"), folder.path().join("in.npy")).unwrap();
+    for (place, decision) in [(1, "greatest_v"), (2, "sum_of_v"), (3, "last_v")] {
+        let column: Vec<Option<u32>> = column(place);
+        object(folder.path(), &format!("import net.nir --decision {decision} -o m.ron --force"), 0);
+        for engine in ["fast", "golden", "reference"] {
+            // They are those of the chip's steps, without the one that the second layer answers
+            // later.
+            let line = format!("run m.ron --input in=in.npy --engine {engine}");
+            let run = object(folder.path(), &line, 0);
+            assert_eq!(predicted(&run), column, "{decision}, {engine}");
+        }
+    }
+}
