@@ -151,7 +151,7 @@ const LEAKY: (&str, &[(&str, f64)]) = ("LI", &[("tau", 5e-3), ("r", 5.0), ("v_le
 /// The classes of a run, from a probe of v over all of its steps.
 fn by_probe(folder: &Path, model: &str, (population, drain): (&str, usize), read_out: ReadOut) -> Vec<Option<u32>> {
     write_input(folder, "long.npy", drain);
-    let line = format!("run {model} --input long.npy --probe {population}.v -o probes --force");
+    let line = format!("run {model} --input long.npy --set drain=0 --probe {population}.v -o probes --force");
     object(folder, &line, 0);
     let v = common::Array::read(&folder.join(format!("probes/{population}.v.npy")));
     let row =
@@ -172,7 +172,8 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
     for (node, output, decision, name) in [
         (Some(LEAKY), ("o", 0), ReadOut::GreatestV, "greatest_v"),
         (Some(integrator), ("o", 0), ReadOut::LastV, "last_v"),
-        (None, ("output", 0), ReadOut::SumOfV, "sum_of_v"),
+        // A layer behind the first: a step more, from step 1 on.
+        (None, ("output", 1), ReadOut::SumOfV, "sum_of_v"),
     ] {
         write_nir(folder, node);
         let (code, text, stderr) = nsim(folder, "import net.nir --dt 1 -o m.ron --force");
@@ -278,7 +279,7 @@ fn public_cases_have_the_classes_of_their_potentials() {
         for engine in ["fast", "golden", "reference"] {
             // They are those of the chip's steps, without the one that the second layer answers
             // later.
-            let line = format!("run m.ron --input in=in.npy --engine {engine}");
+            let line = format!("run m.ron --input in=in.npy --set drain=0 --engine {engine}");
             let run = object(folder.path(), &line, 0);
             assert_eq!(predicted(&run), column, "{decision}, {engine}");
         }

@@ -5,7 +5,7 @@
 //! and `bool` are read in place. Errors: `input.*`.
 
 use nsim::base::diagnostic::Diagnostic;
-use nsim::drive::inputs::{joined, stimulus};
+use nsim::drive::inputs::{drained, joined, stimulus};
 use nsim::io::budget::MOST_STEPS;
 use nsim::io::spikes::PopulationSpikes;
 use nsim::ir::quantised::{Population, Quantised};
@@ -122,7 +122,8 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
         Err(_) if inputs.len() == 1 => vec![recordings(spikes, inputs[0], time_first)?],
         Err(_) => return Err(usage(format!("spikes must be a dictionary with an array for each of: {}", names()))),
     };
-    joined(&inputs, sources).map_err(|error| raised(spikes.py(), error))
+    let samples = joined(&inputs, sources).and_then(|samples| Ok(drained(network, samples)?));
+    samples.map_err(|error| raised(spikes.py(), error))
 }
 
 /// The samples of an array, or of events, for a population.

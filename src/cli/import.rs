@@ -133,7 +133,17 @@ fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
 /// What was imported, for people and scripts.
 fn findings(imported: &Imported, files: &[String]) -> Findings {
     let ModelBuilder {
-        name, timestep_ms, populations, projections, output, decision, reset, threshold, semantics, ..
+        name,
+        timestep_ms,
+        populations,
+        projections,
+        output,
+        decision,
+        drain,
+        reset,
+        threshold,
+        semantics,
+        ..
     } = &imported.model;
     let reset = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
     let populations = populations.iter().map(|population| {
@@ -173,6 +183,7 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             ("threshold", json!(threshold)),
             ("output", json!(output)),
             ("decision", json!(decision)),
+            ("drain", json!(drain)),
             ("reset", json!(reset)),
             ("notes", json!(imported.notes)),
             ("written", if files.is_empty() { json!(null) } else { json!(files) }),

@@ -162,7 +162,8 @@ impl ProbeArgs {
         folder.join(format!("{}.{extension}", named.name))
     }
 
-    /// Writes what was recorded in steps of so many milliseconds, under temporary names; returns the files.
+    /// Writes what was recorded in steps of so many milliseconds, without the last steps, which
+    /// drain, under temporary names; returns the files.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -170,7 +171,7 @@ impl ProbeArgs {
         &self,
         probes: &[NamedProbe],
         (recorded, given): (Recorded<'_>, &[&Sample]),
-        dt_ms: f64,
+        (dt_ms, drain): (f64, u32),
         batch: &mut io::write::Batch,
     ) -> Result<Vec<String>> {
         let mut files = Vec::new();
@@ -188,7 +189,11 @@ impl ProbeArgs {
                     (given.len(), length, Box::new(input_numbers(given, first, channels)))
                 }
             };
-            let shape = [samples, count, length / count.max(1)];
+            let steps = length / count.max(1);
+            let kept = steps.saturating_sub(drain as usize);
+            let of_input = move |(place, number): (usize, f64)| (place % steps.max(1) < kept).then_some(number);
+            let numbers = numbers.enumerate().filter_map(of_input);
+            let shape = [samples, count, kept];
             let (population, register) = named.name.rsplit_once('.').unwrap_or((&named.name, ""));
             let trace = Trace { population, register, shape, dt_s: dt_ms / 1e3 };
             match self.probe_format {

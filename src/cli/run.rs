@@ -132,7 +132,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let neurobench = if args.neurobench { neurobench(args, &job, &samples)? } else { None };
     ranks::leave_to_first();
     let recorded = traces.as_deref().map_or(Recorded::Integers(&outcomes), Recorded::Reals);
-    let mut files = args.probes.write(&probes, (recorded, &samples), network.parts().timestep_ms, &mut batch)?;
+    let (timestep_ms, drain) = (network.parts().timestep_ms, network.parts().drain);
+    let mut files = args.probes.write(&probes, (recorded, &samples), (timestep_ms, drain), &mut batch)?;
     batch.commit()?;
     files.extend(args.steps.iter().map(|path| path.display().to_string()));
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();

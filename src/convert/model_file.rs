@@ -128,6 +128,7 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<M
     }
     model.output = parts.populations[parts.output].name.clone();
     model.decision = parts.decision;
+    model.drain = parts.drain;
     model.classes = parts.classes.clone();
     model.reset = facts.reset;
     model.threshold = parts.threshold;

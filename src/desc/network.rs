@@ -562,6 +562,8 @@ pub struct NetworkFile {
     /// What of it decides.
     #[serde(default)]
     pub decision: ReadOut,
+    /// Steps that a sample has after its last input step, default 0.
+    pub drain: Option<Spanned<u32>>,
     /// Names of the classes, one for each output compartment.
     pub classes: Option<Spanned<Vec<String>>>,
     /// Periodic reset.

@@ -19,11 +19,41 @@ use crate::ir::spikes::{Sample, Stimulus};
 use crate::scene;
 use crate::scene::clock::{self, Clock};
 
-/// Reads or makes the samples of a run; without arguments, those of the model's own scene.
+/// Reads or makes the samples of a run; without arguments, those of the model's own scene. Each has
+/// the steps that the model drains.
 ///
 /// # Errors
 /// [`Error`] when a source cannot be read or does not fit the network.
 pub fn stimulus(
+    network: &Quantised,
+    arguments: &[String],
+    default: Option<&str>,
+    seed: Option<u64>,
+) -> Result<Stimulus, Error> {
+    let mut stimulus = given(network, arguments, default, seed)?;
+    stimulus.samples = drained(network, stimulus.samples)?;
+    Ok(stimulus)
+}
+
+/// Samples with the steps that a network has after the last of its input.
+///
+/// # Errors
+/// `input.too-long`.
+pub fn drained(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>, Diagnostic> {
+    let drain = network.parts().drain;
+    let steps = samples.iter().map(|sample| u64::from(sample.steps()) + u64::from(drain)).sum::<u64>();
+    if steps > MOST_STEPS_TOGETHER {
+        let message = format!("the samples have {steps} timesteps together, more than {MOST_STEPS_TOGETHER}");
+        return Err(Diagnostic::new("input.too-long", message).help("run some of them at a time"));
+    }
+    Ok(match drain {
+        0 => samples,
+        _ => samples.into_iter().map(|sample| sample.followed_by(drain)).collect(),
+    })
+}
+
+/// The samples of arguments, or those of the model's own scene.
+fn given(
     network: &Quantised,
     arguments: &[String],
     default: Option<&str>,
@@ -111,13 +141,7 @@ pub fn stimulus(
             ))
         })?);
     }
-    let samples = joined(&inputs, filled)?;
-    let steps = samples.iter().map(|sample| u64::from(sample.steps())).sum::<u64>();
-    if steps > MOST_STEPS_TOGETHER {
-        let message = format!("the samples have {steps} timesteps together, more than {MOST_STEPS_TOGETHER}");
-        return Err(Diagnostic::new("input.too-long", message).help("run some of them at a time").into());
-    }
-    Ok(Stimulus { samples, origin: arguments, seed: None })
+    Ok(Stimulus { samples: joined(&inputs, filled)?, origin: arguments, seed: None })
 }
 
 /// The clock of a sample.

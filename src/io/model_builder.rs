@@ -200,6 +200,8 @@ pub struct ModelBuilder {
     pub output: String,
     /// What of it decides.
     pub decision: ReadOut,
+    /// Steps that a sample has after its last input step.
+    pub drain: u32,
     /// Names of the classes.
     pub classes: Vec<String>,
     /// Periodic reset.
@@ -321,6 +323,7 @@ impl ModelBuilder {
         }
         model.output = file.output.value.clone();
         model.decision = file.decision;
+        model.drain = file.drain.as_ref().map_or(0, |drain| drain.value);
         model.classes = file.classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone());
         model.reset = file.reset.as_ref().map(|reset| reset.value);
         model.threshold = file.threshold;
@@ -362,6 +365,7 @@ impl ModelBuilder {
         }
         let settings = [
             ("decision", unless_default(&self.decision)),
+            ("drain", unless_default(&self.drain)),
             ("threshold", unless_default(&self.threshold)),
             ("semantics", unless_default(&self.semantics)),
             ("weight_rounding", unless_default(&self.weight_rounding)),

@@ -359,6 +359,8 @@ pub struct NetworkFacts {
     pub timestep_ms: f64,
     /// What of the output population decides.
     pub decision: ReadOut,
+    /// Steps that a sample has after its last input step.
+    pub drain: u32,
     /// Names of classes, one for each output compartment, or none.
     pub classes: Vec<String>,
     /// Periodic reset.

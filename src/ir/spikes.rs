@@ -129,6 +129,14 @@ impl Sample {
         }
     }
 
+    /// The same spikes with so many steps more, all without spikes.
+    #[must_use]
+    pub fn followed_by(mut self, steps: u32) -> Self {
+        let end = self.first.last().copied().unwrap_or(0);
+        self.first.extend(std::iter::repeat_n(end, steps as usize));
+        self
+    }
+
     /// The first so many steps, or all of a shorter sample.
     #[must_use]
     pub fn beginning(&self, steps: u32) -> Sample {

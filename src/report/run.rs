@@ -197,6 +197,7 @@ impl RunReport<'_> {
             "seed": self.seed,
             "samples": self.outcomes.len(),
             "timesteps": self.timesteps(),
+            "drain": self.network.parts().drain,
             "predicted": self.outcomes.iter().map(Outcome::class).collect::<Vec<_>>(),
             "decision": self.network.parts().decision.name(),
             "undecided": self.undecided(),
@@ -282,7 +283,11 @@ impl RunReport<'_> {
         if let Some(seed) = self.seed {
             out += &format!("  (seed {seed})");
         }
-        out += &format!("\n{}, {}\n\n", count(self.outcomes.len() as u64, "sample"), count(steps, "timestep"));
+        out += &format!("\n{}, {}", count(self.outcomes.len() as u64, "sample"), count(steps, "timestep"));
+        if parts.drain > 0 {
+            out += &format!(", of each sample {} after its last input step (drain)", parts.drain);
+        }
+        out += "\n\n";
         const SHOWN: usize = 12;
         let scores = match parts.decision {
             ReadOut::Spikes => "spikes of outputs",

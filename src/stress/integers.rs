@@ -120,6 +120,7 @@ impl Plan {
             projections: self.links.iter().map(projection).collect::<Result<Vec<_>, _>>()?.into(),
             output: PopulationId(1),
             decision: ReadOut::Spikes,
+            drain: 0,
             classes: Vec::new(),
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,

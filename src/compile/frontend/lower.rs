@@ -29,6 +29,9 @@ use crate::ir::graph::{
 /// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
 const MOST_UNIFORM: u64 = 1 << 28;
 
+/// The most steps that a sample may have after its last input step.
+const MOST_DRAIN: u32 = 65_535;
+
 /// Turns a model into a graph.
 ///
 /// # Errors
@@ -98,11 +101,19 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
             format!("reset interval {} with offset {}: the interval is 1 to 2^32 - 1", reset.interval, reset.offset);
         return Err(lowering.error("model.reset", message, reset.span));
     }
+    let drain = file.drain.as_ref().map_or(0, |drain| drain.value);
+    if let Some(drain) = file.drain.as_ref().filter(|drain| drain.value > MOST_DRAIN) {
+        let message = format!("drain {} is outside 0..={MOST_DRAIN}", drain.value);
+        return Err(lowering
+            .error("model.drain", message, drain.span)
+            .help("it is a step for each layer behind the first"));
+    }
     let facts = NetworkFacts {
         name: file.name.clone(),
         source: network.source().clone(),
         timestep_ms: file.timestep_ms.value,
         decision: file.decision,
+        drain,
         classes,
         reset: file.reset.as_ref().map(|reset| reset.value),
         threshold: file.threshold,

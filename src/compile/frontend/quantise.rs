@@ -91,6 +91,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         projections,
         output: population_id(graph.output()),
         decision: facts.decision,
+        drain: facts.drain,
         classes: facts.classes.clone(),
         semantics: facts.semantics,
         threshold: facts.threshold,

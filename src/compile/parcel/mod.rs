@@ -275,8 +275,8 @@ mod tests {
             assert_eq!(format!("{:?}", read.populations()), format!("{:?}", network.populations()), "seed {seed}");
             let frame = |network: &Quantised| {
                 let parts = network.parts();
-                let Parts { output, decision, semantics, threshold, reset, gathers, timestep_ms, .. } = *parts;
-                (output, decision, semantics, threshold, reset, gathers, timestep_ms)
+                let Parts { output, decision, drain, semantics, threshold, reset, gathers, timestep_ms, .. } = *parts;
+                (output, decision, drain, semantics, threshold, reset, gathers, timestep_ms)
             };
             assert_eq!(frame(&read), frame(&network));
             // Whatever words say, reading them ends and allocates no more than there is.

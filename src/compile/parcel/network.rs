@@ -74,6 +74,7 @@ pub fn write(network: &Quantised, wanted: Wanted<'_>, words: &mut Writer) {
     words.wide(parts.timestep_ms.to_bits());
     words.put(parts.output.0);
     words.put(ReadOut::ALL.iter().position(|one| *one == parts.decision).unwrap_or(ReadOut::ALL.len()) as u32);
+    words.put(parts.drain);
     texts(&parts.classes, words);
     words.put(SEMANTICS.iter().position(|one| *one == parts.semantics).unwrap_or(SEMANTICS.len()) as u32);
     words.put(TESTS.iter().position(|one| *one == parts.threshold).unwrap_or(TESTS.len()) as u32);
@@ -227,6 +228,7 @@ fn record(pruned: &Pruned, words: &mut Writer) {
 pub fn read(words: &mut Reader<'_>) -> Result<Quantised, CompileError> {
     let (name, timestep_ms, output) = (words.text()?, f64::from_bits(words.wide()?), PopulationId(words.take()?));
     let decision = words.one_of(&ReadOut::ALL)?;
+    let drain = words.take()?;
     let classes = read_texts(words)?;
     let (semantics, threshold) = (words.one_of(&SEMANTICS)?, words.one_of(&TESTS)?);
     let reset = match words.is_some()? {
@@ -247,6 +249,7 @@ pub fn read(words: &mut Reader<'_>) -> Result<Quantised, CompileError> {
         projections: projections.into(),
         output,
         decision,
+        drain,
         classes,
         semantics,
         threshold,

@@ -205,6 +205,8 @@ pub struct Parts {
     pub output: PopulationId,
     /// What of it decides.
     pub decision: ReadOut,
+    /// Steps that a sample has after its last input step.
+    pub drain: u32,
     /// Names of classes, or none.
     pub classes: Vec<String>,
     /// Which arithmetic.
@@ -230,6 +232,7 @@ impl Parts {
             projections: Default::default(),
             output: PopulationId(0),
             decision: ReadOut::Spikes,
+            drain: 0,
             classes: Vec::new(),
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,

@@ -243,6 +243,8 @@ impl Reader<'_> {
         });
         match first {
             Some(first) => {
+                // Layers answer in one step there, and one after the other here.
+                self.model.drain = self.depth - 1;
                 for population in self.model.populations.iter_mut().filter(|p| p.loihi.is_some()) {
                     population.start_step += first;
                 }

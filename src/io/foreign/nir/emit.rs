@@ -191,12 +191,13 @@ impl Reader<'_> {
         }
         let of =
             |list: &[u32], index: u64| list.get(if list.len() == 1 { 0 } else { index as usize }).copied().unwrap_or(0);
-        let delay_of = |source: u64, target: u64| of(&before, source) + of(&behind, target);
-        let longest = before.iter().max().unwrap_or(&0) + behind.iter().max().unwrap_or(&0);
+        let waits = self.waits(from, to);
+        let delay_of = |source: u64, target: u64| waits + of(&before, source) + of(&behind, target);
+        let longest = waits + before.iter().max().unwrap_or(&0) + behind.iter().max().unwrap_or(&0);
         if f64::from(longest) > LONGEST_DELAY {
             return Err(unsupported(
-                format!("the delays on the way to '{to}' add up to {longest} steps"),
-                "the delay field holds 0 to 62 steps",
+                format!("delays from '{from}' to '{to}', with the wait for spikes of longer ways, are {longest} steps"),
+                "the delay field holds 0 to 62 steps: skip fewer layers",
             ));
         }
         let mut projection =
@@ -253,6 +254,7 @@ impl Reader<'_> {
         let Some((path, output)) = leading.iter().find(|(path, _)| neurons(&path[0])).or(leading.first()) else {
             let last = order.iter().rev().find(|name| neurons(name)).ok_or_else(|| wrong("it has no neurons"))?;
             self.model.output = self.names[last].clone();
+            self.drain(&last.clone());
             self.notes.push(format!("no way leads to an output; '{}' is taken for it", self.model.output));
             return Ok(());
         };
@@ -264,6 +266,7 @@ impl Reader<'_> {
         let plain = path[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
         if plain && neurons(&path[0]) {
             self.model.output = self.names[&path[0]].clone();
+            self.drain(&path[0].clone());
             return Ok(());
         }
         // Weights without a neuron behind them: v shows what they sum in each step.
@@ -275,7 +278,10 @@ impl Reader<'_> {
         let memoryless = Parameter::Same(4096.0);
         let parameters =
             vec![("du", memoryless.clone()), ("dv", memoryless.clone()), ("vth_mant", Parameter::Same(NEVER))];
-        self.model.populations.push(PopulationBuilder::loihi(&name, shape, parameters));
+        let start_step = if neurons(&path[0]) { self.depths[&path[0]] + 1 } else { 0 };
+        self.depths.insert(output.clone(), start_step);
+        let population = PopulationBuilder::loihi(&name, shape, parameters);
+        self.model.populations.push(PopulationBuilder { start_step, ..population });
         let neuron = Discrete {
             du: memoryless.clone(),
             dv: memoryless,
@@ -287,7 +293,20 @@ impl Reader<'_> {
             .push(format!("weights lead to '{output}' without a neuron: '{name}' shows their sum of each step as v"));
         self.incoming(&output, &neuron)?;
         self.model.output = name;
+        self.drain(&output);
         Ok(())
+    }
+
+    /// The steps that the output answers later.
+    fn drain(&mut self, output: &str) {
+        let depth = self.depths[output];
+        self.model.drain = depth;
+        if depth > 0 {
+            self.notes.push(format!(
+                "layer k starts at step k, as a spike takes a step from layer to layer; {depth} more after the last step of the \
+                 input (drain), as the tools that train such networks let a spike pass all layers in one step"
+            ));
+        }
     }
 }
 

@@ -21,13 +21,14 @@
 //! Left out on purpose: resets to other values than zero, for which a core has no circuit.
 
 mod connection;
+mod depth;
 mod emit;
 mod graph;
 mod linear;
 mod neuron;
 mod reader;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode};
@@ -67,6 +68,8 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         notes,
         names: BTreeMap::new(),
         shapes: BTreeMap::new(),
+        depths: BTreeMap::new(),
+        loops: BTreeSet::new(),
         dt: 0.0,
         listed: 0,
     };
@@ -114,6 +117,7 @@ impl Reader<'_> {
         self.find_shapes(&populations)?;
         // Inputs first, then the others in the order in which spikes reach them.
         let order = self.order(&populations);
+        self.find_depths(&order)?;
         let mut discrete = BTreeMap::new();
         for name in &order {
             let neuron = self.discretise(name)?;
@@ -145,8 +149,9 @@ impl Reader<'_> {
                 Some(_) => NeuronKind::SoftReset,
                 None => NeuronKind::Loihi,
             };
-            let name = self.names[name].clone();
-            self.model.populations.push(PopulationBuilder { loihi, kind, ..PopulationBuilder::input(&name, shape) });
+            let (start_step, name) = (self.depths[name], self.names[name].clone());
+            let input = PopulationBuilder::input(&name, shape);
+            self.model.populations.push(PopulationBuilder { loihi, kind, start_step, ..input });
         }
         for name in &order {
             if let Some(neuron) = discrete.remove(name).flatten() {

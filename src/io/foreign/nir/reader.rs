@@ -50,6 +50,10 @@ pub(super) struct Reader<'a> {
     pub(super) names: BTreeMap<String, String>,
     /// Populations' shapes by node.
     pub(super) shapes: BTreeMap<String, Vec<usize>>,
+    /// Layers of neurons before each population, by node.
+    pub(super) depths: BTreeMap<String, u32>,
+    /// Ways that lead back, by the nodes at their ends.
+    pub(super) loops: BTreeSet<(String, String)>,
     /// Seconds of a timestep.
     pub(super) dt: f64,
     pub(super) listed: usize,

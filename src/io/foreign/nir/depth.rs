@@ -1,0 +1,79 @@
+//! The layer of each population: how many layers of neurons its input has passed.
+//!
+//! Input: populations and what leads from which to which. Output: depths, 0 for what only inputs
+//! reach, else one more than the deepest population before it; and the delay that keeps ways of
+//! different lengths together.
+//!
+//! The tools that train such networks let a spike pass all layers in one step, and a loop in one
+//! more. A compartment's spike arrives a step later, so a population of depth k does in step t + k
+//! what the tool's does in step t: `start_step` is k, an input waits k steps, and a spike that
+//! skips layers one step for each. A loop over several layers takes as many steps, which no delay
+//! shortens.
+
+use std::collections::BTreeMap;
+
+use petgraph::algo::tarjan_scc;
+use petgraph::graph::DiGraph;
+
+use super::reader::Reader;
+use crate::base::diagnostic::Result;
+
+impl Reader<'_> {
+    /// Finds the depth of each population, in the order in which spikes reach them.
+    pub(super) fn find_depths(&mut self, order: &[String]) -> Result<()> {
+        let place: BTreeMap<&str, usize> =
+            order.iter().enumerate().map(|(place, name)| (name.as_str(), place)).collect();
+        let mut graph = DiGraph::<(), ()>::new();
+        let nodes: Vec<_> = order.iter().map(|_| graph.add_node(())).collect();
+        let mut sources: Vec<Vec<usize>> = vec![Vec::new(); order.len()];
+        for (to, name) in order.iter().enumerate().filter(|(_, name)| self.flat.nodes[*name].kind != "Input") {
+            for path in self.paths(name)? {
+                let from = place[path[0].as_str()];
+                graph.add_edge(nodes[from], nodes[to], ());
+                sources[to].push(from);
+            }
+        }
+        // Components come with what they lead to before them.
+        let components = tarjan_scc(&graph);
+        let mut component = vec![0; order.len()];
+        for (index, members) in components.iter().enumerate() {
+            members.iter().for_each(|node| component[node.index()] = index);
+        }
+        let mut depths: Vec<u32> = vec![0; order.len()];
+        for members in components.iter().rev() {
+            let mut members: Vec<usize> = members.iter().map(|node| node.index()).collect();
+            members.sort_unstable();
+            for to in members {
+                let forward = |from: &&usize| component[**from] != component[to] || **from < to;
+                let behind = |from: &usize| match self.flat.nodes[&order[*from]].kind.as_str() {
+                    "Input" => 0,
+                    _ => depths[*from] + 1,
+                };
+                depths[to] = sources[to].iter().filter(forward).map(behind).max().unwrap_or(0);
+                for &from in sources[to].iter().filter(|from| !forward(from)) {
+                    self.loops.insert((order[from].clone(), order[to].clone()));
+                }
+            }
+        }
+        self.depths = order.iter().cloned().zip(depths).collect();
+        Ok(())
+    }
+
+    /// Steps by which spikes between two populations have to be delayed to meet those of longer
+    /// ways.
+    pub(super) fn waits(&mut self, from: &str, to: &str) -> u32 {
+        let depth = |name: &str| self.depths.get(name).copied().unwrap_or(0);
+        if self.flat.nodes[from].kind == "Input" {
+            return depth(to);
+        }
+        let looping = self.loops.contains(&(from.to_string(), to.to_string()));
+        let arrives = depth(from) + u32::from(!looping);
+        if arrives > depth(to) {
+            self.notes.push(format!(
+                "the loop from '{from}' to '{to}' takes {} steps more than where all layers answer in one",
+                arrives - depth(to)
+            ));
+        }
+        depth(to).saturating_sub(arrives)
+    }
+}
