@@ -1,5 +1,6 @@
 //! What decides a sample: spikes of the output, or its potential. Every engine, every command and
-//! every reader by the same rule.
+//! every reader by the same rule. And how many steps it has, so that the last layer answers to the
+//! last step of the input.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -262,6 +263,127 @@ fn a_conversion_keeps_what_decides() {
     assert_eq!(trained["undecided"], 1);
     let same = predicted(&trained).iter().zip(&predicted(&converted)).filter(|(a, b)| a == b).count();
     assert!(same >= SAMPLES - 1, "{trained} {converted}");
+}
+
+/// The share of the voltage that a step takes away, which no number of 4096ths is.
+const FRACTION: f64 = 1.0 / 7.3;
+/// Units of the layers of [`layered`].
+const SIZES: [usize; 4] = [CHANNELS, 5, 6, 3];
+
+/// The weights from one layer to another, `[target][source]`.
+fn weights(from: usize, to: usize) -> Vec<f64> {
+    let count = SIZES[from] * SIZES[to];
+    (0..count as u64).map(|i| 1.5 * rng::unit(9, (8 * from + to) as u64, i) - 0.45).collect()
+}
+
+/// A file of three layers of LIF neurons with a leak potential, and these ways: (from, to), 0 for
+/// the input.
+fn write_layered(folder: &Path, ways: &[(usize, usize)]) {
+    let names = ["in", "a", "b", "c"];
+    let shape = |n: usize| Item::from(Numbers::i64(&[1], &[n as i64]));
+    let mut nodes = group([
+        ("in", group([("type", "Input".into()), ("shape", shape(CHANNELS))]).into()),
+        ("out", group([("type", "Output".into()), ("shape", shape(3))]).into()),
+    ]);
+    for (name, n) in names.into_iter().zip(SIZES).skip(1) {
+        let field = |value: f64| reals(&[n], &vec![value; n]);
+        let tau = 1e-3 / FRACTION;
+        let fields = [("tau", tau), ("r", 1.0 / FRACTION), ("v_leak", 0.4), ("v_threshold", 1.0)];
+        let neuron =
+            fields.into_iter().fold(group([("type", "LIF".into())]), |group, (key, x)| group.with(key, field(x)));
+        nodes = nodes.with(name, neuron);
+    }
+    let mut edges = vec!["c".to_string(), "out".to_string()];
+    for &(from, to) in ways {
+        let name = format!("w{from}{to}");
+        let weight = reals(&[SIZES[to], SIZES[from]], &weights(from, to));
+        nodes = nodes.with(&name, group([("type", "Linear".into()), ("weight", weight)]));
+        edges.extend([names[from].to_string(), name.clone(), name, names[to].to_string()]);
+    }
+    let edges = Item::Texts(vec![edges.len() / 2, 2], edges);
+    let graph = group([("type", "NIRGraph".into()), ("nodes", nodes.into()), ("edges", edges)]);
+    let root = Group::default().with("version", "1.0.8").with("node", graph);
+    std::fs::write(folder.join("net.nir"), hdf5::write(&root).unwrap()).unwrap();
+}
+
+/// The output's spike counts of each sample as a tool counts them whose layers all answer in one
+/// step, a loop in the next.
+fn counted(input: &common::Array, ways: &[(usize, usize)]) -> Vec<Vec<u64>> {
+    let sample = |sample: usize| {
+        let mut v: Vec<Vec<f64>> = SIZES.iter().map(|&n| vec![0.0; n]).collect();
+        let mut spikes: Vec<Vec<bool>> = SIZES.iter().map(|&n| vec![false; n]).collect();
+        let mut counts = vec![0; SIZES[3]];
+        for step in 0..STEPS {
+            spikes[0] = (0..CHANNELS).map(|channel| input.at([sample, channel, step]) != 0).collect();
+            for to in 1..SIZES.len() {
+                let arrived = |unit: usize| -> f64 {
+                    let way = |&(from, _): &(usize, usize)| -> f64 {
+                        let row = weights(from, to)[unit * SIZES[from]..][..SIZES[from]].to_vec();
+                        row.iter().zip(&spikes[from]).filter(|(_, spike)| **spike).map(|(weight, _)| weight).sum()
+                    };
+                    ways.iter().filter(|way| way.1 == to).map(way).sum()
+                };
+                let currents: Vec<f64> = (0..SIZES[to]).map(arrived).collect();
+                for (unit, current) in currents.into_iter().enumerate() {
+                    v[to][unit] = (1.0 - FRACTION) * v[to][unit] + current + FRACTION * 0.4;
+                    spikes[to][unit] = v[to][unit] > 1.0;
+                    if spikes[to][unit] {
+                        v[to][unit] = 0.0;
+                    }
+                }
+            }
+            counts.iter_mut().zip(&spikes[3]).for_each(|(count, spike)| *count += u64::from(*spike));
+        }
+        counts
+    };
+    (0..SAMPLES).map(sample).collect()
+}
+
+#[test]
+fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    let input = common::Array::read(&folder.join("in.npy"));
+    let chain = [(0, 1), (1, 2), (2, 3)];
+    for more in [&[][..], &[(2, 2)], &[(0, 3), (1, 3)], &[(0, 2), (3, 3), (1, 1), (1, 3)]] {
+        let ways = [&chain[..], more].concat();
+        write_layered(folder, &ways);
+        let (code, _, stderr) = nsim(folder, "import net.nir -o m.ron --force");
+        assert_eq!(code, 0, "{ways:?}: {stderr}");
+        let run = object(folder, "run m.ron --input in.npy --engine reference", 0);
+        let counts: Vec<Vec<u64>> = serde_json::from_value(run["output_counts"].clone()).unwrap();
+        assert_eq!(counts, counted(&input, &ways), "{ways:?}");
+        assert!(counts.iter().flatten().sum::<u64>() > 30, "{counts:?}");
+        // Two layers behind the first: two steps more, counted everywhere and printed.
+        let steps = (SAMPLES * (STEPS + 2)) as u64;
+        assert_eq!((&run["drain"], &run["timesteps"]), (&2.into(), &steps.into()), "{ways:?}");
+        let mapped = object(folder, "run m.ron --input in.npy", 0);
+        let updates = steps * SIZES[1..].iter().sum::<usize>() as u64;
+        assert_eq!(
+            (&mapped["timesteps"], &mapped["activity"]["compartment_updates"]),
+            (&steps.into(), &updates.into())
+        );
+        assert!(nsim(folder, "run m.ron --input in.npy").1.contains("of each sample 2 after its last input step"));
+        // Without them the last answers are missing, or the layers differ in time.
+        let cut = object(folder, "run m.ron --input in.npy --engine reference --set drain=0", 0);
+        assert_ne!(cut["output_counts"], run["output_counts"], "{ways:?}");
+        // Trained means as the file says: the decays are rounded on the chip alone, and the ladder
+        // says so.
+        let agree = object(folder, "agree m.ron --input in.npy", 0);
+        let causes: Vec<&str> =
+            agree["attribution"].as_array().unwrap().iter().map(|c| c["cause"].as_str().unwrap()).collect();
+        assert!(causes.contains(&"quantised-decays"), "{causes:?}");
+    }
+}
+
+#[test]
+fn a_drain_is_bounded() {
+    let folder = tempfile::tempdir().unwrap();
+    write_layered(folder.path(), &[(0, 1), (1, 2), (2, 3)]);
+    object(folder.path(), "import net.nir -o m.ron", 0);
+    let (code, _, stderr) = nsim(folder.path(), "run m.ron --set drain=65536");
+    assert!(code == 3 && stderr.contains("drain 65536 is outside 0..=65535"), "{code}: {stderr}");
 }
 
 #[test]

@@ -285,6 +285,7 @@ impl Reader<'_> {
         let neuron = Discrete {
             du: memoryless.clone(),
             dv: memoryless,
+            taus: [None, None],
             gain: Parameter::Same(1.0),
             threshold: None,
             bias: Parameter::Same(0.0),

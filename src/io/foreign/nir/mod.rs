@@ -4,13 +4,16 @@
 //! between two populations (`Linear`, `Affine`, `Scale`, `Conv1d`, `Conv2d`, `SumPool2d`, `AvgPool2d`, `Flatten`,
 //! `Delay`) become one projection; graphs within graphs are unfolded; edges may form cycles.
 //!
-//! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are discretised as their
-//! exporters do, by Euler's rule with the new current: `I <- (1 - dt / tau_syn) I + (dt / tau_syn) w_in x`,
-//! `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I + v_leak)`. So the effective decays are `4096 dt / tau`, rounded to even, and
-//! a weight counts `(dt / tau_syn) w_in (dt / tau_mem) R` in the units of the threshold. The timestep is not in a file:
-//! it is `tau_mem / R` where that agrees with `tau_syn / w_in` in every node, or it has to be said. A bias goes to v where
-//! the current has no memory; where it has one, a compartment that spikes in every step delivers it, from step 1 on. A
-//! model that nsim exported is recognised and restored as it was ([`super::nir_export`]).
+//! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are
+//! discretised as their exporters do, by Euler's rule with the new current: `I <- (1 - dt /
+//! tau_syn) I + (dt / tau_syn) w_in x`, `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I +
+//! v_leak)`. So the effective decays are `4096 dt / tau`: as they are in the model, where a time
+//! constant of `-dt / ln(1 - dt / tau)` stands for them, rounded on the chip. And a weight counts
+//! `(dt / tau_syn) w_in (dt / tau_mem) R` in the units of the threshold. The timestep is not in a
+//! file: it is `tau_mem / R` where that agrees with `tau_syn / w_in` in every node, or it has to be
+//! said. A bias goes to v where the current has no memory; where it has one, a compartment that
+//! spikes in every step delivers it, from step 1 on. A model that nsim exported is recognised and
+//! restored as it was ([`super::nir_export`]).
 //!
 //! A reset by subtraction is asked for, since the format does not have it (`--reset subtract`). snnTorch subtracts in the step
 //! after the spike: `v <- b v + I - theta`, b the share that stays. SoftReset subtracts at the spike, so that
@@ -128,7 +131,11 @@ impl Reader<'_> {
         for name in &order {
             let shape: Vec<u64> = self.shapes[name].iter().map(|&axis| axis as u64).collect();
             let loihi = discrete[name].as_ref().map(|neuron| {
-                let mut parameters = vec![("du", neuron.du.clone()), ("dv", neuron.dv.clone())];
+                let [tau_u, tau_v] = neuron.taus.clone();
+                let mut parameters = vec![
+                    tau_u.map_or(("du", neuron.du.clone()), |tau| ("tau_u_ms", tau)),
+                    tau_v.map_or(("dv", neuron.dv.clone()), |tau| ("tau_v_ms", tau)),
+                ];
                 match &neuron.threshold {
                     Some(threshold) => parameters.push(("vth", threshold.clone())),
                     None => parameters.push(("vth_mant", Parameter::Same(NEVER))),

@@ -15,6 +15,9 @@ use crate::io::model_builder::Parameter;
 pub(super) struct Discrete {
     pub(super) du: Parameter,
     pub(super) dv: Parameter,
+    /// Time constants in ms of the current and of the voltage, where 4096ths do not hold the decays
+    /// as they are.
+    pub(super) taus: [Option<Parameter>; 2],
     /// What a weight of 1 counts in the units of the threshold.
     pub(super) gain: Parameter,
     /// None for what never spikes.
@@ -22,6 +25,10 @@ pub(super) struct Discrete {
     /// Added to v in each step.
     pub(super) bias: Parameter,
 }
+
+/// A decay that is nearer to a whole number of 4096ths is that number: time constants have single
+/// precision.
+const EXACT: f64 = 1e-3;
 
 /// Finite numbers of a field.
 pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
@@ -162,6 +169,12 @@ impl Reader<'_> {
             Ok(tau.map(|tau| (dt / tau).min(1.0)))
         };
         let decay = |fraction: &Parameter| fraction.map(|fraction| (4096.0 * fraction).round_ties_even());
+        // What is left after a step, 1 - fraction, as exp(-dt / tau).
+        let tau = |fraction: &Parameter| {
+            let exact = |fraction: f64| (4096.0 * fraction - (4096.0 * fraction).round()).abs() < EXACT;
+            let none = all(fraction, exact) || !all(fraction, |fraction| fraction < 1.0);
+            (!none).then(|| fraction.map(|fraction| -dt * 1e3 / (-fraction).ln_1p()))
+        };
         // `dt / tau * (tau / dt)`, which exporters write for "no scaling", is 1 but for rounding.
         let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
         let forget = Parameter::Same(4096.0);
@@ -192,6 +205,7 @@ impl Reader<'_> {
                 Discrete {
                     du: decay(&synapse),
                     dv: decay(&membrane),
+                    taus: [tau(&synapse), tau(&membrane)],
                     gain: zip(&current, &voltage, |a, b| a * b),
                     bias: zip(&membrane, &get("v_leak", Some(0.0))?, |a, b| a * b),
                     threshold,
@@ -202,6 +216,7 @@ impl Reader<'_> {
                 Discrete {
                     du: forget,
                     dv: decay(&membrane),
+                    taus: [None, tau(&membrane)],
                     gain: snapped(zip(&membrane, &get("r", Some(1.0))?, |a, b| a * b)),
                     bias: zip(&membrane, &get("v_leak", Some(0.0))?, |a, b| a * b),
                     threshold,
@@ -212,10 +227,18 @@ impl Reader<'_> {
                 let said = self.options.dt_ms.is_some();
                 let r = get("r", Some(1.0))?;
                 let gain = if said && !all(&r, |r| r == 1.0) { r.map(|r| r * dt) } else { r };
-                Discrete { du: forget, dv: none.clone(), gain: snapped(gain), bias: none, threshold }
+                Discrete {
+                    du: forget,
+                    dv: none.clone(),
+                    taus: [None, None],
+                    gain: snapped(gain),
+                    bias: none,
+                    threshold,
+                }
             }
             "Threshold" => {
-                Discrete { du: forget.clone(), dv: forget, gain: Parameter::Same(1.0), bias: none, threshold }
+                let taus = [None, None];
+                Discrete { du: forget.clone(), dv: forget, taus, gain: Parameter::Same(1.0), bias: none, threshold }
             }
             _ => return Ok(None),
         };
