@@ -407,6 +407,9 @@ fn earlier(trace: &Trace) -> Trace {
     Trace { trains: trace.trains.iter().map(train).collect(), ..trace.clone() }
 }
 
+/// The class of a sample by the trained network and by the converted one.
+type Classes = (Option<u32>, Option<u32>);
+
 fn scored(
     ladder: &Ladder,
     layers: &[Layer],
@@ -414,7 +417,7 @@ fn scored(
     samples: &[&Sample],
     trained: &[Trace],
 ) -> ConversionScore {
-    let each: Vec<(Vec<TrainSums>, (Option<u32>, Option<u32>))> = samples
+    let each: Vec<(Vec<TrainSums>, Classes)> = samples
         .par_iter()
         .zip(trained)
         .map(|(sample, trained)| {

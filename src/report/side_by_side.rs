@@ -87,7 +87,7 @@ impl SideBySideReport<'_> {
     /// The least share of samples of the same class.
     #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
-        let each = self.networks.iter().map(|network| network.class_agreement());
+        let each = self.networks.iter().map(Compared::class_agreement);
         each.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)
     }
 
