@@ -107,9 +107,8 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
         ));
     }
     let mut at = magic.len() as u64;
-    let header = match sized(input, &mut at, sink)? {
-        Some(header) => header,
-        None => return Err(wrong("the file ends within its header")),
+    let Some(header) = sized(input, &mut at, sink)? else {
+        return Err(wrong("the file ends within its header"));
     };
     let header = root(&header).ok_or_else(|| wrong("the header is damaged"))?;
     let damaged = |_| wrong("the header is damaged");
