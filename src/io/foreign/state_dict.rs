@@ -124,7 +124,7 @@ pub fn read(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
     match neuron.kind {
         NeuronKind::Leaky { .. } => real("PyTorch state dict", name, modules, Some(&neuron), notes, options),
         NeuronKind::Lif { .. } => real("PyTorch state dict of Norse", name, modules, Some(&neuron), notes, options),
-        _ => integers(name, modules, neuron, notes, options),
+        _ => integers(name, &modules, neuron, notes, options),
     }
 }
 
@@ -332,7 +332,7 @@ fn listed(axes: &[usize]) -> String {
 /// A network of lava-dl or SLAYER.
 fn integers(
     name: &str,
-    modules: Vec<Module>,
+    modules: &[Module],
     mut neuron: slayer::Neuron,
     mut notes: Vec<String>,
     options: &Options,
@@ -340,7 +340,7 @@ fn integers(
     let lava = modules.iter().any(|module| {
         module.has(Role::CurrentDecay) || module.arrays.values().any(|array| array.key.contains("synapse."))
     });
-    for module in &modules {
+    for module in modules {
         for (role, array) in &module.arrays {
             let unused = match role {
                 Role::Bias | Role::RecurrentBias => array.numbers.iter().any(|&b| b != 0.0),
@@ -355,7 +355,7 @@ fn integers(
             }
         }
     }
-    let (_, matrices): (Vec<usize>, Vec<Matrix>) = matrices(&modules, options)?.into_iter().unzip();
+    let (_, matrices): (Vec<usize>, Vec<Matrix>) = matrices(modules, options)?.into_iter().unzip();
     let kind = if lava { "PyTorch state dict of lava-dl" } else { "PyTorch state dict of SLAYER" };
     if let (true, NeuronKind::Loihi { scale, du, dv, .. }) = (lava, &mut neuron.kind) {
         *scale = LAVA_SCALE;

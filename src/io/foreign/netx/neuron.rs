@@ -103,8 +103,8 @@ impl Reader<'_> {
         if layer.group.number("neuron/gradedSpike").is_some_and(|graded| graded != 0.0) {
             return Err(layer.unsupported("its spikes are graded", "spikes of a Loihi 1 core carry no value"));
         }
-        let neuron = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
-        if let Some(key) = neuron.into_iter().find(|key| !FIELDS.contains(&key.as_str())) {
+        let mut keys = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
+        if let Some(key) = keys.find(|key| !FIELDS.contains(&key.as_str())) {
             return Err(layer.unsupported(
                 format!("its neuron has a field '{key}', which neurons of the type {kind} do not have"),
                 "remove it if the network does not depend on it",
