@@ -252,7 +252,8 @@ fn the_search_comes_nearer_than_the_analytic_start() {
         distances(&ladder, trained, &[Rung::MACHINE], &output, &borrowed(&unseen))[0]
     };
     let (start, end) = (on_unseen(&analytic::starts(&graph)), on_unseen(&found.conversion.fits));
-    assert!(end.class_agreement > start.class_agreement.map(|share| share + 0.1), "{start:?} {end:?}");
+    assert!(end.coincidence > start.coincidence + 0.5, "{start:?} {end:?}");
+    assert!(end.potential_rmse < start.potential_rmse.map(|error| error / 2.0), "{start:?} {end:?}");
 }
 
 const SILICON: &str = r#"Network(name: "silicon", timestep_ms: 1.0, populations: [

@@ -165,7 +165,8 @@ fn fields_of_model_target_and_constants_are_set() {
         ("populations.a.vth=x", "model."),
         ("target.nothing=1", "nothing"),
         ("constants.nothing=1", "no such number"),
-        ("constants.barrier=x", "is no number"),
+        ("constants.barrier=x", "no such number"),
+        ("constants.injection_time=0.4", "has no unit"),
     ] {
         let (status, found, said) = ran(folder.path(), &format!("map m.ron --set {wrong}"));
         assert!([2, 3].contains(&status), "{wrong}: {status}");

@@ -78,7 +78,7 @@ const LIF: [(&str, &str); 5] = [
 const LINEAR: [(&str, &str); 2] = [("type", "Linear"), ("weight", "[[1, 2, 3, 4], [2, 3, 4, 5], [3, 4, 5, 6]]")];
 
 /// A graph with a node of this type, `x`, that has this field if nodes of the type may have it.
-fn nir(kind: &str, change: Option<(&str, Item)>) -> Group {
+fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
     let line = |nodes: Vec<(&'static str, Group)>| nodes;
     let lif = |units: usize| {
         let list = |x: f64| Numbers::f64(&[units], &vec![x; units]);
@@ -153,7 +153,7 @@ fn nir(kind: &str, change: Option<(&str, Item)>) -> Group {
     let edges: Vec<String> = nodes.windows(2).flat_map(|pair| [pair[0].0.to_string(), pair[1].0.to_string()]).collect();
     let mut all = Group::default();
     for (name, mut node) in nodes {
-        if let Some((field, value)) = change.as_ref().filter(|_| name == "x") {
+        if let Some((field, value)) = change.filter(|_| name == "x") {
             node.items.insert((*field).to_string(), value.clone());
         }
         all = all.with(name, node);
@@ -164,9 +164,9 @@ fn nir(kind: &str, change: Option<(&str, Item)>) -> Group {
 }
 
 /// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the neurons, changed.
-fn netx(owner: &str, change: Option<(&str, Item)>) -> Group {
+fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     let changed = |mut group: Group, name: &str| {
-        if let Some((field, value)) = change.as_ref().filter(|_| owner == name) {
+        if let Some((field, value)) = change.filter(|_| owner == name) {
             group.items.insert((*field).to_string(), value.clone());
         }
         group
@@ -175,7 +175,7 @@ fn netx(owner: &str, change: Option<(&str, Item)>) -> Group {
         let members = [("type", "LOIHI"), ("iDecay", "1024"), ("vDecay", "128"), ("vThMant", "80"), ("theta", "5120")];
         let mut neuron = group(&members).with("refDelay", item("1"));
         // The threshold is said twice: a change of one is a contradiction, of the mantissa alone a change.
-        if change.as_ref().is_some_and(|(field, _)| *field == "vThMant") {
+        if change.is_some_and(|(field, _)| *field == "vThMant") {
             neuron.items.remove("theta");
         }
         changed(neuron, "neuron")
@@ -247,12 +247,12 @@ fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
         let value = if other == "-" { "7" } else { other };
         let (before, after) = match format {
             "NIR" => {
-                let change = Some((field.as_str(), item(value)));
-                (model(&nir(kind, None), &options), model(&nir(kind, change), &options))
+                let change = (field.as_str(), item(value));
+                (model(&nir(kind, None), &options), model(&nir(kind, Some(&change)), &options))
             }
             "netx" => {
-                let change = Some((field.as_str(), item(value)));
-                (model(&netx(kind, None), &options), model(&netx(kind, change), &options))
+                let change = (field.as_str(), item(value));
+                (model(&netx(kind, None), &options), model(&netx(kind, Some(&change)), &options))
             }
             "YAML" => (described(kind, None), described(kind, Some((field, value)))),
             other => panic!("no format {other}"),

@@ -92,7 +92,7 @@ fn saved_results_are_drawn_as_the_commands_draw_them() {
     save("map m.ron --time-budget 0 --pareto front.svg --format json", "m.json");
     save(&format!("agree m.ron --input {INPUT} --plot-causes causes.svg --format json"), "a.json");
     for (what, json, own) in
-        [("energy", "e.json", "own.svg"), ("pareto", "m.json", "front.svg"), ("agreement", "a.json", "causes.svg")]
+        [("hardware", "e.json", "own.svg"), ("pareto", "m.json", "front.svg"), ("agreement", "a.json", "causes.svg")]
     {
         let (status, _, error) = nsim(here, &format!("plot {what} {json} -o again-{own}"));
         assert_eq!(status, 0, "{what}: {error}");
@@ -100,6 +100,7 @@ fn saved_results_are_drawn_as_the_commands_draw_them() {
         assert!(read(own) == read(&format!("again-{own}")), "{what}");
     }
     assert_eq!(nsim(here, "plot time e.json -o t.pdf").0, 0);
+    assert_eq!(nsim(here, "plot energy e.json -o e.pdf").0, 0);
     let (status, _, error) = nsim(here, "plot early e.json -o x.svg");
     assert!(status == 3 && error.contains("nsim bench early"), "{error}");
     let (status, _, error) = nsim(here, "plot raster e.json -o x.svg");

@@ -319,7 +319,7 @@ fn formats() -> Vec<Format> {
         ],
     );
 
-    let data = |kind: &str, numbers: &[(&str, f64)], arrays: &[(&str, hdf5::Numbers)]| {
+    let nir_data = |kind: &str, numbers: &[(&str, f64)], arrays: &[(&str, hdf5::Numbers)]| {
         let mut group = hdf5::Group::default();
         for (name, array) in arrays {
             group = group.with(name, array.clone());
@@ -336,7 +336,7 @@ fn formats() -> Vec<Format> {
             ("time", hdf5::Numbers::f64(&[1, 2], &[0.001, time])),
             ("value", hdf5::Numbers::f64(&[1, 2], &[1.0, value])),
         ];
-        data(kind, &[("n_neurons", neurons), ("t_max", end)], &arrays)
+        nir_data(kind, &[("n_neurons", neurons), ("t_max", end)], &arrays)
     };
     let kind = "ValuedEventData";
     add(
@@ -356,7 +356,7 @@ fn formats() -> Vec<Format> {
     let grid = |at: usize, dt: f64| {
         let mut numbers = vec![0.0; 4 * 512];
         numbers[at] = 1.0;
-        data("TimeGriddedData", &[("dt", dt)], &[("data", hdf5::Numbers::f64(&[1, 4, 512], &numbers))])
+        nir_data("TimeGriddedData", &[("dt", dt)], &[("data", hdf5::Numbers::f64(&[1, 4, 512], &numbers))])
     };
     add("NIR data, grid", "nir", &grid(7, 0.001), "", vec![("data", grid(8, 0.001)), ("dt", grid(7, 0.002))]);
     formats

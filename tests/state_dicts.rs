@@ -105,7 +105,7 @@ impl Snn {
         let (mut syn, mut mem, mut spikes) = (vec![0.0; self.units], vec![0.0; self.units], vec![false; self.units]);
         let step = |current: &Vec<f64>| {
             let back = if self.own.is_empty() { vec![0.0; self.units] } else { times(&self.own, &spikes) };
-            for i in 0..self.units {
+            (0..self.units).for_each(|i| {
                 let reset = f64::from(u8::from(mem[i] > self.threshold));
                 syn[i] = self.alpha * syn[i] + current[i] + back[i];
                 mem[i] = match self.subtracts {
@@ -113,7 +113,7 @@ impl Snn {
                     false => self.beta * mem[i] * (1.0 - reset) + syn[i],
                 };
                 spikes[i] = mem[i] > self.threshold;
-            }
+            });
             spikes.clone()
         };
         currents.iter().map(step).collect()
@@ -216,12 +216,12 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
     let mut right = Vec::new();
     for step in 0..=STEPS {
         let (arrives, back) = (times(&weights, &(0..5).map(|c| input(step, c)).collect::<Vec<_>>()), times(&own, &z));
-        for i in 0..5 {
+        (0..5).for_each(|i| {
             let decayed = v[i] + 0.125 * ((0.125 - v[i]) + current[i]);
             z[i] = decayed > 0.25;
             v[i] = if z[i] { 0.0 } else { decayed };
             current[i] = 0.75 * current[i] + arrives[i] + back[i];
-        }
+        });
         right.push(z.clone());
     }
     assert!(total(&right) > 20, "{}", total(&right));

@@ -70,7 +70,7 @@ fn rows_are_those_of_the_single_commands() {
     std::fs::write(
         folder.join("l.ron"),
         r#"Sweep(samples: "0..2", list: [
-            {"model": "slip-tactile", "target": "loihi1-chip"}, {"constants.injection_time": 0.4},
+            {"model": "slip-tactile", "target": "loihi1-chip"}, {"constants.injection_time": "0.4us"},
             {"options.copies": 3, "options.mode": "realtime"}, {"options.constants": "davies2018", "input.seed": 9},
             {"model": "container-tactile-srm"}, {"target.limits.axons_in": 100}, {"populations.out.vth_mant": -7},
         ])"#,
@@ -82,7 +82,7 @@ fn rows_are_those_of_the_single_commands() {
             "l.ron",
             Some([
                 "slip-tactile --target loihi1-chip",
-                "vtsnn-slip --set constants.injection_time=0.4",
+                "vtsnn-slip --set constants.injection_time=0.4us",
                 "vtsnn-slip --copies 3 --mode realtime",
                 "vtsnn-slip --constants davies2018 --seed 9",
                 "container-tactile-srm",
@@ -206,7 +206,7 @@ fn what_no_variant_can_be_run_with_ends_the_sweep() {
         (r#"Sweep(grid: [(paths: ["constants.nothing"], values: [1])])"#, "set.path"),
         (r#"Sweep(model: "nothing", grid: [(paths: ["options.seed"], values: [1, 2])])"#, "model.unknown"),
         (r#"Sweep(grid: [(paths: ["options.nothing"], values: [1])])"#, "sweep.path"),
-        (r#"Sweep(input: ["absent.npy"])"#, "usage"),
+        (r#"Sweep(input: ["absent.npy"])"#, "io.missing"),
     ] {
         std::fs::write(folder.join("s.ron"), text).unwrap();
         let output = nsim(folder, "sweep s.ron --format json").output().unwrap();

@@ -29,7 +29,7 @@ const fn case(arguments: &'static str, old: &'static str, new: &'static str) -> 
 }
 
 /// Commands that write. Inputs lie in `i`.
-const WRITING: [Case; 52] = [
+const WRITING: [Case; 51] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
@@ -66,7 +66,6 @@ const WRITING: [Case; 52] = [
     case("train i/t.ron --study runs --seeds 1..2 --folds 2 --set weight_decay=GEN", "0", "0.01"),
     case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --plot e.svg", "a", "b"),
     case("energy i/GEN.ron --baseline rtx-2080-ti --input scene:noise?samples=1&steps=9 --export-sanafe s", "a", "b"),
-    case("energy --calibrate i/GEN-table.ron --input scene:noise?samples=1&steps=9 -o c.ron", "a", "b"),
     case("sweep i/GEN.ron -o t.csv", "sweep-a", "sweep-b"),
     case("sweep i/GEN.ron -o t.csv --plot t.svg --axes threshold,spikes --format json", "sweep-a", "sweep-b"),
     case("agree i/GEN.ron --input scene:noise?samples=1&steps=9 --plot-causes g.svg", "a", "b"),
@@ -238,12 +237,6 @@ fn prepare(i: &Path) {
              [\"populations.o.vth_mant\"], values: [4, 8, 9])])"
         );
         put(&format!("sweep-{name}.ron"), sweep.as_bytes());
-        let table = format!(
-            "Measurements(name: \"t\", source: \"made up\", notes: \"\", model: \"i/{name}.ron\", target: \"nahuku-32\", copies: 1, \
-             deployment: \"packed\", mode: realtime, steps_per_sample: 9, start: \"vtsnn-calibrated\", cells: [(unit: \
-             \"total\", figure: \"total_mw\", printed: \"32.3\")])"
-        );
-        put(&format!("{name}-table.ron"), table.as_bytes());
     }
     for (name, accuracy) in [("one", "0.5"), ("two", "0.25")] {
         let rows = format!(
@@ -517,9 +510,8 @@ fn every_command_writes_all_or_nothing_and_says_what_it_could_not_read() {
 /// Every option that takes a file or a folder is one that is read, or stands in a command above.
 #[test]
 fn every_option_that_writes_is_tried() {
-    const READ: [&str; 11] = [
+    const READ: [&str; 10] = [
         "--mapping",
-        "--calibrate",
         "--image",
         "--neuron",
         "--constants",

@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 
 /// The folders of recordings that tests ask for; one that is not listed is a slip of the pen and would be skipped for ever.
-const FOLDERS: [&str; 8] =
-    ["silicon", "neuron", "vtsnn-random", "ev-containers", "oxford-slayer", "netx", "nir", "events"];
+const FOLDERS: [&str; 9] =
+    ["cases", "silicon", "neuron", "vtsnn-random", "ev-containers", "oxford-slayer", "netx", "nir", "events"];
 
 /// The folders that the tests of a file ask for.
 #[derive(Default)]

@@ -64,7 +64,7 @@ struct Cli {
     #[arg(long, global = true, help_heading = EVERYWHERE)]
     force: bool,
     /// Change a field of the model, the target or its constants, such as populations.hidden.vth_mant=60,
-    /// target.limits.axons_out=8192 or constants.injection_time=0.4
+    /// target.limits.axons_out=8192 or constants.injection_time=0.4us
     #[arg(long, global = true, help_heading = EVERYWHERE, value_name = "PATH=VALUE", action = clap::ArgAction::Append)]
     set: Vec<String>,
     /// Neither read nor write the cache of mappings

@@ -5,33 +5,11 @@
 
 use std::collections::BTreeMap;
 
-use crate::base::units::Picoseconds;
-use crate::cost::transport::{Timing, Transport};
+use crate::cost::transport::{Timing, Transport, Words};
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 pub use crate::desc::published::scenario::{Host, Streams};
 use crate::desc::target::Target;
 use crate::ir::placement::Placement;
-
-/// Words that one x86 core handles in a sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Words {
-    /// Number of words.
-    pub count: u64,
-    /// Timesteps of the sample.
-    pub steps: u32,
-}
-
-impl Words {
-    /// No words.
-    pub const NONE: Words = Words { count: 0, steps: 1 };
-
-    /// A step's share of their time, when each takes this long.
-    #[must_use]
-    pub fn time(self, each: Picoseconds) -> Picoseconds {
-        let whole = u128::from(each.0) * u128::from(self.count) / u128::from(self.steps.max(1));
-        Picoseconds(u64::try_from(whole).unwrap_or(u64::MAX))
-    }
-}
 
 /// What the x86 cores of a job do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

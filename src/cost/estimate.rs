@@ -787,7 +787,7 @@ pub(crate) mod tests {
         let alone = Deployment { copies: 1, x86_cores: 0, x86_chips: 0, x86_working: 0, host: Host::None, ..paper() };
         let found = estimate(&case(&run, &alone));
         assert_eq!((found.rows[0].total_mw, found.job.x86_dynamic()), (Some(0.0), Some(0.0)));
-        let reset = crate::cost::deployment::Words { count: 1_000, steps: 10 };
+        let reset = crate::cost::transport::Words { count: 1_000, steps: 10 };
         let resets = Deployment { x86_cores: 1, x86_chips: 1, x86_working: 1, reset, ..alone };
         let offline = case(&run, &resets);
         let time = run.1.lanes()[0].whole.time as f64;

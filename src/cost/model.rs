@@ -164,7 +164,7 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::cost::constants::tests::{preset, table};
-    use crate::cost::deployment::Words;
+    use crate::cost::transport::Words;
     use crate::cost::transport::tests::{no_routes, timing};
     use crate::cost::transport::{QueueMemory, Timing, Transport};
 

@@ -7,13 +7,88 @@ use crate::base::names::did_you_mean;
 use crate::compile::place::SAVED;
 use crate::compile::{self, CompileError, Compiled, CopyPlacement, Form, Front, Options};
 use crate::cost::baseline::{Baseline, SHIPPED};
-use crate::cost::{CostTable, Deployment, HostWork};
+use crate::cost::estimate::Convention;
+use crate::cost::{CostTable, Deployment, Host, HostWork, Streams, Transport};
 use crate::desc::mapping::MappingFile;
+use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
+use crate::desc::published::workload::Accounting;
 use crate::desc::spanned::{parse, root_name};
 use crate::desc::target::Target;
+use crate::drive::decision::Rule;
 use crate::error::{Error, Result};
 use crate::io;
+
+/// How a run is priced, and what it is compared with.
+#[derive(Debug)]
+pub struct CostOptions {
+    /// Where input spikes come from; an x86 core of each chip where the chip has one, unless it is said.
+    pub host: Option<Host>,
+    /// Streams that a chip is fed.
+    pub streams: Streams,
+    /// Words of a core that are reset after each sample; 0: state stays.
+    pub reset_words: u64,
+    /// As fast as possible, or held to the model's timestep.
+    pub mode: Mode,
+    /// How energy is computed.
+    pub convention: Convention,
+    /// Other hardware to compare with.
+    pub baselines: BaselineSelection,
+    /// Power of this machine's processor at idle and busy.
+    pub cpu_watts: Option<Watts>,
+    /// A command that passes the same samples through a GPU.
+    #[cfg(feature = "nvml")]
+    pub gpu_command: Option<String>,
+    /// A preset of the target, by name, or a file; its first when left out.
+    pub constants: Option<String>,
+    /// Which power counts.
+    pub accounting: Accounting,
+    /// How long messages take.
+    pub transport: Transport,
+    /// By which rule to say what ending samples early would save.
+    pub early_exit: Option<Rule>,
+}
+
+impl CostOptions {
+    /// What `nsim energy` does unless other options are given, compared with these other pieces of hardware: all when
+    /// `None`.
+    ///
+    /// # Errors
+    /// A name that no baseline has.
+    pub fn usual(names: Option<&[String]>) -> Result<Self, Diagnostic> {
+        Ok(CostOptions {
+            host: None,
+            streams: Streams::One,
+            reset_words: 0,
+            mode: Mode::Offline,
+            convention: Convention::Physical,
+            baselines: baselines(names)?,
+            cpu_watts: None,
+            #[cfg(feature = "nvml")]
+            gpu_command: None,
+            constants: None,
+            accounting: Accounting::Profiler,
+            transport: Transport::default(),
+            early_exit: None,
+        })
+    }
+
+    /// What the x86 cores of a target do.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a host on a chip without x86 cores.
+    pub(super) fn host_work(&self, target: &Target, steps_per_sample: Option<u32>) -> Result<HostWork, Error> {
+        let has_x86 = target.chip().x86_cores_in_use > 0;
+        let usual = if has_x86 { Host::Stream } else { Host::None };
+        let host = self.host.unwrap_or(usual);
+        if host != Host::None && !has_x86 {
+            let (host, chip) = (host.name(), target.chip().hardware());
+            return Err(Error::Usage(format!("--host {host}: {chip} keeps no x86 core busy; leave --host out")));
+        }
+        let steps_per_sample = steps_per_sample.unwrap_or(1);
+        Ok(HostWork { host, streams: self.streams, reset_words: self.reset_words, steps_per_sample })
+    }
+}
 
 /// `--deployment`
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 //!
 //! Input: a scenario, the network, samples. Output: rows of the energy table. Errors: a job that does not compile.
 
-use super::evaluate::CostOptions;
+use super::options::CostOptions;
 use super::workload::Workload;
 use crate::base::units::Picoseconds;
 use crate::compile::frontend::relays::with_input_relays;
@@ -86,7 +86,7 @@ pub fn printed(
         }
         let cell = |figure: &str| {
             let found = table.cells.iter().find(|cell| cell.unit.value == "total" && cell.figure.value == figure);
-            found.and_then(|cell| cell.value()).map(|(value, _)| value)
+            found.and_then(crate::desc::published::measurement::MeasuredCell::value).map(|(value, _)| value)
         };
         let powers = (cell("static_mw").unwrap_or(0.0), cell("dynamic_mw"));
         let hardware = format!("{}, printed", scenario.work);

@@ -291,6 +291,44 @@ pub(crate) mod tests {
         "Target(name: \"t\", notes: \"\", chip: \"one\",\n chips_x: 2, chips_y: 1, constants: [\"c\"])";
 
     #[test]
+    fn the_shipped_boards_have_their_published_sizes() {
+        let sizes = |name| {
+            let target = load_target(name).unwrap();
+            assert_eq!(target.name(), name);
+            (target.chips(), target.cores())
+        };
+        assert_eq!(sizes("tiny"), (2, 8));
+        assert_eq!(sizes("loihi1-chip"), (1, 128));
+        assert_eq!(sizes("kapoho-bay"), (2, 256));
+        assert_eq!(sizes("nahuku-32"), (32, 4096));
+        assert_eq!(sizes("pohoiki-springs"), (768, 98_304));
+    }
+
+    #[test]
+    fn every_limit_and_every_constant_of_a_shipped_board_names_its_source() {
+        for name in ["tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs"] {
+            let target = load_target(name).unwrap();
+            let limits = serde_json::to_value(target.limits()).unwrap();
+            let fields: Vec<&String> = limits.as_object().unwrap().keys().collect();
+            assert_eq!(fields, crate::desc::resource::Limits::NAMES);
+            let sources = &target.chip().limit_sources;
+            for field in fields {
+                let of_field: Vec<_> = sources.iter().filter(|entry| entry.limit.value == *field).collect();
+                assert_eq!(of_field.len(), 1, "{name}: {field}");
+                assert!(!of_field[0].source.is_empty(), "{name}: {field}");
+            }
+            assert_eq!(
+                target.constants().iter().map(|c| c.name.as_str()).collect::<Vec<_>>(),
+                ["loihi1-evidence", "vtsnn-calibrated", "sanafe-calibrated", "davies2018"]
+            );
+            for constants in target.constants() {
+                assert!(constants.list().iter().all(|(_, constant)| !constant.source.is_empty()));
+                assert!(constants.barrier.iter().all(|entry| !entry.time.source.is_empty()));
+            }
+        }
+    }
+
+    #[test]
     fn parts_beside_the_file_are_found() {
         let target = load(TARGET, CHIP, &constants()).unwrap();
         assert_eq!((target.name(), target.cores(), target.constants()[0].hop_ns_energy.value.value), ("t", 8, 10.0));

@@ -22,7 +22,7 @@ fn a_slip_is_answered_with_what_was_meant() {
         (&["map", "--target", "nahuku32"], 3, "did you mean 'nahuku-32'?"),
         (&["energy", &model, "--constants", "davies2017"], 2, "did you mean 'davies2018'?"),
         (&["run", &unknown], 3, "did you mean 'hidden'?"),
-        (&["run", &model, "--input", "inn=x.npy"], 3, "did you mean 'in'?"),
+        (&["run", &model, "--input", &format!("inn={first}")], 3, "did you mean 'in'?"),
         (&["run", &single], 3, "write [3]"),
         (&["run", &model, "--input", &first], 3, "time before channels"),
         (&["run", &model, "--input", &samples], 3, "time before channels"),

@@ -408,7 +408,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
             [words("convert"), vec![model], words("-o out.ron --calibration-samples 1 --input"), vec![source]].concat()
         }
         15 => {
-            let option = draw.one(&["--calibrate", "--constants", "--deployment", "--baseline", "--mapping"]);
+            let option = draw.one(&["--constants", "--deployment", "--baseline", "--mapping"]);
             [words("energy slip-tactile --samples 0..1"), vec![option.to_string(), input]].concat()
         }
         16 => {

@@ -10,9 +10,9 @@ use crate::base::id::{CompartmentId, CoreId, IdVec};
 use crate::base::units::Picoseconds;
 use crate::bench::networks::BuildError;
 use crate::compile::{CompileError, Compiled, Front, Options, with_program};
-use crate::cost::deployment::Words;
 use crate::cost::estimate::{Case, JobPower};
 use crate::cost::meter::Lane;
+use crate::cost::transport::Words;
 use crate::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::DeployedCores;
@@ -50,7 +50,8 @@ fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<Compar
     for part in &file.layout {
         let of_layer = |name: &str| {
             let population = network.populations().iter().find(|population| population.name == name);
-            let first = population.and_then(|population| population.first_compartment()).map_or(0, |first| first.0);
+            let first =
+                population.and_then(crate::ir::quantised::Population::first_compartment).map_or(0, |first| first.0);
             (first..first + population.map_or(0, |population| population.shape.len())).map(CompartmentId)
         };
         let all: Vec<CompartmentId> = part.layers.iter().flat_map(|name| of_layer(&name.value)).collect();

@@ -49,6 +49,8 @@ pub enum What {
     Raster,
     /// Potentials of compartments over time
     Voltage,
+    /// Power, time and energy of a timestep on all hardware
+    Hardware,
     /// Where the energy of a timestep goes
     Energy,
     /// Where the time of a timestep goes
@@ -71,6 +73,7 @@ impl What {
         match self {
             What::Raster => "raster",
             What::Voltage => "voltage",
+            What::Hardware => "hardware",
             What::Energy => "energy",
             What::Time => "time",
             What::Map => "map",
@@ -85,7 +88,7 @@ impl What {
     fn results(self) -> Option<(&'static [&'static str], &'static str)> {
         match self {
             What::Raster | What::Voltage | What::Map => None,
-            What::Energy | What::Time => Some((&["nsim.energy/1"], "nsim energy")),
+            What::Hardware | What::Energy | What::Time => Some((&["nsim.energy/1"], "nsim energy")),
             What::Pareto => Some((&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto")),
             What::Agreement => Some((&["nsim.agree/1"], "nsim agree")),
             What::Early | What::EarlyEnergy => Some((&["nsim.bench/1"], "nsim bench early")),
@@ -95,6 +98,7 @@ impl What {
     /// The picture of a result.
     fn of_result(self, result: &Value) -> Option<String> {
         match self {
+            What::Hardware => results::hardware(result),
             What::Energy => results::energy(result),
             What::Time => results::time(result),
             What::Pareto => results::pareto(result),
@@ -156,7 +160,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return write(args, &what.of_result(&result).ok_or_else(missing)?, taken, context);
     }
     match what {
-        What::Energy | What::Time => evaluate(&args.cost, None, context, |_, evaluated| {
+        What::Hardware | What::Energy | What::Time => evaluate(&args.cost, None, context, |_, evaluated| {
             let picture = what.of_result(&evaluated.energy.json());
             let picture =
                 picture.ok_or_else(|| Error::Usage(format!("nsim plot {}: the run has no timesteps", what.name())))?;

@@ -10,11 +10,31 @@ pub mod routes;
 use crate::base::names::named_variants;
 use crate::base::units::Picoseconds;
 use crate::cost::constants::CostTable;
-use crate::cost::deployment::Words;
 use crate::cost::model::{StepTime, core_time, route_time, times};
 use crate::ir::activity::StepActivity;
 
 use self::queue::Queue;
+
+/// Words that one x86 core handles in a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Words {
+    /// Number of words.
+    pub count: u64,
+    /// Timesteps of the sample.
+    pub steps: u32,
+}
+
+impl Words {
+    /// No words.
+    pub const NONE: Words = Words { count: 0, steps: 1 };
+
+    /// A step's share of their time, when each takes this long.
+    #[must_use]
+    pub fn time(self, each: Picoseconds) -> Picoseconds {
+        let whole = u128::from(each.0) * u128::from(self.count) / u128::from(self.steps.max(1));
+        Picoseconds(u64::try_from(whole).unwrap_or(u64::MAX))
+    }
+}
 pub use self::queue::QueueMemory;
 pub use self::routes::MessageRoutes;
 

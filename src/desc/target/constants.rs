@@ -73,7 +73,7 @@ impl Unit {
     /// A sentence for what is no number, or is in a unit of something else.
     pub fn parsed(self, typed: &str) -> Result<f64, String> {
         let typed = typed.trim();
-        let end = typed.len() - typed.chars().rev().take_while(|c| c.is_ascii_alphabetic()).count();
+        let end = typed.len() - typed.chars().rev().take_while(char::is_ascii_alphabetic).count();
         let (number, unit) = (typed[..end].trim(), &typed[end..]);
         let number: f64 = number.parse().map_err(|_| format!("{typed} is no number"))?;
         let (measured, each) = match self {

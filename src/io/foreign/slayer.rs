@@ -456,7 +456,7 @@ pub(super) fn build(
         model.output = matrix.name;
     }
     model.provenance = Some(format!("imported from {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, model, notes, layers })
+    Ok(Imported { kind, model, notes, layers }.read_out())
 }
 
 /// The shape of an input of so many channels: `--input-shape`, or a line.
