@@ -12,7 +12,7 @@ from . import _nsim
 def from_nir(graph, *, name="network", dt_ms=None, reset=None, threshold=None, input_shape=None):
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file.
 
-    `dt_ms` is the timestep in ms, `reset` 'zero' or 'subtract', `threshold` 'strict' or 'inclusive', `input_shape`
+    `dt_ms` is the timestep in ms, `reset` 'zero', 'subtract' or 'subtract-later', `threshold` 'strict' or 'inclusive', `input_shape`
     (channels, height, width). `Network.notes` says by which conventions it was read. snnTorch
     (`snntorch.export_nir.export_to_nir`) and Norse (`norse.torch.to_nir`) make such graphs of their networks.
     """

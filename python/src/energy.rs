@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use nsim::cost::{Host, Streams, Transport};
 use nsim::cost::estimate::Convention;
+use nsim::cost::{Host, Streams, Transport};
 use nsim::desc::published::baseline::Mode;
 use nsim::desc::published::workload::Accounting;
 use nsim::drive::samples::Progress;

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim::compile::explore;
-use nsim::compile::{self, CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Objective, Options, Strategy, shapes};
+use nsim::compile::{
+    self, CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Objective, Options, Strategy, shapes,
+};
 use nsim::convert::copies::USUAL;
 use nsim::convert::prepare::integers;
 use nsim::desc::network::Network;
@@ -332,7 +334,8 @@ impl Mapping {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<PathBuf> {
         let keywords = Keywords::new(options)?;
-        let plan = energy::plan(py, &self.0.model, &keywords)?;
+        let plan = energy::plan(py, &self.0.model, &keywords, None)?;
+        plan.of_mapping().map_err(|error| raised(py, error))?;
         energy::report(py, (self, &plan), spikes, &keywords, (path, force))
     }
 

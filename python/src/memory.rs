@@ -165,6 +165,7 @@ pub fn imported(
     let resets = |reset: ResetMode| match reset {
         ResetMode::Zero => "zero",
         ResetMode::Subtract => "subtract",
+        ResetMode::SubtractLater => "subtract-later",
     };
     let tests = |test: ThresholdTest| match test {
         ThresholdTest::Strict => "strict",
@@ -172,7 +173,7 @@ pub fn imported(
     };
     let options = Options {
         dt_ms: keywords.take("dt_ms")?,
-        reset: keywords.one_of("reset", &[ResetMode::Zero, ResetMode::Subtract], resets)?,
+        reset: keywords.one_of("reset", &[ResetMode::Zero, ResetMode::Subtract, ResetMode::SubtractLater], resets)?,
         threshold: keywords.one_of("threshold", &[ThresholdTest::Strict, ThresholdTest::Inclusive], tests)?,
         input_shape: keywords.take("input_shape")?,
         ..Options::default()
