@@ -1,5 +1,5 @@
-//! The tables of fields in `docs/import.md`: a field that is changed to a value that means something else changes the model or
-//! is refused, and a field without meaning changes nothing.
+//! The tables of fields in `docs/import.md`: a field that is changed to a value that means
+//! something else changes the model or is refused, and a field without meaning changes nothing.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -163,7 +163,8 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
     Group::default().with("node", graph)
 }
 
-/// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the neurons, changed.
+/// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the
+/// neurons, changed.
 fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     let changed = |mut group: Group, name: &str| {
         if let Some((field, value)) = change.filter(|_| owner == name) {
@@ -174,7 +175,8 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     let neuron = || {
         let members = [("type", "LOIHI"), ("iDecay", "1024"), ("vDecay", "128"), ("vThMant", "80"), ("theta", "5120")];
         let mut neuron = group(&members).with("refDelay", item("1"));
-        // The threshold is said twice: a change of one is a contradiction, of the mantissa alone a change.
+        // The threshold is said twice: a change of one is a contradiction, of the mantissa alone a
+        // change.
         if change.is_some_and(|(field, _)| *field == "vThMant") {
             neuron.items.remove("theta");
         }
@@ -209,7 +211,8 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     Group::default().with("layer", layers)
 }
 
-/// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a neuron of this text.
+/// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a
+/// neuron of this text.
 fn described(kind: &str, change: Option<(&str, &str)>) -> Option<ModelBuilder> {
     let mut fields: Vec<(&str, &str)> = match kind {
         "LOIHI" => vec![("vThMant", "80"), ("vDecay", "128"), ("iDecay", "1024"), ("refDelay", "1"), ("wgtExp", "0")],

@@ -177,8 +177,8 @@ fn recordings_that_peers_wrote_hold_what_they_wrote() {
         let mut all = All::default();
         events::decode(format, &EventOptions::default(), &mut &bytes[1..], &mut all)
             .unwrap_or_else(|error| panic!("{name}: {error}"));
-        // Events of one time have no order among themselves in a vector of EVT3, whose writer left high halves of the
-        // time out: the file has them.
+        // Events of one time have no order among themselves in a vector of EVT3, whose writer left
+        // high halves of the time out: the file has them.
         let sorted = |mut events: Vec<_>| {
             events.sort_unstable();
             events

@@ -1,4 +1,5 @@
-//! Nodes of NIR and layers of netx: what each means, what an export keeps of it, and that no field is passed over.
+//! Nodes of NIR and layers of netx: what each means, what an export keeps of it, and that no field
+//! is passed over.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -245,7 +246,8 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
     assert!(says(&unsaid, None).unwrap() && !says(&unsaid, Some(ResetMode::SubtractLater)).unwrap());
     let other = with(lif(&[3]).with("v_reset", reals(&[0.5; 3])));
     assert_eq!(says(&other, None).unwrap_err().code, "import.unsupported");
-    // An export holds a model; options that contradict it are refused, those that repeat it are not.
+    // An export holds a model; options that contradict it are refused, those that repeat it are
+    // not.
     let (tree, _) = nir_export::export(&import(&unsaid)).unwrap();
     assert_eq!(says(&tree, Some(ResetMode::Subtract)).unwrap_err().code, "import.option");
     assert_eq!(read(&tree, &Options { dt_ms: Some(2.0), ..Options::default() }).unwrap_err().code, "import.option");

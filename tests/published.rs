@@ -1,5 +1,5 @@
-//! The published tables: reproduced cell by cell by constants that were fitted to one of them, predicted by constants of other
-//! works, and how far predictions of each work are off.
+//! The published tables: reproduced cell by cell by constants that were fitted to one of them,
+//! predicted by constants of other works, and how far predictions of each work are off.
 //!
 //! With `NSIM_BLESS=1` the table in `docs/energy.md` is written anew.
 
@@ -111,7 +111,8 @@ fn nothing_is_fitted_to_the_real_time_table() {
     assert!(preset.contains("offline") && !preset.contains("real"));
 }
 
-/// Predictions of each work without its authors' findings: how far they are off, the errors that the constants state, and the page.
+/// Predictions of each work without its authors' findings: how far they are off, the errors that
+/// the constants state, and the page.
 #[test]
 fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() {
     let workloads = io::published::workload::shipped().unwrap();

@@ -71,7 +71,8 @@ fn one_recording_and_ten() {
     assert!(error.message.contains("10 samples 156 in each"), "{error}");
 }
 
-/// A recording, the options that it is read with, and what is changed of it for each field of `docs/import.md`.
+/// A recording, the options that it is read with, and what is changed of it for each field of
+/// `docs/import.md`.
 struct Format {
     name: &'static str,
     extension: &'static str,
@@ -362,7 +363,8 @@ fn formats() -> Vec<Format> {
     formats
 }
 
-/// Another value of a field changes what is read, or is refused; and one without meaning changes nothing.
+/// Another value of a field changes what is read, or is refused; and one without meaning changes
+/// nothing.
 #[test]
 fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
     let folder = tempfile::tempdir().unwrap();
@@ -471,7 +473,8 @@ fn clocks_step_back_and_turn_as_their_formats_say() {
         let (events, counts) = read_bytes("a.raw", bytes, "size=16,16&start_ms=0").unwrap();
         (events.iter().map(|event| event.0).collect::<Vec<_>>(), counts.clock_turns, counts.disordered)
     };
-    // A low half that is 5 us less stays as written; a fall over half the range is a high half that was left out.
+    // A low half that is 5 us less stays as written; a fall over half the range is a high half that
+    // was left out.
     assert_eq!(steps(&evt3(&[0x8001, 0x6400, 1, 0x2801, 0x63fb, 0x2802])), (vec![5, 5], 0, 1));
     assert_eq!(steps(&evt3(&[0x8001, 0x6fff, 1, 0x2801, 0x6000, 0x2802])), (vec![8, 8], 1, 0));
     assert_eq!(steps(&evt3(&[0x8fff, 0x6fff, 0x8000, 0x6000, 1, 0x2802])), (vec![16_777], 1, 0));

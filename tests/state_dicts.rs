@@ -1,6 +1,8 @@
-//! State dicts of PyTorch: each family of names gives the network that the equations of its tool give.
+//! State dicts of PyTorch: each family of names gives the network that the equations of its tool
+//! give.
 //!
-//! The pickles are written by hand, as torch's `serialization.py` does; the sums are computed here, without any of nsim.
+//! The pickles are written by hand, as torch's `serialization.py` does; the sums are computed here,
+//! without any of nsim.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -90,7 +92,8 @@ fn times(weights: &[f32], spikes: &[bool]) -> Vec<f64> {
         .collect()
 }
 
-/// snnTorch's rules for one layer: `alpha` of 0 has no current, `own` weights reach the layer a step later.
+/// snnTorch's rules for one layer: `alpha` of 0 has no current, `own` weights reach the layer a
+/// step later.
 struct Snn {
     units: usize,
     alpha: f64,
@@ -225,7 +228,8 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
         right.push(z.clone());
     }
     assert!(total(&right) > 20, "{}", total(&right));
-    // The voltage takes up the current of the step before: everything is one step later than here, where v leaks from step 0.
+    // The voltage takes up the current of the step before: everything is one step later than here,
+    // where v leaks from step 0.
     let ours = spikes(&imported.model, "l", 5);
     assert_eq!(ours[..STEPS - 1], right[1..STEPS]);
 }
@@ -253,7 +257,8 @@ fn lava_dl_counts_in_64ths_with_the_decays_of_the_file() {
     let line = &imported.layers[0];
     assert_eq!((line.scale, line.shape.clone()), (64.0, vec![2, 3]));
     assert!((line.zeroed - 1.0 / 6.0).abs() < 1e-12 && (line.greatest_error - (9.0 - 254.0 / 64.0)).abs() < 1e-12);
-    // A config of SLAYER gives the threshold, the file the decays; without the file's, the config has to.
+    // A config of SLAYER gives the threshold, the file the decays; without the file's, the config
+    // has to.
     let slayer = neuron(&folder, "type: LOIHI, vThMant: 80, vDecay: 5, iDecay: 6, refDelay: 1");
     let with_slayer = import(&entries, &slayer).unwrap();
     assert_eq!(with_slayer.model.populations, imported.model.populations);
@@ -361,7 +366,8 @@ fn what_the_network_may_depend_on_is_used_or_refused() {
     assert!((import(&[sparse], &loihi).unwrap().layers[0].zeroed - 0.75).abs() < 1e-12);
     let lost: Entry = ("fc1.weight", vec![1, 4], vec![0.1, -0.2, 0.9, 1.1]);
     assert_eq!(import(&[lost], &loihi).unwrap_err().code, "import.slayer");
-    // snnTorch: graded spikes and no reset have no counterpart, and the file's neurons are not described twice.
+    // snnTorch: graded spikes and no reset have no counterpart, and the file's neurons are not
+    // described twice.
     let layer = |change: usize, value: f32| {
         let mut entries: Vec<Entry> = vec![("fc1.weight", vec![1, 1], vec![1.0])];
         entries.extend(leaky(LIF1, 0.5, 1.0, 0.0));

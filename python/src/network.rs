@@ -139,9 +139,11 @@ impl Network {
 
     /// The same network on the cores of a target.
     ///
-    /// `target` is a target file or a shipped name; `copies` (1), `deployment` ('spread', 'packed'), `strategy` ('multilevel', 'greedy', 'sequential'), `objective` ('cores',
-    /// 'energy', 'energy:chip', 'latency') and `seed` (0) are those of `nsim map`; `mapping` is a file that `nsim map -o` wrote.
-    /// Spike response neurons become integers as `nsim map` makes them.
+    /// `target` is a target file or a shipped name; `copies` (1), `deployment` ('spread',
+    /// 'packed'), `strategy` ('multilevel', 'greedy', 'sequential'), `objective` ('cores',
+    /// 'energy', 'energy:chip', 'latency') and `seed` (0) are those of `nsim map`; `mapping` is a
+    /// file that `nsim map -o` wrote. Spike response neurons become integers as `nsim map` makes
+    /// them.
     #[pyo3(
         signature = (target=None, **options),
         text_signature = "($self, target='nahuku-32', *, copies=1, deployment='spread', strategy='multilevel', objective='cores', seed=0, mapping=None)"
@@ -155,8 +157,8 @@ impl Network {
 
     /// What the network costs on the chip: `nsim energy`.
     ///
-    /// Without `copies` there is one, or with `deployment='paper'` as many as in the measured job; figures are of one. `spikes` and the other
-    /// keywords are those of `Mapping.energy`.
+    /// Without `copies` there is one, or with `deployment='paper'` as many as in the measured job;
+    /// figures are of one. `spikes` and the other keywords are those of `Mapping.energy`.
     #[pyo3(
         signature = (spikes=None, *, target=None, copies=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='spread', mode='offline', \

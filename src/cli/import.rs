@@ -43,8 +43,9 @@ pub struct Args {
     /// Type and parameters of the neurons, where the file has none: a YAML file
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
-    /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as on the chip; or the
-    /// threshold is subtracted at the spike, or a step later as in snnTorch, which only some targets can do
+    /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as
+    /// on the chip; or the threshold is subtracted at the spike, or a step later as in snnTorch,
+    /// which only some targets can do
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&RESETS))]
     reset: Option<ResetMode>,
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)
@@ -66,7 +67,8 @@ pub struct Args {
     /// The first of these resets, counted from a layer's start
     #[arg(long, value_name = "STEPS", default_value_t = 0, requires = "reset_interval")]
     reset_offset: u32,
-    /// Size of the input of a network that begins with a convolution, or with a dense layer on an image
+    /// Size of the input of a network that begins with a convolution, or with a dense layer on an
+    /// image
     #[arg(long, value_name = "C,H,W", value_delimiter = ',')]
     input_shape: Option<Vec<u64>>,
     /// The model file to write; its arrays go beside it as .safetensors

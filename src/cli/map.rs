@@ -56,7 +56,8 @@ pub struct MapArgs {
     /// Copies of the model; 1 unless a mapping says otherwise
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// Where copies go: each on chips of its own and then more on each chip, or on as few cores as they fit
+    /// Where copies go: each on chips of its own and then more on each chip, or on as few cores as
+    /// they fit
     #[arg(long, default_value = "spread", value_parser = one_of(&CopyPlacement::ALL, CopyPlacement::name), conflicts_with = "mapping")]
     pub deployment: CopyPlacement,
     /// What to minimise: cores, energy or latency

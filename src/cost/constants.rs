@@ -85,8 +85,8 @@ macro_rules! cost_table {
 for_each_constant!(cost_table);
 
 impl CostTable {
-    /// The preset with the energies and powers of one status, all others 0: published, calibrated, assumed.
-    /// Ratios stay.
+    /// The preset with the energies and powers of one status, all others 0: published, calibrated,
+    /// assumed. Ratios stay.
     ///
     /// # Errors
     /// As [`CostTable::new`].

@@ -1,8 +1,9 @@
 //! The rows of the energy table: power, latency, energy and energy-delay product.
 //!
-//! Input: the activity of a run ([`Activity`], [`StepMeter`]) and its deployment. Output: the rows with their intervals, the
-//! breakdown of the dynamic energy, and its distribution over the timesteps. Invariants: under the profiler's accounting
-//! x86 + neuron = total; static + dynamic = total; an unknown figure is `None`, and a note says why. Equations are those of
+//! Input: the activity of a run ([`Activity`], [`StepMeter`]) and its deployment. Output: the rows
+//! with their intervals, the breakdown of the dynamic energy, and its distribution over the
+//! timesteps. Invariants: under the profiler's accounting x86 + neuron = total; static + dynamic =
+//! total; an unknown figure is `None`, and a note says why. Equations are those of
 //! `docs/energy.md`.
 
 use serde::Serialize;
@@ -189,9 +190,11 @@ impl EnergyRow {
 /// A preset by how far its constants can be trusted.
 #[derive(Debug, Clone)]
 pub struct ByStatus {
-    /// The preset with the energies and powers of one status, all others 0: published, fitted, assumed.
+    /// The preset with the energies and powers of one status, all others 0: published, fitted,
+    /// assumed.
     tables: [CostTable; 3],
-    /// The least trusted constant of each part of a step's time, in the order of [`StepTime::parts`].
+    /// The least trusted constant of each part of a step's time, in the order of
+    /// [`StepTime::parts`].
     time: [Status; 6],
 }
 
@@ -277,8 +280,9 @@ pub struct Estimate {
     pub job: JobPower,
     /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without timesteps.
     pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
-    /// Energy of the timesteps, all power of the `total` row included, physical: its mean is that row's energy. `None`
-    /// without timesteps, and when the meter did not keep it for this preset and price.
+    /// Energy of the timesteps, all power of the `total` row included, physical: its mean is that
+    /// row's energy. `None` without timesteps, and when the meter did not keep it for this preset
+    /// and price.
     pub per_timestep_uj: Option<Spread>,
     /// Of that, the dynamic energy of the neuron cores.
     pub per_timestep_dynamic_uj: Option<Spread>,
@@ -333,12 +337,14 @@ impl JobPower {
     }
 }
 
-/// What x86 cores do in a step, by equation (20): the power of those that inject, and the energy in fJ of those that reset.
+/// What x86 cores do in a step, by equation (20): the power of those that inject, and the energy in
+/// fJ of those that reset.
 fn x86_work(table: &CostTable, deployment: &Deployment) -> (f64, f64) {
     let each = table.x86_active_power.milliwatts() * deployment.x86_working as f64;
     match deployment.host {
         Host::None if !deployment.takes_turns() => (0.0, 0.0),
-        // An x86 core that resets works for as long as that and its turn take; 1 mW for 1 ps is 1 fJ.
+        // An x86 core that resets works for as long as that and its turn take; 1 mW for 1 ps is 1
+        // fJ.
         Host::None => (0.0, each * (deployment.reset.time(table.reset_word_time).0 + table.turn_time.0) as f64),
         Host::Stream | Host::Memory => (each * table.x86_injecting_share.ratio(), 0.0),
     }
@@ -373,8 +379,8 @@ pub struct Spent {
     pub energy_uj: f64,
 }
 
-/// What the `total` row spends in these steps of the meter, summed under the case's preset, whatever the convention: for the
-/// whole run, the mean of a step (13) times the steps.
+/// What the `total` row spends in these steps of the meter, summed under the case's preset,
+/// whatever the convention: for the whole run, the mean of a step (13) times the steps.
 ///
 /// # Panics
 /// When the meter has no such preset: a mistake of the caller.
@@ -386,8 +392,8 @@ pub fn spent(case: &Case<'_>, steps: &StepSums) -> Spent {
     Spent { time_us, energy_uj: price.always_mw * time_us / 1e3 + dynamic_fj / 1e9 }
 }
 
-/// What the `total` row spends on the mean in the first, second, ... step of a sample, physical; empty unless the meter
-/// kept these sums for the case's preset.
+/// What the `total` row spends on the mean in the first, second, ... step of a sample, physical;
+/// empty unless the meter kept these sums for the case's preset.
 ///
 /// # Panics
 /// When the meter has no such preset: a mistake of the caller.
@@ -532,7 +538,8 @@ impl Case<'_> {
                 let time =
                     ends.map(|(low, high_end)| (if high { high_end / latency_us } else { latency_us / low }).ln());
                 let scaled = |figure: Option<f64>, log: Option<f64>| Some(figure? * (sign * log?).exp());
-                // Energy is power times time, the product with time once more; the paper's energy is power alone.
+                // Energy is power times time, the product with time once more; the paper's energy
+                // is power alone.
                 let exponents = if self.convention == Convention::Physical { [1.0, 2.0] } else { [0.0, 1.0] };
                 let [energy, edp] = exponents.map(|exponent| {
                     let time = if exponent == 0.0 { 0.0 } else { exponent * time? };

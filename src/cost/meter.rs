@@ -66,7 +66,8 @@ pub struct Lane {
 /// events * `events` + `step_fj` + `always_mw` * time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepPrice {
-    /// What counted events are multiplied with: one over the copies counted, for the energy of one copy.
+    /// What counted events are multiplied with: one over the copies counted, for the energy of one
+    /// copy.
     pub events: f64,
     /// Energy that each step takes, whatever its length, in fJ.
     pub step_fj: f64,

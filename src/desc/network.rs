@@ -411,8 +411,9 @@ projection_desc!(
     }
 );
 
-/// Silent places behind an axis of `source` places that a window with this reach, stride and padding before the axis needs
-/// to give `target` outputs: as many as before where that gives them, else the fewest that do.
+/// Silent places behind an axis of `source` places that a window with this reach, stride and
+/// padding before the axis needs to give `target` outputs: as many as before where that gives them,
+/// else the fewest that do.
 #[must_use]
 pub fn padding_after(source: u64, target: u64, reach: u64, stride: u64, before: u64) -> u64 {
     let last = target.saturating_sub(1).saturating_mul(stride).saturating_add(reach);

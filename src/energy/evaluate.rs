@@ -1,7 +1,7 @@
 //! From a mapped network and its samples to a priced run and its report.
 //!
-//! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A plan comes first, because a
-//! published job says how many copies of it there were.
+//! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A
+//! plan comes first, because a published job says how many copies of it there were.
 
 use std::borrow::Cow;
 
@@ -56,7 +56,8 @@ impl Plan {
         }
     }
 
-    /// Copies to be mapped: one of those of a published job or of given cores, since those say where the copies are.
+    /// Copies to be mapped: one of those of a published job or of given cores, since those say
+    /// where the copies are.
     #[must_use]
     pub fn mapped_copies(&self) -> Option<u32> {
         match &self.source {
@@ -95,8 +96,8 @@ impl Plan {
         }
     }
 
-    /// The network of the published job, mapped, where the deployment is one; its inputs have compartments of their own
-    /// where those of the job had.
+    /// The network of the published job, mapped, where the deployment is one; its inputs have
+    /// compartments of their own where those of the job had.
     ///
     /// # Errors
     /// When it does not compile.
@@ -116,8 +117,8 @@ pub struct Evaluated {
     pub deployment: Deployment,
 }
 
-/// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its program, if there is one: other
-/// hardware runs that.
+/// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its
+/// program, if there is one: other hardware runs that.
 ///
 /// # Errors
 /// [`Error`] when an option does not fit the workload; those of `simulate`.

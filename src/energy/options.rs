@@ -22,7 +22,8 @@ use crate::io;
 /// How a run is priced, and what it is compared with.
 #[derive(Debug)]
 pub struct CostOptions {
-    /// Where input spikes come from; an x86 core of each chip where the chip has one, unless it is said.
+    /// Where input spikes come from; an x86 core of each chip where the chip has one, unless it is
+    /// said.
     pub host: Option<Host>,
     /// Streams that a chip is fed.
     pub streams: Streams,
@@ -50,8 +51,8 @@ pub struct CostOptions {
 }
 
 impl CostOptions {
-    /// What `nsim energy` does unless other options are given, compared with these other pieces of hardware: all when
-    /// `None`.
+    /// What `nsim energy` does unless other options are given, compared with these other pieces of
+    /// hardware: all when `None`.
     ///
     /// # Errors
     /// A name that no baseline has.

@@ -1,6 +1,8 @@
-//! A published job of a shipped model: mapped as it was, priced by the same constants, beside what was printed.
+//! A published job of a shipped model: mapped as it was, priced by the same constants, beside what
+//! was printed.
 //!
-//! Input: a scenario, the network, samples. Output: rows of the energy table. Errors: a job that does not compile.
+//! Input: a scenario, the network, samples. Output: rows of the energy table. Errors: a job that
+//! does not compile.
 
 use super::options::CostOptions;
 use super::workload::Workload;
@@ -69,7 +71,8 @@ pub fn row(
     Ok(EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row })
 }
 
-/// The `total` row that a job's source printed in this mode, if it did; energy as power times time, or as printed.
+/// The `total` row that a job's source printed in this mode, if it did; energy as power times time,
+/// or as printed.
 ///
 /// # Errors
 /// When a table of measurements cannot be read.

@@ -1,8 +1,8 @@
 //! What a file is. Every command asks here, and only here.
 //!
-//! Input: a path, or the first bytes of a file and its name. Output: a [`FileKind`]. The content decides; the name
-//! decides among formats whose files begin with data, and for content that is not recognised. What HDF5 files hold is
-//! found in their tree (`foreign::hdf5::Content`).
+//! Input: a path, or the first bytes of a file and its name. Output: a [`FileKind`]. The content
+//! decides; the name decides among formats whose files begin with data, and for content that is not
+//! recognised. What HDF5 files hold is found in their tree (`foreign::hdf5::Content`).
 //!
 //! Errors: `io.*` for a file that cannot be opened, `io.lfs-pointer`.
 

@@ -149,7 +149,8 @@ pub fn parse_chip(source: &SourceText) -> Result<Chip> {
     Ok(chip)
 }
 
-/// A preset of constants from its text, which may say only what differs from another preset (`base`).
+/// A preset of constants from its text, which may say only what differs from another preset
+/// (`base`).
 ///
 /// # Errors
 /// `constants.syntax`, `constants.base`, and what [`Constants::check`] says.

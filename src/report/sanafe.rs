@@ -10,7 +10,9 @@
 //! through the mesh is charged. SANA-FE delivers a step after sending: inputs of step t without delay are sent in step t - 1,
 //! and where step 0 has some a step goes before all others; inputs of delay 1 are sent in their own step.
 //!
-//! Not exported: what x86 cores do (a phase of its own in nsim), static power, and limits of the voltage. What the format cannot say is refused: other delays, periodic resets, held starts, `threshold: Inclusive`.
+//! Not exported: what x86 cores do (a phase of its own in nsim), static power, and limits of the
+//! voltage. What the format cannot say is refused: other delays, periodic resets, held starts,
+//! `threshold: Inclusive`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -256,8 +256,9 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
     }
 }
 
-/// Convolutions and poolings over a few channels, one after the other, that depend on the seed only: strides, four paddings,
-/// dilations and groups of all kinds, delays, layers that reach themselves or come back from the layer after.
+/// Convolutions and poolings over a few channels, one after the other, that depend on the seed
+/// only: strides, four paddings, dilations and groups of all kinds, delays, layers that reach
+/// themselves or come back from the layer after.
 pub fn convolutional(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0xc0_4401);
     let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);

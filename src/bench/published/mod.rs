@@ -1,8 +1,9 @@
 //! Published measurements beside what nsim predicts for them.
 //!
-//! Input: workload files and constants with the findings of each group of authors. Output: a row for each printed figure:
-//! predicted by all findings, and without those of the work's own group. Left out on purpose: sums and products of figures of a
-//! table (total power, energy-delay product), which would count twice.
+//! Input: workload files and constants with the findings of each group of authors. Output: a row
+//! for each printed figure: predicted by all findings, and without those of the work's own group.
+//! Left out on purpose: sums and products of figures of a table (total power, energy-delay
+//! product), which would count twice.
 
 pub mod cells;
 pub mod network;
@@ -31,7 +32,8 @@ pub struct PublishedRow {
     pub published: f64,
     /// What nsim says.
     pub predicted: f64,
-    /// The interval by the class of the figure, widened by rates that are assumed; `None` where no class bounds it.
+    /// The interval by the class of the figure, widened by rates that are assumed; `None` where no
+    /// class bounds it.
     pub interval: Option<(f64, f64)>,
     /// Whether the findings of the work's own authors were left out.
     pub left_out: bool,
@@ -72,8 +74,9 @@ fn without(constants: &Constants, group: &str) -> Constants {
     others
 }
 
-/// The rows of these workloads, in their order: each figure by all findings, then without those of its authors, by which the
-/// model is judged. Figures that are known second-hand judge nothing, so that they have no such row.
+/// The rows of these workloads, in their order: each figure by all findings, then without those of
+/// its authors, by which the model is judged. Figures that are known second-hand judge nothing, so
+/// that they have no such row.
 ///
 /// # Errors
 /// [`PredictError`] where a workload cannot be compiled or run.
@@ -153,8 +156,9 @@ fn middle(factors: Vec<f64>) -> Option<f64> {
     crate::desc::target::constants::median(factors)
 }
 
-/// How far predictions of each class were off: at the finite-sample rank of the works' largest errors, as split conformal
-/// prediction with works as groups has it (Vovk, Gammerman and Shafer 2005, chapter 4).
+/// How far predictions of each class were off: at the finite-sample rank of the works' largest
+/// errors, as split conformal prediction with works as groups has it (Vovk, Gammerman and Shafer
+/// 2005, chapter 4).
 #[must_use]
 pub fn class_errors(rows: &[PublishedRow]) -> Vec<ClassError> {
     let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out).collect();

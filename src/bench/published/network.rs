@@ -46,7 +46,8 @@ impl Rates {
     }
 }
 
-/// Steps before anything is counted: twice as many as the slowest compartment waits for its first spike.
+/// Steps before anything is counted: twice as many as the slowest compartment waits for its first
+/// spike.
 #[must_use]
 pub fn warm_up(file: &WorkloadFile, rates: Rates) -> u32 {
     let layers = file.populations.iter().filter(|population| matches!(population, WorkloadPopulation::Layer { .. }));

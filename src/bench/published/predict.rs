@@ -1,8 +1,9 @@
 //! The figures of a published workload, by simulation and constants.
 //!
-//! Input: a workload, its target, tables of constants. Output: each figure of the workload under each table. The workload is a
-//! network on the cores that its source gave each layer, with the source's numbers of copies, chips and x86 cores; it is run,
-//! metered and priced by the functions that price a user's network.
+//! Input: a workload, its target, tables of constants. Output: each figure of the workload under
+//! each table. The workload is a network on the cores that its source gave each layer, with the
+//! source's numbers of copies, chips and x86 cores; it is run, metered and priced by the functions
+//! that price a user's network.
 
 use super::network::{COUNTED, Rates, build, warm_up};
 use crate::base::diagnostic::Diagnostic;
@@ -140,7 +141,8 @@ fn figure(
     Some(all / parts.max(1.0))
 }
 
-/// The figures of a workload under each table, in the order of the file; unknown ones are not numbers.
+/// The figures of a workload under each table, in the order of the file; unknown ones are not
+/// numbers.
 ///
 /// # Errors
 /// [`PredictError`].
@@ -154,7 +156,8 @@ pub fn predict(
     let compiled = mapped(file, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
-    // Biases keep every compartment of the network from rest; what that costs is linear in the share of steps in which it is so.
+    // Biases keep every compartment of the network from rest; what that costs is linear in the
+    // share of steps in which it is so.
     let share = rates.of_range(file.active_share);
     let table = |table: &CostTable| {
         let mut table = table.clone();

@@ -41,17 +41,18 @@ pub struct CostArgs {
     /// What the network is shown.
     #[command(flatten)]
     pub input: InputArgs,
-    /// Copies of the model on the target; figures are of one [default: those of --mapping, else 1; those of the
-    /// measured job with --deployment paper]
+    /// Copies of the model on the target; figures are of one [default: those of --mapping, else 1;
+    /// those of the measured job with --deployment paper]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// Where copies are: each on chips of its own and then more on each chip (spread), or on as few cores as they fit
-    /// (packed); as in the measured job of the model (paper); numbers of cores, chips and x86 cores; or the file of a
-    /// saved mapping or a scenario [default: spread]
+    /// Where copies are: each on chips of its own and then more on each chip (spread), or on as few
+    /// cores as they fit (packed); as in the measured job of the model (paper); numbers of cores,
+    /// chips and x86 cores; or the file of a saved mapping or a scenario [default: spread]
     #[arg(help_heading = "Cost model", long, value_name = "spread|packed|paper|FILE|CORES,CHIPS,X86")]
     pub deployment: Option<String>,
-    /// Where input spikes come from: a computer through an x86 core of each chip, that x86 core's memory, or nothing,
-    /// for the neuron cores alone [default: stream where the chip has x86 cores]
+    /// Where input spikes come from: a computer through an x86 core of each chip, that x86 core's
+    /// memory, or nothing, for the neuron cores alone [default: stream where the chip has x86
+    /// cores]
     #[arg(help_heading = "Cost model", long, value_parser = one_of(&Host::ALL, Host::name))]
     pub host: Option<Host>,
     /// Input streams of a chip: one that its copies share, or one for each copy
@@ -66,8 +67,9 @@ pub struct CostArgs {
     /// Energy as power x latency, or as the VT-SNN paper computes it
     #[arg(help_heading = "Cost model", long, default_value = "physical", value_parser = one_of(&Convention::ALL, Convention::name))]
     pub convention: Convention,
-    /// Other hardware to compare with: cpu (measured here), a GPU measured for this model, or gpu-roofline (modelled from
-    /// its peak rates); the first two when left out, none when given without a name
+    /// Other hardware to compare with: cpu (measured here), a GPU measured for this model, or
+    /// gpu-roofline (modelled from its peak rates); the first two when left out, none when given
+    /// without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
     /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
@@ -80,7 +82,8 @@ pub struct CostArgs {
     /// Preset of constants: of those that the target names (its first when left out), or a file
     #[arg(help_heading = "Cost model", long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
-    /// Which power counts: what Intel's profiler attributes to the job, or what a meter shows of the whole board
+    /// Which power counts: what Intel's profiler attributes to the job, or what a meter shows of
+    /// the whole board
     #[arg(help_heading = "Cost model", long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
     pub accounting: Accounting,
     /// How long messages take: every message through finite buffers, or the longest route and the busiest link

@@ -20,8 +20,8 @@ impl Write for Unheard {
     }
 }
 
-/// Starts the log at the level that `--verbose` and `--quiet` ask for; by default with a line for each recording where
-/// `recordings` asks for them.
+/// Starts the log at the level that `--verbose` and `--quiet` ask for; by default with a line for
+/// each recording where `recordings` asks for them.
 pub fn start(verbose: u8, quiet: bool, recordings: bool) {
     let level = match (quiet, verbose) {
         (true, _) => "error",

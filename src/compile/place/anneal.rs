@@ -1,10 +1,11 @@
 //! Exchanging cores of a chip, and chips of the board, until messages go less far.
 //!
-//! Input: nets, places to start from and how much may be tried. Output: places, never worse under the objective. A
-//! proposal takes a core and another site of its chip, half of the time the one nearest to the mean position of the cores
-//! that it exchanges messages with (the force-directed part), else any, and swaps the two; a tile that is not in use
-//! receives a whole tile, so that no more tiles are in use than before. It is accepted when it saves
-//! links, and otherwise with a probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
+//! Input: nets, places to start from and how much may be tried. Output: places, never worse under
+//! the objective. A proposal takes a core and another site of its chip, half of the time the one
+//! nearest to the mean position of the cores that it exchanges messages with (the force-directed
+//! part), else any, and swaps the two; a tile that is not in use receives a whole tile, so that no
+//! more tiles are in use than before. It is accepted when it saves links, and otherwise with a
+//! probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
 //! simulated annealing", Science 220, 1983). The best places are kept.
 //!
 //! Chips are annealed side by side in rounds, each from the places in which all others were when the round began; after a

@@ -1,11 +1,13 @@
 //! Copies of a network on chips of their own.
 //!
-//! Input: a network, how one copy of it is mapped, and the number of copies. Output: all copies on their cores, each like the
-//! first. A copy takes a *slot*: the whole chips that it needs. Copy k goes to slot k modulo their number; where a copy needs one
-//! chip, further copies fill the chip's next cores. Nothing comes out where copies are to be packed, where the network is mapped
-//! by its kernels, or where they do not fit so: then copies are packed as tightly as they fit.
+//! Input: a network, how one copy of it is mapped, and the number of copies. Output: all copies on
+//! their cores, each like the first. A copy takes a *slot*: the whole chips that it needs. Copy k
+//! goes to slot k modulo their number; where a copy needs one chip, further copies fill the chip's
+//! next cores. Nothing comes out where copies are to be packed, where the network is mapped by its
+//! kernels, or where they do not fit so: then copies are packed as tightly as they fit.
 //!
-//! Invariant: no two copies share a core, so that what one copy costs does not depend on the others.
+//! Invariant: no two copies share a core, so that what one copy costs does not depend on the
+//! others.
 
 use crate::base::id::{CompartmentId, CoreId, IdVec};
 use crate::compile::error::Result;
@@ -63,7 +65,8 @@ fn sites_of_copies(one: &Placement, mesh: Mesh, copies: u32) -> Option<IdVec<Cor
         let of_copy = |copy: u32| numbers.iter().map(move |number| mesh.site(slot(copy) + number));
         return (0..copies).flat_map(of_copy).collect();
     }
-    // Several copies on a chip: one after the other in the chip's own order, each as far from the corner as it has to be.
+    // Several copies on a chip: one after the other in the chip's own order, each as far from the
+    // corner as it has to be.
     let size = numbers.len() as u32;
     let mut order: Vec<usize> = (0..numbers.len()).collect();
     order.sort_by_key(|&core| numbers[core]);

@@ -87,8 +87,8 @@ impl Timing {
         Picoseconds(table.barrier(self.tiles_used).0.saturating_add(between.0))
     }
 
-    /// The parts of a step's time that no count of cores or messages enters: the time of its cores and
-    /// messages is 0.
+    /// The parts of a step's time that no count of cores or messages enters: the time of its cores
+    /// and messages is 0.
     #[must_use]
     pub fn host_and_barrier(&self, spikes_in: u64, table: &CostTable) -> StepTime {
         StepTime {

@@ -1,4 +1,5 @@
-//! The mirror of tables of measurements (`mapping/measurements`): what a published workload needed on the chip.
+//! The mirror of tables of measurements (`mapping/measurements`): what a published workload needed
+//! on the chip.
 
 use serde::Deserialize;
 

@@ -122,7 +122,8 @@ impl Quantity {
         }
     }
 
-    /// Figures that are wrong together with it; `None` of sums and differences, which no class bounds.
+    /// Figures that are wrong together with it; `None` of sums and differences, which no class
+    /// bounds.
     #[must_use]
     pub fn class(self) -> Option<FigureClass> {
         Some(match self {

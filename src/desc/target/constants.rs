@@ -38,7 +38,8 @@ pub enum Unit {
     ratio,
 }
 
-/// Units that a value may be typed in, by what they measure: how many of the first of its kind each is.
+/// Units that a value may be typed in, by what they measure: how many of the first of its kind each
+/// is.
 const TYPED: [(&str, Unit, f64); 11] = [
     ("fJ", Unit::pJ, 1e-3),
     ("pJ", Unit::pJ, 1.0),
@@ -66,8 +67,8 @@ impl Unit {
         }
     }
 
-    /// A typed value such as `0.4us` in this unit. Constants of time come in ns and in us, so that a time without its
-    /// unit is refused.
+    /// A typed value such as `0.4us` in this unit. Constants of time come in ns and in us, so that
+    /// a time without its unit is refused.
     ///
     /// # Errors
     /// A sentence for what is no number, or is in a unit of something else.
@@ -161,8 +162,8 @@ pub struct Constant {
     pub source: String,
     /// How far it can be trusted.
     pub status: Status,
-    /// What each group of authors found, where the value is the median of that: of two in the middle the
-    /// geometric mean.
+    /// What each group of authors found, where the value is the median of that: of two in the
+    /// middle the geometric mean.
     #[serde(default)]
     pub findings: Vec<Finding>,
 }
@@ -359,7 +360,8 @@ macro_rules! constants {
         }
 
         impl ConstantsChanges {
-            /// The other preset with the changes. Errors of figures that follow from a changed constant are gone.
+            /// The other preset with the changes. Errors of figures that follow from a changed
+            /// constant are gone.
             #[must_use]
             pub fn applied(self, base: &Constants, name: String) -> Constants {
                 let mut made = Constants { name, notes: self.notes, ..base.clone() };

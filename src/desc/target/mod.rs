@@ -174,8 +174,8 @@ pub struct TargetChanges {
 }
 
 impl TargetChanges {
-    /// A chip with the changes, which goes by this name where there are any. Sources of limits that are changed no
-    /// longer say where they come from.
+    /// A chip with the changes, which goes by this name where there are any. Sources of limits that
+    /// are changed no longer say where they come from.
     #[must_use]
     pub fn chip(&self, mut chip: Chip, name: Option<&str>) -> Chip {
         let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
@@ -314,7 +314,8 @@ impl Target {
         &self.chip.limits
     }
 
-    /// How far predictions by a preset were off on such hardware; nothing where the preset was measured on other.
+    /// How far predictions by a preset were off on such hardware; nothing where the preset was
+    /// measured on other.
     #[must_use]
     pub fn errors<'c>(&self, preset: &'c Constants) -> &'c [ClassError] {
         if preset.hardware == self.chip.hardware() { &preset.errors } else { &[] }

@@ -278,8 +278,8 @@ pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     group(&file.root(), &mut budget, 0)
 }
 
-/// Refuses recordings of events by the names of their groups, before anything is decoded: they are large, and are packed
-/// by filters of their own.
+/// Refuses recordings of events by the names of their groups, before anything is decoded: they are
+/// large, and are packed by filters of their own.
 fn refuse_events(root: &hdf5_pure::Group) -> Result<()> {
     let has = |group: &str, members: &[&str]| {
         let found = root.iter_groups().ok().and_then(|mut groups| groups.find(|(name, _)| name == group));

@@ -44,7 +44,8 @@ pub enum ResetMode {
     Zero,
     /// The threshold is subtracted.
     Subtract,
-    /// The threshold is subtracted in the step after the spike, once the voltage has decayed (snnTorch).
+    /// The threshold is subtracted in the step after the spike, once the voltage has decayed
+    /// (snnTorch).
     SubtractLater,
 }
 
@@ -72,14 +73,16 @@ pub struct LayerWeights {
     pub scale: f64,
     /// Share of the weights other than 0 that became 0.
     pub zeroed: f64,
-    /// The greatest difference between a weight of the file and what stands for it, in the file's units.
+    /// The greatest difference between a weight of the file and what stands for it, in the file's
+    /// units.
     pub greatest_error: f64,
     /// Sum of the squares of these differences, as a share of that of the weights.
     lost: f64,
 }
 
 impl LayerWeights {
-    /// Compares the weights of a file with those of the model, which are `scale` times as large but for rounding.
+    /// Compares the weights of a file with those of the model, which are `scale` times as large but
+    /// for rounding.
     pub(super) fn new(name: &str, shape: &[usize], scale: f64, given: &[f64], made: &[f64]) -> LayerWeights {
         let (mut used, mut zeroed, mut greatest_error, mut squares, mut errors) = (0usize, 0usize, 0.0f64, 0.0, 0.0);
         for (given, made) in given.iter().zip(made) {
@@ -95,7 +98,8 @@ impl LayerWeights {
         LayerWeights { name: name.to_string(), shape: shape.to_vec(), scale, zeroed, greatest_error, lost }
     }
 
-    /// Whether rounding leaves too little of the layer: most weights became 0, and not just small ones beside large ones.
+    /// Whether rounding leaves too little of the layer: most weights became 0, and not just small
+    /// ones beside large ones.
     pub(super) fn is_lost(&self) -> bool {
         self.zeroed > 0.5 && self.lost > 0.1
     }
@@ -121,7 +125,8 @@ pub(super) fn every_step() -> Vec<(&'static str, Parameter)> {
     parameters.map(|(key, value)| (key, Parameter::Same(value))).to_vec()
 }
 
-/// A number of single precision as the shortest decimal that it stands for, where it has more than 16 significant bits: 0.8, not
+/// A number of single precision as the shortest decimal that it stands for, where it has more than
+/// 16 significant bits: 0.8, not
 /// 0.800000012. The tool's sums in single precision round away what that adds, sums in double precision would not: a voltage
 /// that comes to 1 there stays at its threshold of 1 here.
 pub(super) fn decimal(single: f64) -> f64 {

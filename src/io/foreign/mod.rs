@@ -27,7 +27,8 @@ use super::text::read_bytes;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::Network;
 
-/// Whether a model argument is a file of another tool. What cannot be opened is for the reader of models to say.
+/// Whether a model argument is a file of another tool. What cannot be opened is for the reader of
+/// models to say.
 #[must_use]
 pub fn is_foreign(path: &Path) -> bool {
     let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron, FileKind::Unknown];

@@ -137,13 +137,14 @@ struct Graph {
     edges: Vec<(String, String)>,
     notes: Vec<String>,
     dt: f64,
-    /// Biases of currents with memory that a compartment brings in every step, by population, until a node takes them.
+    /// Biases of currents with memory that a compartment brings in every step, by population, until
+    /// a node takes them.
     biases: BTreeMap<String, Vec<f64>>,
 }
 
 impl Graph {
-    /// Whether a population is what an import makes of biases of a current: a compartment that spikes in every step. Then these
-    /// are kept, and its projections become biases of nodes again.
+    /// Whether a population is what an import makes of biases of a current: a compartment that
+    /// spikes in every step. Then these are kept, and its projections become biases of nodes again.
     fn takes_biases_of(&mut self, model: &ModelBuilder, population: &PopulationBuilder) -> bool {
         let is_made = population.units() == 1
             && population.loihi == Some(every_step())
@@ -302,7 +303,8 @@ impl Graph {
         Ok(())
     }
 
-    /// The bias that is still to be brought to a target, where the node of this projection holds it.
+    /// The bias that is still to be brought to a target, where the node of this projection holds
+    /// it.
     fn bias_for(&mut self, projection: &ProjectionBuilder, target: &PopulationBuilder) -> Option<Vec<f64>> {
         let bias = self.biases.get(&target.name)?;
         let held = match projection.kind {
@@ -412,9 +414,10 @@ impl Graph {
         Ok(chain)
     }
 
-    /// A convolution as NIR has it: one padding for both ends of an axis, and square, since `nir.read` of Python takes the
-    /// height of a kernel for its width. Rows and columns of zeros before and behind a kernel do both: with F before and B behind,
-    /// of a dilation d, a padding of `before + F d` on both sides acts like `before + d (F - B)` behind.
+    /// A convolution as NIR has it: one padding for both ends of an axis, and square, since
+    /// `nir.read` of Python takes the height of a kernel for its width. Rows and columns of zeros
+    /// before and behind a kernel do both: with F before and B behind, of a dilation d, a padding
+    /// of `before + F d` on both sides acts like `before + d (F - B)` behind.
     fn convolution(
         &mut self,
         (source, target): (&PopulationBuilder, &PopulationBuilder),
@@ -462,7 +465,8 @@ impl Graph {
             }
         };
         let (height, width) = (rows.size as usize, columns.size as usize);
-        // `nir.read` takes the channels of a kernel for those of its input, so groups become zeros too where they fit.
+        // `nir.read` takes the channels of a kernel for those of its input, so groups become zeros
+        // too where they fit.
         let all = inner * groups as usize;
         let in_one = groups > 1 && (out * all * height * width) as u64 <= MOST_MATRIX;
         if groups > 1 && !in_one {
@@ -530,8 +534,8 @@ impl Axis {
     }
 }
 
-/// What a weight of 1 of a projection counts, in units of the register divided by 64, as the threshold mantissa is, or in those
-/// of a real threshold.
+/// What a weight of 1 of a projection counts, in units of the register divided by 64, as the
+/// threshold mantissa is, or in those of a real threshold.
 fn counts(model: &ModelBuilder, projection: &ProjectionBuilder) -> f64 {
     let real = model.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
     match (real, projection.weight_scale) {

@@ -1,10 +1,10 @@
 //! Weights that SLAYER or lava-dl trained for Loihi neurons, and the YAML that describes neurons.
 //!
-//! Input: matrices by name, from a state dict (`state_dict`) or from `.npy` files as VT_SNN writes them, and a YAML
-//! network config.
-//! Output: a model of dense layers, in the order of the file, or the three layers of a network with a tactile and a
-//! visual encoder. Weights become `round(w / 2) * 2`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There
-//! is one step between layers, as on the chip and as `delayShift` does in training. The kernels `srmKernel` and
+//! Input: matrices by name, from a state dict (`state_dict`) or from `.npy` files as VT_SNN writes
+//! them, and a YAML network config. Output: a model of dense layers, in the order of the file, or
+//! the three layers of a network with a tactile and a visual encoder. Weights become `round(w / 2)
+//! * 2`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There is one step between
+//! layers, as on the chip and as `delayShift` does in training. The kernels `srmKernel` and
 //! `refKernel` that checkpoints carry are of the training only.
 
 use std::collections::BTreeMap;

@@ -1,13 +1,17 @@
-//! State dicts of PyTorch: layers and neurons of lava-dl, SLAYER, snnTorch and Norse by the names of their tensors.
+//! State dicts of PyTorch: layers and neurons of lava-dl, SLAYER, snnTorch and Norse by the names
+//! of their tensors.
 //!
-//! Input: the tensors of a checkpoint, in the order of the file, and a description of the neurons where the file has none.
-//! Output: a model. What each name means is a table, [`ROLES`]; a tensor without a row there is refused by its name, since
-//! nothing says that the network does not depend on it. Weights that are stored as length and direction (weight norm, in both
-//! of torch's namings) are multiplied out. Networks of integers (lava-dl, SLAYER) are built from matrices
-//! ([`super::slayer`]). Networks of real numbers (snnTorch, Norse) become a NIR graph first, with the equations of
-//! their exporters, and are read by [`super::nir`]: decays, biases and resets then have one reader.
+//! Input: the tensors of a checkpoint, in the order of the file, and a description of the neurons
+//! where the file has none. Output: a model. What each name means is a table, [`ROLES`]; a tensor
+//! without a row there is refused by its name, since nothing says that the network does not depend
+//! on it. Weights that are stored as length and direction (weight norm, in both of torch's namings)
+//! are multiplied out. Networks of integers (lava-dl, SLAYER) are built from matrices
+//! ([`super::slayer`]). Networks of real numbers (snnTorch, Norse) become a NIR graph first, with
+//! the equations of their exporters, and are read by [`super::nir`]: decays, biases and resets then
+//! have one reader.
 //!
-//! Errors: `import.state-dict` for what is in the file, `import.option` for what the file and its user say of the neurons.
+//! Errors: `import.state-dict` for what is in the file, `import.option` for what the file and its
+//! user say of the neurons.
 
 use std::collections::BTreeMap;
 
@@ -41,7 +45,8 @@ enum Role {
     GradedSpikes,
 }
 
-/// The names of tensors by their ends; the first that fits counts, and what stands before it is the module.
+/// The names of tensors by their ends; the first that fits counts, and what stands before it is the
+/// module.
 const ROLES: [(&str, Role); 17] = [
     ("recurrent_synapse.weight", Role::Recurrent),
     ("recurrent.weight", Role::Recurrent),
@@ -62,7 +67,8 @@ const ROLES: [(&str, Role); 17] = [
     ("graded_spikes_factor", Role::GradedSpikes),
 ];
 
-/// Names that say nothing of a network that is not being trained: kernels of a training, states left from the last sample.
+/// Names that say nothing of a network that is not being trained: kernels of a training, states
+/// left from the last sample.
 const WITHOUT_MEANING: [&str; 8] =
     ["srmKernel", "refKernel", "mem", "syn", "spk", "current_state", "voltage_state", "num_batches_tracked"];
 /// Parts of a checkpoint that belong to the training.
@@ -195,7 +201,8 @@ fn multiplied(directions: &[f64], shape: &[usize], lengths: &[f64], axes: &[usiz
     Some(directions.iter().enumerate().map(scaled).collect())
 }
 
-/// Tensors grouped by their modules, in the order of the file, and the names of those without a meaning.
+/// Tensors grouped by their modules, in the order of the file, and the names of those without a
+/// meaning.
 fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
     let mut modules: Vec<Module> = Vec::new();
     let mut ignored = Vec::new();
@@ -265,7 +272,8 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
             ));
         };
         let sources = array.numbers.len() / targets;
-        // A kernel is a dense layer where it covers all of its input: the layer behind it then hears one unit a kernel.
+        // A kernel is a dense layer where it covers all of its input: the layer behind it then
+        // hears one unit a kernel.
         let kernel = axes.get(1..).unwrap_or_default();
         let before = (place > 0).then(|| layers[place - 1].1[0]);
         let covers = match (before, layers.get(place + 1)) {
@@ -382,7 +390,8 @@ struct RealNeuron {
     threshold: Vec<f64>,
 }
 
-/// A network of snnTorch or Norse, as a graph of NIR; `neuron` describes the neurons where the file does not.
+/// A network of snnTorch or Norse, as a graph of NIR; `neuron` describes the neurons where the file
+/// does not.
 fn real(
     kind: &'static str,
     name: &str,
@@ -470,7 +479,8 @@ fn real(
         last = graph.follow(&last, &format!("{}.weight", layer.name), weights);
         let population = graph.node(&described.name.clone(), neuron_node(&described, matrix.targets, dt)?);
         graph.edge(&last, &population);
-        // A recurrent layer's weights stand with its neurons in snnTorch, with its weights in Norse.
+        // A recurrent layer's weights stand with its neurons in snnTorch, with its weights in
+        // Norse.
         let owner = if neuron.is_none() { neurons[place] } else { layer };
         if let Some(array) = owner.arrays.get(&Role::Recurrent) {
             if array.numbers.len() != matrix.targets * matrix.targets {
@@ -480,7 +490,8 @@ fn real(
             let own = weights_node(&array.numbers, size, owner, Role::RecurrentBias)?;
             let mut back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
             if matches!(neuron.map(|neuron| &neuron.kind), Some(NeuronKind::Lif { .. })) {
-                // Norse's voltage takes up the current of the step before; between layers that is a constant shift.
+                // Norse's voltage takes up the current of the step before; between layers that is a
+                // constant shift.
                 let delay = node("Delay").with("delay", Numbers::f64(&[1], &[dt]));
                 back = graph.follow(&back, &format!("{}.delay", described.name), delay);
             }

@@ -1,6 +1,7 @@
 //! Tables of measurements, checked.
 //!
-//! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] in which every unit and figure that it names exists and every cell is a positive number.
+//! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] in which every unit
+//! and figure that it names exists and every cell is a positive number.
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::published::measurement::MeasurementsFile;

@@ -1,8 +1,9 @@
 //! Spikes from files: arrays, lists, recordings of events, data sets.
 //!
-//! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population. [`crate::io::kind`] decides which
-//! format a file has; [`source`] is the way in. Each reader stands below it: [`manifest`] reads data sets with the readers
-//! of [`recordings`], which are [`mod@array`], [`npz`], [`csv`], [`folder`] and [`events`].
+//! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population.
+//! [`crate::io::kind`] decides which format a file has; [`source`] is the way in. Each reader
+//! stands below it: [`manifest`] reads data sets with the readers of [`recordings`], which are
+//! [`mod@array`], [`npz`], [`csv`], [`folder`] and [`events`].
 
 pub mod array;
 pub mod csv;

@@ -52,7 +52,8 @@ impl TimeUnit {
         })
     }
 
-    /// A time of this unit in whole microseconds, downward; what its rounding took off a whole one is given back.
+    /// A time of this unit in whole microseconds, downward; what its rounding took off a whole one
+    /// is given back.
     #[must_use]
     pub fn microseconds(self, time: f64) -> i64 {
         let us = time

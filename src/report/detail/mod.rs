@@ -71,8 +71,8 @@ impl Detail {
         self.ranks.iter().map(line).collect()
     }
 
-    /// A table of the cores that were the slowest in most steps, at most this many. Of cores that take as long in every step
-    /// the first is listed, with their number.
+    /// A table of the cores that were the slowest in most steps, at most this many. Of cores that
+    /// take as long in every step the first is listed, with their number.
     #[must_use]
     pub fn slowest_text(&self, most: usize) -> String {
         let spent = |row: &CoreRow| row.spent.map_or(0, |spent| spent.slowest_steps);

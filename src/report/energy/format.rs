@@ -24,7 +24,8 @@ pub(super) fn three_digits(x: f64) -> String {
     digits(x, 3)
 }
 
-/// An end of an interval: two significant digits, three of hundreds, thousands as `2.8k`, without a zero before the point.
+/// An end of an interval: two significant digits, three of hundreds, thousands as `2.8k`, without a
+/// zero before the point.
 pub(super) fn brief(x: f64) -> String {
     let text = match x {
         1e6.. => format!("{}M", digits(x / 1e6, 2)),

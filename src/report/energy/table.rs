@@ -1,7 +1,7 @@
 //! The energy table as text, JSON (`nsim.energy/1`), CSV, and tables for papers.
 //!
-//! JSON and CSV hold full precision. The text has the layout of the VT-SNN paper's tables: three digits for what nsim says, all
-//! printed digits for what others published.
+//! JSON and CSV hold full precision. The text has the layout of the VT-SNN paper's tables: three
+//! digits for what nsim says, all printed digits for what others published.
 
 use std::fmt::Write;
 
@@ -292,7 +292,8 @@ impl EnergyReport {
         csv_of(self.rows(), &columns)
     }
 
-    /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper computes it.
+    /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper
+    /// computes it.
     fn edp(&self, pjs: f64) -> f64 {
         if self.convention() == Convention::Physical { pjs / 1e3 } else { pjs }
     }
@@ -497,7 +498,8 @@ impl EnergyReport {
         out
     }
 
-    /// The table as comma-separated values, for a table in a paper: the same lines, each with all of its cells.
+    /// The table as comma-separated values, for a table in a paper: the same lines, each with all
+    /// of its cells.
     ///
     /// # Errors
     /// As [`EnergyReport::csv`].

@@ -95,8 +95,8 @@ impl Reader<'_> {
         }
         let name = self.neurons(layer, &shape)?;
         let Geometry { stride, padding, dilation } = geometry;
-        // SLAYER's pool puts (size mod window) silent rows and columns behind an image that windows do not fill; whether the
-        // file's network did so is in the layer's shape.
+        // SLAYER's pool puts (size mod window) silent rows and columns behind an image that windows
+        // do not fill; whether the file's network did so is in the layer's shape.
         let after = |axis: usize, window: u64, stride: u64, padding: u64, dilation: u64| {
             let size = source.shape[axis];
             let reach = dilation * (window - 1) + 1;

@@ -73,7 +73,8 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
     }
 }
 
-/// The fields of a type of layers (`docs/import.md` says what is done with each); none for a type that is not imported.
+/// The fields of a type of layers (`docs/import.md` says what is done with each); none for a type
+/// that is not imported.
 fn fields(kind: &str) -> &'static [&'static str] {
     match kind {
         "flatten" | "average" => &["type", "shape", "neuron", "bias", "delay"],

@@ -82,7 +82,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The synapses of each neuron to itself that move a subtraction of the threshold to the step after the spike.
+    /// The synapses of each neuron to itself that move a subtraction of the threshold to the step
+    /// after the spike.
     fn later_subtraction(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionBuilder>> {
         let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
         let weight = |unit: usize| -(neuron.dv.get(unit) / 4096.0) * threshold.get(unit);

@@ -89,7 +89,8 @@ impl Window {
     }
 }
 
-/// The sum of two lists of delays, of which one number counts for all and an empty list for nothing.
+/// The sum of two lists of delays, of which one number counts for all and an empty list for
+/// nothing.
 pub(super) fn sum_of_delays(a: &[u32], b: &[u32]) -> Vec<u32> {
     let get = |list: &[u32], index: usize| list.get(if list.len() == 1 { 0 } else { index }).copied().unwrap_or(0);
     (0..a.len().max(b.len())).map(|index| get(a, index) + get(b, index)).collect()

@@ -15,11 +15,12 @@
 //! spikes in every step delivers it, from step 1 on. A model that nsim exported is recognised and
 //! restored as it was ([`super::nir_export`]).
 //!
-//! A reset by subtraction is asked for, since the format does not have it (`--reset subtract`). snnTorch subtracts in the step
-//! after the spike: `v <- b v + I - theta`, b the share that stays. SoftReset subtracts at the spike, so that
-//! `v <- b (v - theta) + I`; a synapse of `-(1 - b) theta` from each neuron to itself makes the two equal
-//! (`--reset subtract-later`). Where the current has a memory of share a, a second one, a step later, of `a (1 - b) theta`
-//! takes away what the current keeps of the first.
+//! A reset by subtraction is asked for, since the format does not have it (`--reset subtract`).
+//! snnTorch subtracts in the step after the spike: `v <- b v + I - theta`, b the share that stays.
+//! SoftReset subtracts at the spike, so that `v <- b (v - theta) + I`; a synapse of `-(1 - b)
+//! theta` from each neuron to itself makes the two equal (`--reset subtract-later`). Where the
+//! current has a memory of share a, a second one, a step later, of `a (1 - b) theta` takes away
+//! what the current keeps of the first.
 //!
 //! Left out on purpose: resets to other values than zero, for which a core has no circuit.
 

@@ -62,7 +62,8 @@ pub(super) struct Reader<'a> {
 /// Fields that every node may have and that say nothing of the network.
 pub(super) const WITHOUT_MEANING: [&str; 4] = ["type", "metadata", "input_type", "output_type"];
 
-/// The fields of a type of nodes (`docs/import.md` says what is done with each); none for a type that is not read.
+/// The fields of a type of nodes (`docs/import.md` says what is done with each); none for a type
+/// that is not read.
 pub(super) fn fields(kind: &str) -> &'static [&'static str] {
     match kind {
         "Input" | "Output" | "Pass" => &["shape"],

@@ -1,9 +1,11 @@
 //! Formats of fixed-size events: an address and a time each.
 //!
-//! N-MNIST and SLAYER: five bytes, the last three a polarity bit and 23 bits of microseconds, big-endian (Orchard et al.
-//! 2015; slayerPytorch 01beeeb, `src/spikeFileIO.py`). SLAYER's own writer of `.bs1` loses the high byte of a channel, so
-//! channels above 255 come back from its files as others. N-MNIST's `.bin` marks each turn of its clock by an entry. Prophesee `.dat`: a text header, then eight bytes each: 32 bits
-//! of microseconds, 14 of x, 14 of y, 4 of polarity, little-endian (Metavision SDK, file format DAT).
+//! N-MNIST and SLAYER: five bytes, the last three a polarity bit and 23 bits of microseconds,
+//! big-endian (Orchard et al. 2015; slayerPytorch 01beeeb, `src/spikeFileIO.py`). SLAYER's own
+//! writer of `.bs1` loses the high byte of a channel, so channels above 255 come back from its
+//! files as others. N-MNIST's `.bin` marks each turn of its clock by an entry. Prophesee `.dat`: a
+//! text header, then eight bytes each: 32 bits of microseconds, 14 of x, 14 of y, 4 of polarity,
+//! little-endian (Metavision SDK, file format DAT).
 
 use std::io::{BufRead, Read};
 
@@ -12,7 +14,8 @@ use crate::base::diagnostic::Result;
 
 /// The longest line of a header, and the most lines.
 const MOST_HEADER: usize = 1 << 12;
-/// The row of N-MNIST's entries that are no events but turns of its clock, and the time that each adds.
+/// The row of N-MNIST's entries that are no events but turns of its clock, and the time that each
+/// adds.
 pub(super) const OVERFLOW_ROW: u32 = 240;
 const OVERFLOW_US: i64 = 1 << 13;
 
@@ -34,7 +37,8 @@ pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     Ok(())
 }
 
-/// `.bin` of N-MNIST and N-Caltech101, in which an entry of row 240 is a turn of the clock and no event.
+/// `.bin` of N-MNIST and N-Caltech101, in which an entry of row 240 is a turn of the clock and no
+/// event.
 ///
 /// # Errors
 /// `io.read`, and those of the sink.
@@ -65,7 +69,8 @@ pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     Ok(())
 }
 
-/// The lines of a header, each beginning with '%' and a space, without these; and a byte that was read behind them.
+/// The lines of a header, each beginning with '%' and a space, without these; and a byte that was
+/// read behind them.
 pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [u8])> {
     let mut lines = Vec::new();
     while lines.len() < 256 {

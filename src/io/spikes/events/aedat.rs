@@ -1,10 +1,11 @@
 //! AEDAT4, the files of iniVation's DV.
 //!
-//! A line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then packets: a stream's number and a
-//! size, and so many bytes that hold, plain or compressed by LZ4 or Zstandard, a flatbuffer with a vector of events of 16
-//! bytes: microseconds, x, y, polarity (iniVation, AEDAT file format 4.0; `dv/data/event.fbs`). Packets whose identifier
-//! is not `EVTS` are skipped. The description names the streams; events of two streams are never read as one. A packet
-//! is read whole: it and what it decompresses to take at most 64 MiB each.
+//! A line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then packets: a
+//! stream's number and a size, and so many bytes that hold, plain or compressed by LZ4 or
+//! Zstandard, a flatbuffer with a vector of events of 16 bytes: microseconds, x, y, polarity
+//! (iniVation, AEDAT file format 4.0; `dv/data/event.fbs`). Packets whose identifier is not `EVTS`
+//! are skipped. The description names the streams; events of two streams are never read as one. A
+//! packet is read whole: it and what it decompresses to take at most 64 MiB each.
 //!
 //! Flatbuffers are read with `planus`, which checks each access: the accessors of the crate `flatbuffers` are unsafe.
 
@@ -92,7 +93,8 @@ fn several(streams: &BTreeMap<i32, Stream<'_>>, found: &[i32]) -> Diagnostic {
 /// Reads one stream of a file: the chosen one, or the only one with events.
 ///
 /// # Errors
-/// `input.events` for what is no AEDAT4, is damaged, is compressed in another way, or has several streams of events.
+/// `input.events` for what is no AEDAT4, is damaged, is compressed in another way, or has several
+/// streams of events.
 pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut magic = [0; 14];
     let there = fill(input, &mut magic, sink)?;

@@ -173,8 +173,9 @@ impl Bins {
         }
     }
 
-    /// Asks for the unit of times that nothing names and that are hardly microseconds: a camera has from one event a second
-    /// to a thousand a microsecond, and a recording is longer than a timestep.
+    /// Asks for the unit of times that nothing names and that are hardly microseconds: a camera has
+    /// from one event a second to a thousand a microsecond, and a recording is longer than a
+    /// timestep.
     ///
     /// # Errors
     /// `input.unit`.

@@ -108,7 +108,8 @@ pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("io.read", format!("cannot be read: {error}"))
 }
 
-/// Fills a buffer with the next record; false at the end of the input. A record that the end cuts off is reported.
+/// Fills a buffer with the next record; false at the end of the input. A record that the end cuts
+/// off is reported.
 ///
 /// # Errors
 /// `io.read`.

@@ -1,8 +1,9 @@
 //! Prophesee's EVT2 and EVT3 streams in `.raw` files.
 //!
-//! EVT2: words of 32 bits, little-endian: 4 bits of type (0 and 1 an event that falls or rises, 8 the time's high 28 bits),
-//! 6 of the time's low bits, 11 of x, 11 of y. EVT3: words of 16 bits with a state: a row and its camera, the time in two
-//! halves of 12 bits, single events, and vectors of 12 and 8 events beside a base column (Metavision SDK, encodings EVT 2.0 and 3.0).
+//! EVT2: words of 32 bits, little-endian: 4 bits of type (0 and 1 an event that falls or rises, 8
+//! the time's high 28 bits), 6 of the time's low bits, 11 of x, 11 of y. EVT3: words of 16 bits
+//! with a state: a row and its camera, the time in two halves of 12 bits, single events, and
+//! vectors of 12 and 8 events beside a base column (Metavision SDK, encodings EVT 2.0 and 3.0).
 //! EVT2.1 is refused: sensors differ in its byte order.
 
 use std::io::{BufRead, Read};
@@ -139,8 +140,8 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
             }
             0x6 => {
                 let new = i64::from(word & 0xfff);
-                // Some writers leave a high half out that only counts one more. A smaller step back is one of
-                // the camera's clock, and stays as it is.
+                // Some writers leave a high half out that only counts one more. A smaller step back
+                // is one of the camera's clock, and stays as it is.
                 if timed && low - new > 1 << 11 {
                     high += 1;
                     sink.remark(Remark::ClockTurn);

@@ -16,11 +16,12 @@ use crate::io::text;
 /// What the log calls the lines of recordings.
 pub const RECORDING: &str = "recording";
 
-/// Passes every event of a recording to a sink. Of the options, the stream, the unit of times and the size say how
-/// it is to be read.
+/// Passes every event of a recording to a sink. Of the options, the stream, the unit of times and
+/// the size say how it is to be read.
 ///
 /// # Errors
-/// `input.events` for what is malformed, `input.option` for an option that the format does not have, those of the sink.
+/// `input.events` for what is malformed, `input.option` for an option that the format does not
+/// have, those of the sink.
 pub fn decode(format: EventFormat, options: &EventOptions, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let &EventOptions { stream, unit, size, .. } = options;
     if stream.is_some() && !matches!(format, EventFormat::Aedat4 | EventFormat::Raw) {
@@ -103,7 +104,8 @@ fn default_origin(format: EventFormat) -> Origin {
     }
 }
 
-/// Logs the span of a recording and what was made of its events; as a warning where some were left out or moved.
+/// Logs the span of a recording and what was made of its events; as a warning where some were left
+/// out or moved.
 pub fn report(path: &Path, counts: &Counts) {
     let Counts { events, span_us, dropped, disordered, merged, faint, clock_turns, not_events, cut_bytes, .. } =
         *counts;

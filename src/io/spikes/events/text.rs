@@ -1,9 +1,10 @@
 //! Events in text: a header that names the columns, then a row an event.
 //!
-//! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and a time: `t`, `ts`, `time` or
-//! `timestamp`, with the unit behind it (`t_s`, `t_ms`, `t_us`, `t_ns`). They stand in any order, separated by commas; others are left
-//! alone, and so are lines that begin with `#`. A time without a unit is in microseconds, which the sink is told: a fraction of
-//! one, or a time beyond all clocks, is asked about.
+//! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and
+//! a time: `t`, `ts`, `time` or `timestamp`, with the unit behind it (`t_s`, `t_ms`, `t_us`,
+//! `t_ns`). They stand in any order, separated by commas; others are left alone, and so are lines
+//! that begin with `#`. A time without a unit is in microseconds, which the sink is told: a
+//! fraction of one, or a time beyond all clocks, is asked about.
 
 use std::io::BufRead;
 
@@ -15,7 +16,8 @@ use crate::io::spikes::options::TimeUnit;
 const MOST_ROW: usize = 4096;
 /// The latest time, about 285 years.
 const MOST_US: i64 = 9_000_000_000_000_000;
-/// The names of a column of times, and of columns that keep recordings apart, which would be read as one.
+/// The names of a column of times, and of columns that keep recordings apart, which would be read
+/// as one.
 const TIMES: [&str; 5] = ["t", "ts", "time", "timestamp", "timestamps"];
 const SEVERAL: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
 
@@ -114,8 +116,8 @@ pub fn is_header(line: &str) -> bool {
 /// Reads a file, whose times are of this unit where their name says none.
 ///
 /// # Errors
-/// `input.events` with the row; `input.unit` for times that are hardly microseconds and of which nothing says the unit;
-/// `input.option` for another unit than the file's own.
+/// `input.events` with the row; `input.unit` for times that are hardly microseconds and of which
+/// nothing says the unit; `input.option` for another unit than the file's own.
 pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (mut row, mut line) = (0u64, Vec::new());
     let mut columns: Option<Columns> = None;
