@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use ndarray::{Array1, Array2, s};
 
-use crate::base::id::{Id, PopulationId};
+use crate::base::id::{Id, IdVec, PopulationId};
 use crate::bench::measure::quantile;
 use crate::drive::{Keep, run_sample};
 use crate::ir::program::Program;
@@ -140,7 +140,7 @@ impl Dense {
             }
             let each = |of: fn(&RealForm) -> f64| units.iter().map(|unit| of(unit) as f32).collect();
             let mut incoming = Vec::new();
-            for projection in network.projections().iter().filter(|p| p.target == target) {
+            for (_, projection) in network.incoming(target) {
                 let mut weights = Array2::zeros((size(projection.source) as usize, size(target) as usize));
                 let factor = network.populations()[projection.source].spike_factor() as f32;
                 for from in 0..size(projection.source) {
@@ -231,20 +231,23 @@ impl Layer {
 
 /// Populations in an order in which each comes after its sources; none when they run in a circle.
 fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
-    let mut left: Vec<PopulationId> = network.populations().ids().collect();
-    let mut order = Vec::with_capacity(left.len());
-    while !left.is_empty() {
-        let ready = |&population: &PopulationId| {
-            network.projections().iter().all(|p| p.target != population || order.contains(&p.source))
-        };
-        let (now, later): (Vec<_>, Vec<_>) = left.iter().copied().partition(ready);
-        if now.is_empty() {
-            return None;
+    let ids = || network.populations().ids();
+    let mut missing: IdVec<PopulationId, usize> = ids().map(|id| network.incoming(id).count()).collect();
+    let mut now: Vec<PopulationId> = ids().filter(|&id| missing[id] == 0).collect();
+    let mut order = Vec::with_capacity(missing.len());
+    while !now.is_empty() {
+        let mut next = Vec::new();
+        for projection in now.iter().flat_map(|&id| network.outgoing(id)).map(|&p| &network.projections()[p]) {
+            missing[projection.target] -= 1;
+            if missing[projection.target] == 0 {
+                next.push(projection.target);
+            }
         }
-        order.extend(now);
-        left = later;
+        next.sort_unstable();
+        order.append(&mut now);
+        now = next;
     }
-    Some(order)
+    (order.len() == missing.len()).then_some(order)
 }
 
 /// Times the dense window over these samples.

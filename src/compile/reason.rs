@@ -64,7 +64,7 @@ impl Reason {
     #[must_use]
     pub fn of_population(network: &Quantised, id: PopulationId, resource: Capacity, need: u64, limit: u64) -> Self {
         let is_input = |source: PopulationId| network.populations()[source].first_channel().is_some();
-        let from_inputs = network.projections().iter().any(|p| p.target == id && is_input(p.source));
+        let from_inputs = network.incoming(id).any(|(_, p)| is_input(p.source));
         let population = Some(network.populations()[id].name.clone());
         let merge = resource == Resource::AxonsIn && from_inputs;
         let help = if merge { MERGE_INPUTS.into() } else { resource.advice() };

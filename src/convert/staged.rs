@@ -281,7 +281,7 @@ fn losses(
     let most = left.iter().max_by(|a, b| a.without.coincidence.total_cmp(&b.without.coincidence));
     let rows = measured.layers.iter().map(|(name, coincidence, spikes)| {
         let target = network.population_named(name);
-        let into = network.projections().iter().filter(|projection| Some(projection.target) == target);
+        let into = target.into_iter().flat_map(|target| network.incoming(target));
         let clipped = clipped.iter().find(|(clips, _)| clips == name).map_or(0, |(_, count)| *count);
         let advice = match (spikes, coincidence, clipped) {
             (0, None, _) => Some("it never fires: nothing to compare; show it input that drives it".to_string()),
@@ -294,7 +294,7 @@ fn losses(
             (_, Some(coincidence), 0) if *coincidence < 0.95 => most.map(|left| advice(left.cause, from, left)),
             _ => None,
         };
-        let weight_exp = into.map(|projection| projection.format.exponent.get().into()).collect();
+        let weight_exp = into.map(|(_, projection)| projection.format.exponent.get().into()).collect();
         LayerLoss { name: name.clone(), coincidence: *coincidence, weight_exp, clipped, advice }
     });
     rows.collect()

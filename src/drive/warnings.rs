@@ -4,6 +4,8 @@
 //! populations. A silent population is shown the samples with most spikes once more, to measure how near it came to firing: the
 //! share of the threshold that it reached is the change to make.
 
+use std::collections::HashSet;
+
 use crate::base::diagnostic::Result;
 use crate::base::fixed::ThresholdMantissa;
 use crate::base::id::{CompartmentId, PopulationId};
@@ -90,6 +92,10 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         compartments.map(|(id, _)| id).zip(&run.sums.populations).collect();
     let is_silent = |row: &PopulationCounts| row.compartments > 0 && row.spikes == 0;
     let silent: Vec<PopulationId> = rows.iter().filter(|(_, row)| is_silent(row)).map(|(id, _)| *id).collect();
+    let inputs = run.sums.inputs.iter().map(|row| (&row.name, row.spikes));
+    let counted_spikes = run.sums.populations.iter().map(|row| (&row.name, row.spikes)).chain(inputs);
+    let spiking: HashSet<&str> =
+        counted_spikes.filter(|&(_, spikes)| spikes > 0).map(|(name, _)| name.as_str()).collect();
     let (nearest, first) = (nearest(run, &silent), first_overflow(run));
     for &(id, row) in &rows {
         let is_output = id == network.parts().output;
@@ -97,14 +103,14 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         let mut add = |code, message| found.push(Warning { code, population: Some(row.name.clone()), message });
         if by_potential {
             // That such an output never spikes is as it should be.
-            if let Some(message) = still(run, id) {
+            if let Some(message) = still(run, &spiking, id) {
                 add("silent-output", message);
             }
-        } else if let Some(place) = silent.iter().position(|&silent| silent == id) {
-            let change = wake(run, id, nearest.get(place).copied().flatten());
+        } else if let Ok(place) = silent.binary_search(&id) {
+            let change = wake(run, &spiking, id, nearest.get(place).copied().flatten());
             let what = if is_output { "the output never spikes, so that no sample is decided" } else { "never spikes" };
             add(if is_output { "silent-output" } else { "silent-population" }, format!("{what}: {change}"));
-        } else if let Some(message) = silent_classes(run).filter(|_| is_output) {
+        } else if is_output && let Some(message) = silent_classes(run) {
             add("silent-output", message);
         }
         if row.clipped > 0 {
@@ -142,27 +148,25 @@ fn counted(number: u64, thing: &str) -> String {
 }
 
 /// Why the potentials of the output that they should decide by never leave zero.
-fn still(run: Finished<'_>, id: PopulationId) -> Option<String> {
+fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
-    let why =
-        || unreached(run, id).unwrap_or_else(|| "the weights that lead to it round to zero; raise them".to_string());
+    let why = || {
+        unreached(run, spiking, id)
+            .unwrap_or_else(|| "the weights that lead to it round to zero; raise them".to_string())
+    };
     let what = "the potentials of the output never leave 0, so that no sample is decided";
     (!decided && !run.outcomes.is_empty()).then(|| format!("{what}: {}", why()))
 }
 
-/// Why nothing reaches a population; `None` where something does.
-fn unreached(run: Finished<'_>, id: PopulationId) -> Option<String> {
+/// Why nothing reaches a population; `None` where something does. Populations and inputs with
+/// spikes are given by name.
+fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let network = run.network;
     let populations = network.populations();
-    let mut sources: Vec<PopulationId> =
-        network.projections().iter().filter(|p| p.target == id).map(|p| p.source).collect();
+    let mut sources: Vec<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
     sources.sort_unstable();
     sources.dedup();
-    let fired = |source: &PopulationId| {
-        let name = &populations[*source].name;
-        let of_compartments = run.sums.populations.iter().any(|row| row.name == *name && row.spikes > 0);
-        of_compartments || run.sums.inputs.iter().any(|row| row.name == *name && row.spikes > 0)
-    };
+    let fired = |source: &PopulationId| spiking.contains(populations[*source].name.as_str());
     let biased = match &populations[id].units {
         Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.bias_mant.get() != 0),
         Units::Input(_) => false,
@@ -179,9 +183,9 @@ fn unreached(run: Finished<'_>, id: PopulationId) -> Option<String> {
 }
 
 /// What makes a silent population fire.
-fn wake(run: Finished<'_>, id: PopulationId, nearest: Option<Nearest>) -> String {
+fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: Option<Nearest>) -> String {
     let network = run.network;
-    if let Some(why) = unreached(run, id) {
+    if let Some(why) = unreached(run, spiking, id) {
         return why;
     }
     let integrates = |units: &Units| match units {
@@ -338,9 +342,7 @@ fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
             rounded.changed == rounded.weights && (!rounded.real || rounded.worst_share > COARSE)
         })
     };
-    let leads_here = |note: &&Note| {
-        network.projections().iter().any(|projection| projection.target == id && projection.name == note.entity)
-    };
+    let leads_here = |note: &&Note| network.incoming(id).any(|(_, projection)| projection.name == note.entity);
     let notes: Vec<&Note> = network.parts().notes.iter().filter(whole).filter(leads_here).collect();
     let all = notes.iter().filter_map(|note| note.rounded);
     let worst = notes.iter().copied().zip(all.clone()).max_by(|a, b| a.1.worst_share.total_cmp(&b.1.worst_share))?;

@@ -3,6 +3,8 @@
 //! Input: a parsed network. Output: facts and tables. Synapses are counted from shapes, without making any; what
 //! would take too long to count stays unknown.
 
+use std::collections::HashMap;
+
 use serde_json::{Value, json};
 
 use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
@@ -25,11 +27,8 @@ fn taps(input: u64, output: u64, kernel: u64, stride: u64, padding: u64, dilatio
 }
 
 /// The synapses that a projection makes, when its shapes let them be counted.
-fn synapses(network: &Network, projection: &ProjectionDesc) -> Option<u64> {
-    let shape_of = |name: &str| {
-        let found = network.file().populations.iter().find(|population| population.value.name().value == name)?;
-        Some(found.value.shape().value.as_slice())
-    };
+fn synapses(network: &Network, shapes: &HashMap<&str, &[u64]>, projection: &ProjectionDesc) -> Option<u64> {
+    let shape_of = |name: &str| shapes.get(name).copied();
     let ends = projection.synapse();
     let sources = ends.from.iter().try_fold(0u64, |sum, name| sum.checked_add(units_of(shape_of(&name.value)?)?))?;
     let volumes = || match (shape_of(&ends.from.first()?.value)?, shape_of(&ends.to.value)?) {
@@ -99,6 +98,8 @@ pub(super) fn network_findings(network: &Network) -> Findings {
             json!([desc.name().value, kind, shape, units_of(shape), parameters])
         })
         .collect();
+    let descs = file.populations.iter().map(|population| &population.value);
+    let shapes = descs.map(|desc| (desc.name().value.as_str(), desc.shape().value.as_slice())).collect();
     let projections: Vec<Value> = file
         .projections
         .iter()
@@ -114,7 +115,7 @@ pub(super) fn network_findings(network: &Network) -> Findings {
             let ends = desc.synapse();
             let from: Vec<&str> = ends.from.iter().map(|name| name.value.as_str()).collect();
             let delay = ends.delay.map_or(0, |delay| delay.value);
-            json!([from.join(" + "), ends.to.value, kind, synapses(network, desc), delay])
+            json!([from.join(" + "), ends.to.value, kind, synapses(network, &shapes, desc), delay])
         })
         .collect();
     let together = projections.iter().map(|row| row[3].as_u64()).try_fold(0u64, |sum, n| sum.checked_add(n?));

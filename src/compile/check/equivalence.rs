@@ -130,7 +130,7 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
     let of_copy = (network.populations().len() as u32 / copies.max(1)).max(1);
     let left = |id: PopulationId| !proven.get((id.0 / of_copy) as usize).copied().unwrap_or(false);
     for (id, population) in network.populations().enumerate().filter(|&(id, _)| left(id)) {
-        let outgoing: Vec<&Projection> = network.projections().iter().filter(|p| p.source == id).collect();
+        let outgoing: Vec<&Projection> = network.outgoing(id).iter().map(|&p| &network.projections()[p]).collect();
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
         let size = population.shape.len();
         let of_piece = synapses_of_piece(program.cores().len());

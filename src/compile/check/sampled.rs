@@ -102,7 +102,7 @@ fn check_synapses(network: &Quantised, partition: &Partition, sampled: &SampledC
     }
     let (mut decoded, mut meant) = (Vec::new(), Vec::new());
     for (source, population) in network.populations().enumerate() {
-        let into = network.projections().iter().filter(|p| p.source == source);
+        let into = network.outgoing(source).iter().map(|&p| &network.projections()[p]);
         let into: Vec<_> = into.filter_map(|p| Some((p, on_core.get(&p.target)?))).collect();
         let first_source = match &population.units {
             Units::Input(first) => first.0,

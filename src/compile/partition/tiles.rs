@@ -45,7 +45,7 @@ const TRIALS_OF_FEWER_WORDS: usize = 4;
 /// Whether a population is one that is cut into tiles.
 #[must_use]
 pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
-    let mut into = network.projections().iter().filter(|p| p.target == population).peekable();
+    let mut into = network.incoming(population).map(|(_, p)| p).peekable();
     network.populations()[population].shape.volume().is_some()
         && into.peek().is_some()
         && into.all(|p| matches!(p.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. }))

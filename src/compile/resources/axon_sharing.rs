@@ -132,7 +132,7 @@ fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
     let is_dense = |p: &Projection| matches!(p.connectivity, Connectivity::Dense { .. });
     let outgoing = || network.outgoing(id).iter().map(|&p| &network.projections()[p]);
     let too_many = |target: PopulationId| {
-        let into = network.projections().iter().filter(|p| p.target == target && is_dense(p));
+        let into = network.incoming(target).map(|(_, p)| p).filter(|p| is_dense(p));
         let sources: u64 = into.map(|p| u64::from(network.populations()[p.source].shape.len())).sum();
         (u64::from(limits[Resource::AxonsIn]) + 1..=MOST_NUMBERED).contains(&sources)
     };

@@ -70,7 +70,7 @@ impl Layer {
         let shape_of = |id: PopulationId| network.populations()[id].shape;
         let shape = shape_of(population).volume().unwrap_or((shape_of(population).len(), 1, 1));
         let (mut incoming, mut joined): (Vec<Incoming>, _) = (Vec::new(), false);
-        for (id, projection) in network.projections().enumerate().filter(|(_, p)| p.target == population) {
+        for (id, projection) in network.incoming(population) {
             let source = projection.source;
             let (window, all_to_all) = match &projection.connectivity {
                 Connectivity::Conv2d { window, .. } => (*window, false),

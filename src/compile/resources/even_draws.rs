@@ -62,7 +62,7 @@ fn draws(connectivity: &Connectivity, source: &Population) -> Option<Draws> {
 fn independent(network: &Quantised, id: PopulationId, places: &Places) -> Vec<Draws> {
     let mut kept: Vec<(PopulationId, u64, Range<u64>)> = Vec::new();
     let mut draws_into = Vec::new();
-    for projection in network.projections().iter().filter(|p| p.target == id && !places.holds(network, p.source)) {
+    for projection in network.incoming(id).map(|(_, p)| p).filter(|p| !places.holds(network, p.source)) {
         let source = &network.populations()[projection.source];
         let &Connectivity::Random { seed, first_source, .. } = &projection.connectivity else { continue };
         let range = u64::from(first_source)..u64::from(first_source) + u64::from(source.shape.len());
@@ -99,8 +99,8 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
     let mut reasons = Vec::new();
     let (mut by_targets, mut slots, mut why) = (0u64, 0.0, Vec::new());
     for (id, population) in network.populations().enumerate() {
-        let drawn = |p: &Projection| p.target == id && matches!(p.connectivity, Connectivity::Random { .. });
-        if population.first_compartment().is_none() || !network.projections().iter().any(drawn) {
+        let drawn = |(_, p): (_, &Projection)| matches!(p.connectivity, Connectivity::Random { .. });
+        if population.first_compartment().is_none() || !network.incoming(id).any(drawn) {
             continue;
         }
         let (held, sources) = most_together(network, id, &places, target);

@@ -250,6 +250,9 @@ pub struct Quantised {
     channels: u32,
     compartments: u32,
     outgoing: IdVec<PopulationId, Vec<ProjectionId>>,
+    incoming: IdVec<PopulationId, Vec<ProjectionId>>,
+    /// The populations of compartments with their first compartments, ascending.
+    firsts: Vec<(u32, PopulationId)>,
     pruned: Option<Arc<Pruned>>,
 }
 
@@ -317,16 +320,19 @@ impl Quantised {
             }
             *counter += population.shape.len();
         }
-        let mut outgoing: IdVec<PopulationId, Vec<ProjectionId>> = parts.populations.iter().map(|_| vec![]).collect();
+        let none = || parts.populations.iter().map(|_| Vec::new()).collect();
+        let (mut outgoing, mut incoming): (IdVec<_, Vec<_>>, IdVec<_, Vec<_>>) = (none(), none());
         for (id, projection) in parts.projections.enumerate() {
             check_projection(&parts, projection)?;
             outgoing[projection.source].push(id);
+            incoming[projection.target].push(id);
         }
+        let firsts = parts.populations.enumerate().filter_map(|(id, p)| Some((p.first_compartment()?.0, id))).collect();
         match parts.populations.get(parts.output).map(|p| &p.units) {
             Some(Units::Compartments { .. }) => {}
             _ => return Err(Inconsistent("the output is not a population of compartments".to_string())),
         }
-        Ok(Quantised { parts, channels, compartments, outgoing, pruned: None })
+        Ok(Quantised { parts, channels, compartments, outgoing, incoming, firsts, pruned: None })
     }
 
     /// The network with the record of what was left out of it: of itself, or of one of its equal copies.
@@ -361,7 +367,7 @@ impl Quantised {
     #[must_use]
     pub fn without_projections(mut self) -> Self {
         self.parts.projections = IdVec::default();
-        self.outgoing = self.parts.populations.iter().map(|_| Vec::new()).collect();
+        self.outgoing.iter_mut().chain(self.incoming.iter_mut()).for_each(Vec::clear);
         self
     }
 
@@ -458,6 +464,11 @@ impl Quantised {
         &self.outgoing[population]
     }
 
+    /// Projections into a population, in the order of the file.
+    pub fn incoming(&self, population: PopulationId) -> impl Iterator<Item = (ProjectionId, &Projection)> + Clone {
+        self.incoming[population].iter().map(|&id| (id, &self.parts.projections[id]))
+    }
+
     /// Projections that leave a population, each with the first compartment of its target.
     pub fn targets_of(
         &self,
@@ -486,13 +497,11 @@ impl Quantised {
     /// When the compartment is not of this network.
     #[must_use]
     pub fn population_of(&self, compartment: CompartmentId) -> (PopulationId, u32) {
-        self.parts
-            .populations
-            .enumerate()
-            .filter_map(|(id, p)| Some((id, compartment.0.checked_sub(p.first_compartment()?.0)?, p.shape.len())))
-            .find(|&(_, index, len)| index < len)
-            .map(|(id, index, _)| (id, index))
-            .expect("compartments are numbered over the populations")
+        // Of populations that begin at one compartment, all but the last are empty.
+        let after = self.firsts.partition_point(|&(first, _)| first <= compartment.0);
+        let (first, id) = self.firsts[after - 1];
+        assert!(compartment.0 < self.compartments, "compartments are numbered over the populations");
+        (id, compartment.0 - first)
     }
 
     /// Every source of spikes: channels, then compartments.
