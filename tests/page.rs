@@ -74,6 +74,54 @@ fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
     vec![("slip", slip), ("trained", trained), ("conv", conv), ("many", many)]
 }
 
+/// A chain of this many populations.
+fn chain(count: u32) -> String {
+    let one = |n: u32| format!("Loihi(name: \"p{n}\", shape: [2], du: 1, dv: 1, vth_mant: 1)");
+    let into = |n: u32| {
+        let from = if n == 0 { "in".to_string() } else { format!("p{}", n - 1) };
+        format!("Sparse(from: [\"{from}\"], to: \"p{n}\", synapses: [(0, 0, 2)])")
+    };
+    let list = |of: &dyn Fn(u32) -> String| (0..count).map(of).collect::<Vec<_>>().join(",");
+    format!(
+        "Network(name: \"chain\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), {}], projections: [{}],
+        output: \"p{}\")",
+        list(&one),
+        list(&into),
+        count - 1
+    )
+}
+
+#[test]
+fn of_many_populations_some_are_drawn_and_the_page_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::write(here.join("chain.ron"), chain(3_000)).unwrap();
+    let noise = "scene:noise?samples=1&steps=20&seed=1";
+    let path = page(here, "chain.html", &["chain.ron", "--input", noise, "--baseline"]);
+    let data = data(&path);
+    let network = &data["network"];
+    let names: Vec<&str> =
+        network["populations"].as_array().unwrap().iter().filter_map(|one| one["name"].as_str()).collect();
+    assert!(names.len() == 40 && names[..2] == ["in", "p0"] && names[39] == "p2999", "{names:?}");
+    assert_eq!((&network["populations_in_all"], &network["projections_in_all"]), (&3_001.into(), &3_000.into()));
+    assert_eq!(data["sample"]["rasters"].as_array().unwrap().len(), 40);
+    assert_eq!(data["results"][0]["populations"].as_array().unwrap().len(), 3_000, "the result is whole");
+    let Some(browser) = chromium() else {
+        common::say("skipped: no Chromium: the page of 3,000 populations was not opened");
+        return;
+    };
+    let output = Command::new(browser)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--virtual-time-budget=60000"])
+        .arg("--dump-dom")
+        .arg(format!("--user-data-dir={}", here.join("profile").display()))
+        .arg(format!("file://{}", path.display()))
+        .output()
+        .unwrap();
+    let document = String::from_utf8_lossy(&output.stdout);
+    assert!(document.contains("data-drawn=\"all\""), "not drawn");
+    assert!(document.contains("Drawn are 40 of 3\u{2009}001 populations"));
+}
+
 #[test]
 fn a_page_holds_what_energy_prints_and_loads_nothing() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,10 @@
-//! Enums whose variants have names, in files, arguments and results.
+//! Names in files, arguments and results.
 //!
-//! Input: an enum with its variants, each with its name. Output: the list of the variants and the name of each. Written
-//! once, since a name given in two lists can differ.
+//! Input: an enum with its variants, each with its name. Output: the list of the variants and the
+//! name of each. Written once, since a name given in two lists can differ. Input: a text of any
+//! origin. Output: the text as it may be shown.
+
+use std::borrow::Cow;
 
 /// Gives an enum the constant `ALL` and the function `name`.
 macro_rules! named_variants {
@@ -21,6 +24,34 @@ macro_rules! named_variants {
     };
 }
 pub(crate) use named_variants;
+
+/// Whether a character controls a terminal, changes the order of the text around it, ends a line,
+/// or is none of XML's.
+#[must_use]
+pub fn is_unprintable(c: char) -> bool {
+    c.is_control()
+        || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}')
+}
+
+/// A text as it is printed: U+FFFD in place of every unprintable character but line ends and tabs.
+///
+/// Names, labels, file names and quoted content come from files that others made. Everything that
+/// shows them to a person goes through here, so that no name moves a cursor, colours a terminal or
+/// makes a picture that no reader takes.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let is_replaced = |c: char| is_unprintable(c) && !matches!(c, '\n' | '\t');
+    match text.contains(is_replaced) {
+        true => Cow::Owned(text.replace(is_replaced, "\u{fffd}")),
+        false => Cow::Borrowed(text),
+    }
+}
+
+/// A text as XML and HTML hold it, [`printable`].
+#[must_use]
+pub fn markup(text: &str) -> String {
+    printable(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
 
 /// How alike two names have to be for one to be meant by the other, by Jaro and Winkler.
 const ALIKE: f64 = 0.84;

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use serde_json::json;
 
 use crate::base::diagnostic::{Diagnostic, Place, SourceText, Span};
+use crate::base::names::{is_unprintable, printable};
 use crate::cli::context::Format;
 use crate::cli::process::ranks;
 use crate::error::Error;
@@ -74,8 +75,9 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
             });
             let _ = write::stdout(&format!("{object:#}\n"));
         }
-        _ if colour() => say(&error.render().ansi().to_string()),
-        _ => say(&said),
+        // Colours are escapes as well, so a command line that has others is shown without.
+        _ if colour() && printable(&said) == said => say(&error.render().ansi().to_string()),
+        _ => say(&printable(&said)),
     }
     ExitCode::from(2)
 }
@@ -106,8 +108,10 @@ fn text(error: &Error, colour: bool) -> String {
             let all = std::iter::once(&**diagnostic).chain(diagnostic.others());
             all.map(|one| drawn(one, colour)).collect::<Vec<_>>().join("\n")
         }
-        Error::Usage(message) => format!("error: {message}\n\nFor more information, try '--help'.\n"),
-        Error::Fault(_) => format!("error[fault]: {error}\n"),
+        Error::Usage(message) => {
+            format!("error: {}\n\nFor more information, try '--help'.\n", printable(message))
+        }
+        Error::Fault(_) => format!("error[fault]: {}\n", printable(&error.to_string())),
     }
 }
 
@@ -117,7 +121,8 @@ const SHOWN: usize = 90;
 /// The message, the line of the file with the place underlined, and the advice.
 fn drawn(diagnostic: &Diagnostic, colour: bool) -> String {
     let paint = |code: &str, text: &str| if colour { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() };
-    let mut out = format!("{}: {diagnostic}\n", paint("1;31", &format!("error[{}]", diagnostic.code)));
+    let mark = paint("1;31", &format!("error[{}]", diagnostic.code));
+    let mut out = format!("{mark}: {}\n", printable(&diagnostic.to_string()));
     if let Some(Place::Text(source, span)) = &diagnostic.place
         && let Some((line, marks)) = excerpt(source, *span)
     {
@@ -126,7 +131,7 @@ fn drawn(diagnostic: &Diagnostic, colour: bool) -> String {
         out += &format!("{blank} |\n{number} | {line}\n{blank} | {}\n", paint("1;31", &marks));
     }
     if let Some(help) = &diagnostic.help {
-        out += &format!("  {}: {help}\n", paint("1", "help"));
+        out += &format!("  {}: {}\n", paint("1", "help"), printable(help));
     }
     out
 }
@@ -145,7 +150,7 @@ fn excerpt(source: &SourceText, span: Span) -> Option<(String, String)> {
         return None;
     }
     // What moves the cursor would move the marks away.
-    shown = shown.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    shown = shown.chars().map(|c| if is_unprintable(c) { ' ' } else { c }).collect();
     let length = text.get(span.start..span.end.min(start + rest.len())).map_or(0, |marked| marked.chars().count());
     let (lead, dots) = if skipped > 0 { ("..", 2) } else { ("", 0) };
     let room = shown.chars().count() + skipped;

@@ -11,7 +11,7 @@ use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::base::diagnostic::{Diagnostic, Span, gathered};
 use crate::base::fixed::{Delay, Payload, SignMode};
-use crate::base::names::did_you_mean;
+use crate::base::names::{did_you_mean, is_unprintable};
 use crate::base::rng;
 use crate::desc::network::{
     Conv2dDesc, DenseDesc, Network, NeuronsDesc, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
@@ -31,6 +31,8 @@ const MOST_UNIFORM: u64 = 1 << 28;
 
 /// The most steps that a sample may have after its last input step.
 const MOST_DRAIN: u32 = 65_535;
+/// Populations that an error lists at most.
+const MOST_NAMED: usize = 20;
 
 /// Turns a model into a graph.
 ///
@@ -108,6 +110,11 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
             .error("model.drain", message, drain.span)
             .help("it is a step for each layer behind the first"));
     }
+    if let Some(name) = std::iter::once(&file.name).chain(&classes).find(|name| name.contains(is_unprintable)) {
+        let message = format!("the name {name:?} has a character that controls a terminal or ends a line");
+        let help = "name the network and its classes with characters that are printed";
+        return Err(Diagnostic::new("model.name", message).help(help).in_file(network.source().path()));
+    }
     let facts = NetworkFacts {
         name: file.name.clone(),
         source: network.source().clone(),
@@ -146,9 +153,10 @@ impl Lowering<'_> {
                 name.span,
             )
             .help(format!(
-                "{}populations are: {}",
+                "{}populations are: {}{}",
                 did_you_mean(name, known.iter().copied()),
-                known.join(", ")
+                known[..known.len().min(MOST_NAMED)].join(", "),
+                if known.len() > MOST_NAMED { ", .." } else { "" }
             ))
         })
     }
@@ -156,7 +164,8 @@ impl Lowering<'_> {
     fn population(&self, desc: &Spanned<PopulationDesc>) -> Result<Population, Diagnostic> {
         let name = desc.value.name();
         // '@' and '#' separate copies and indices in reports, '=' and '.' stand in arguments that name populations.
-        if name.is_empty() || name.contains(|c: char| c.is_whitespace() || c.is_control() || "@#=./\\:".contains(c)) {
+        if name.is_empty() || name.contains(|c: char| c.is_whitespace() || is_unprintable(c) || "@#=./\\:".contains(c))
+        {
             let message = format!("'{}' cannot be a population's name", name.value);
             return Err(self.error("model.name", message, name.span).help(
                 "use letters, digits, '_' and '-': names stand in arguments such as name=file.npy and name.spikes",

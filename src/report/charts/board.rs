@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use crate::base::id::{CoreId, PopulationId};
+use crate::base::names::markup;
 use crate::compile::Mapping;
 use crate::compile::explore::traffic::Links;
 use crate::desc::resource::Resource;
@@ -69,8 +70,8 @@ pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
          <text x=\"{LEFT}\" y=\"22\" font-size=\"14\">{} on {}: {} on {}</text>\n\
          <text x=\"{LEFT}\" y=\"40\" fill=\"#555\">cores are filled by the resource that they use most of; \
          the busiest link carries {:.3} messages a step</text>",
-        escaped(&compiled.one.parts().name),
-        escaped(target.name()),
+        markup(&compiled.one.parts().name),
+        markup(target.name()),
         count(cores as u64, "core"),
         count(u64::from(compiled.placement.chips_used()), "chip"),
         links.busiest()
@@ -130,7 +131,7 @@ pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
              stroke-width=\"0.5\"/><rect x=\"{x:.1}\" y=\"{:.1}\" width=\"{inner}\" height=\"{filled:.1}\" \
              fill=\"{colour}\"/></g>",
             usage[Resource::Compartments],
-            escaped(&name),
+            markup(&name),
             100.0 * most,
             resource.name(),
             y + inner - filled,
@@ -146,7 +147,7 @@ pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
              stroke-width=\"0.5\"/><text x=\"{:.1}\" y=\"{:.1}\">{}{said}</text>",
             x + 17.0,
             y + 10.0,
-            escaped(name)
+            markup(name)
         );
     }
     scales(&mut out, (x, TOP + 18.0 * legend.len() as f64 + 16.0), links.busiest());
@@ -259,10 +260,6 @@ fn names<P>(compiled: &Mapping<P>) -> Vec<(String, Option<&'static str>)> {
             (population.name.clone(), found.map(|(_, colour)| *colour))
         })
         .collect()
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -7,6 +7,8 @@
 
 use std::fmt::Write as _;
 
+use crate::base::names::markup;
+
 pub(super) const WIDTH: f64 = 760.0;
 pub(super) const HEIGHT: f64 = 440.0;
 pub(super) const LEFT: f64 = 76.0;
@@ -228,7 +230,7 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
             r#"<text x="{middle:.1}" y="{:.1}" font-size="10" text-anchor="end" transform="rotate(-24 {middle:.1} {:.1})">{}</text>"#,
             HEIGHT - BOTTOM + 14.0,
             HEIGHT - BOTTOM + 14.0,
-            escaped(category)
+            markup(category)
         );
     }
     _ = writeln!(
@@ -298,44 +300,59 @@ pub(super) struct Scale {
 
 impl Scale {
     pub(super) fn new(axis: &Axis, numbers: impl Iterator<Item = f64>, from: f64, to: f64) -> Scale {
-        let shown = numbers.filter(|n| n.is_finite() && (!axis.log || *n > 0.0));
+        let shown = numbers.filter(|n| n.is_finite() && (!axis.log || *n >= f64::MIN_POSITIVE));
         let (mut low, mut high) = shown.fold((f64::MAX, f64::MIN), |(low, high), n| (low.min(n), high.max(n)));
         if low > high {
             (low, high) = if axis.log { (1.0, 10.0) } else { (0.0, 1.0) };
         }
         let mut between = 0.0;
         if axis.log {
-            (low, high) = (round_below(low), round_above(high));
+            // The smallest and the largest numbers have no rounder neighbours.
+            (low, high) = (round_below(low).max(f64::MIN_POSITIVE), round_above(high).min(f64::MAX));
             if high < 9.0 * low {
-                (low, high) = (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()));
+                (low, high) = (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()).min(f64::MAX));
             }
-            if low == high {
-                high *= 10.0;
+            if high <= low {
+                high = 10.0 * low;
             }
         } else {
-            if low == high {
+            if high / 6.0 - low / 6.0 < f64::MIN_POSITIVE {
                 (low, high) = (low - 0.5 * low.abs().max(1.0), high + 0.5 * high.abs().max(1.0));
             }
-            between = step(high - low);
+            // The difference of the greatest numbers is none.
+            (low, high) = (low.max(f64::MIN), high.min(f64::MAX));
+            between = step((high / 2.0 - low / 2.0) / 3.0);
             (low, high) = ((low / between).floor() * between, (high / between).ceil() * between);
+            (low, high) = (low.max(f64::MIN), high.min(f64::MAX));
         }
         Scale { log: axis.log, step: between, low, high, from, to }
     }
 
     pub(super) fn place(&self, number: f64) -> Option<f64> {
         let share = match self.log {
-            true if number > 0.0 => (number / self.low).ln() / (self.high / self.low).ln(),
+            // Smaller numbers have fewer digits, and the smallest no decade.
+            true if number >= f64::MIN_POSITIVE => self.above_low(number) / self.above_low(self.high),
             true => return None,
-            false => (number - self.low) / (self.high - self.low),
+            false => (number / 2.0 - self.low / 2.0) / (self.high / 2.0 - self.low / 2.0),
         };
         share.is_finite().then_some(self.from + share * (self.to - self.from))
+    }
+
+    /// The logarithm of a number over the lowest; the ratio of the greatest to the smallest number
+    /// is none.
+    fn above_low(&self, number: f64) -> f64 {
+        let ratio = number / self.low;
+        if ratio.is_finite() { ratio.ln() } else { number.ln() - self.low.ln() }
     }
 
     pub(super) fn ticks(&self) -> Vec<(f64, String)> {
         let numbers: Vec<f64> = if self.log {
             let (from, to) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
             let digits: &[f64] = if (self.high / self.low).log10() > 3.5 { &[1.0] } else { &ROUND_DIGITS };
-            let all = (from..=to).flat_map(|decade| digits.iter().map(move |digit| digit * 10f64.powi(decade)));
+            let every = 1 + (to - from) as usize / MOST_DECADES;
+            let all = (from..=to)
+                .step_by(every)
+                .flat_map(|decade| digits.iter().map(move |digit| digit * 10f64.powi(decade)));
             all.filter(|n| (self.low * 0.999..=self.high * 1.001).contains(n)).collect()
         } else {
             // Multiples of the step, so that one of them is exactly 0 where the axis passes it.
@@ -346,13 +363,16 @@ impl Scale {
     }
 }
 
+/// Decades that have a tick each.
+const MOST_DECADES: usize = 40;
+
 /// First digits of the ends of a logarithmic axis.
 const ROUND_DIGITS: [f64; 3] = [1.0, 2.0, 5.0];
 
 /// The largest 1, 2 or 5 times a power of ten that is at most this.
 fn round_below(number: f64) -> f64 {
     let decade = 10f64.powf(number.log10().floor());
-    let digit = ROUND_DIGITS.into_iter().rev().find(|digit| digit * decade <= number * 1.000_001);
+    let digit = ROUND_DIGITS.into_iter().rev().find(|digit| digit * decade / 1.000_001 <= number);
     digit.unwrap_or(1.0) * decade
 }
 
@@ -363,9 +383,8 @@ fn round_above(number: f64) -> f64 {
     digit.unwrap_or(10.0) * decade
 }
 
-/// A round step that divides a range into about six.
-fn step(range: f64) -> f64 {
-    let rough = range / 6.0;
+/// The round step next above this.
+fn step(rough: f64) -> f64 {
     let decade = 10f64.powf(rough.log10().floor());
     let digit = rough / decade;
     decade
@@ -394,16 +413,12 @@ fn path(points: &[(f64, f64)]) -> String {
     points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ")
 }
 
-pub(super) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
-}
-
 pub(super) fn text_at(out: &mut String, x: f64, y: f64, anchor: &str, text: &str) {
-    _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}">{}</text>"#, escaped(text));
+    _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}">{}</text>"#, markup(text));
 }
 
 fn small(out: &mut String, x: f64, y: f64, text: &str) {
-    _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" font-size="9">{}</text>"#, escaped(text));
+    _ = writeln!(out, r#"<text x="{x:.1}" y="{y:.1}" font-size="9">{}</text>"#, markup(text));
 }
 
 /// How a series is drawn, for the legend.
@@ -439,13 +454,13 @@ pub(super) fn frame(title: &str, x: &str, y: &str) -> String {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" \
          font-size=\"12\">\n<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"white\"/>\n"
     );
-    _ = writeln!(out, r#"<text x="{LEFT}" y="22" font-size="15">{}</text>"#, escaped(title));
+    _ = writeln!(out, r#"<text x="{LEFT}" y="22" font-size="15">{}</text>"#, markup(title));
     text_at(&mut out, (LEFT + WIDTH - RIGHT) / 2.0, HEIGHT - 14.0, "middle", x);
     let middle = (TOP + HEIGHT - BOTTOM) / 2.0;
     _ = writeln!(
         out,
         r#"<text x="18" y="{middle:.1}" text-anchor="middle" transform="rotate(-90 18 {middle:.1})">{}</text>"#,
-        escaped(y)
+        markup(y)
     );
     out
 }
@@ -466,6 +481,16 @@ mod tests {
         let both = Scale::new(&Axis::linear(""), [-0.58, 0.59].into_iter(), 0.0, 120.0);
         let ticks: Vec<String> = both.ticks().into_iter().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["-0.6", "-0.4", "-0.2", "0", "0.2", "0.4", "0.6"]);
+        for ends in [[f64::MIN, f64::MAX], [-1e308, 1e308], [f64::MAX; 2], [0.0, 5e-324], [5e-324, f64::MAX]] {
+            for axis in [Axis::linear(""), Axis::log("")] {
+                let scale = Scale::new(&axis, ends.into_iter(), 0.0, 100.0);
+                let places: Vec<f64> = ends.into_iter().filter_map(|end| scale.place(end)).collect();
+                assert!(!places.is_empty() || ends[1] < 1e-300 || axis.log, "{ends:?}");
+                assert!(places.iter().all(|at| (-5.0..=105.0).contains(at)), "{ends:?}: {places:?}");
+                let ticks = scale.ticks();
+                assert!((1..=60).contains(&ticks.len()) && ticks.iter().all(|(at, _)| at.is_finite()), "{ends:?}");
+            }
+        }
         let tight = Scale::new(&Axis::log(""), [0.06, 75.0].into_iter(), 0.0, 100.0);
         assert!((tight.low, tight.high) == (0.05, 100.0), "{} to {}", tight.low, tight.high);
     }

@@ -5,8 +5,9 @@
 
 use std::fmt::Write as _;
 
+use crate::base::names::markup;
 use crate::report::charts::plot::{
-    Axis, BOTTOM, COLOURS, HEIGHT, LEFT, Mark, RIGHT, Scale, TOP, WIDTH, escaped, frame, legend, text_at,
+    Axis, BOTTOM, COLOURS, HEIGHT, LEFT, Mark, RIGHT, Scale, TOP, WIDTH, frame, legend, text_at,
 };
 
 /// The spikes of one sense.
@@ -64,7 +65,7 @@ impl Raster {
             _ = writeln!(
                 out,
                 r#"<text x="18" y="{middle:.1}" text-anchor="middle" transform="rotate(-90 18 {middle:.1})">{}</text>"#,
-                escaped(&panel.label)
+                markup(&panel.label)
             );
             text_at(&mut out, LEFT - 8.0, top + 10.0, "end", "0");
             text_at(&mut out, LEFT - 8.0, top + height, "end", &panel.channels.saturating_sub(1).to_string());

@@ -27,7 +27,10 @@ pub struct Traced {
     pub threshold: f64,
 }
 
-/// Spikes of these populations, each in a panel of its own.
+/// Panels of a raster; more would be thinner than their names.
+const MOST_PANELS: usize = 24;
+
+/// Spikes of the first of these populations, each in a panel of its own.
 #[must_use]
 pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[PopulationId]) -> String {
     let panel = |&id: &PopulationId| {
@@ -49,12 +52,18 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
     };
     let (steps, all) = timeline.steps;
     let first = if steps < all { format!(" (first {steps} of {all} steps)") } else { String::new() };
+    let drawn = &shown[..shown.len().min(MOST_PANELS)];
+    let cut = if drawn.len() < shown.len() {
+        format!(", {MOST_PANELS} of {} populations", shown.len())
+    } else {
+        String::new()
+    };
     Raster {
-        title: format!("{title}{first}"),
+        title: format!("{title}{first}{cut}"),
         steps,
         timestep_ms: network.parts().timestep_ms,
         onset_ms: None,
-        panels: shown.iter().map(panel).collect(),
+        panels: drawn.iter().map(panel).collect(),
     }
     .svg()
 }

@@ -12,6 +12,8 @@ use std::io::Read;
 
 use serde_json::{Value, json};
 
+use crate::base::names::markup;
+
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
@@ -72,9 +74,10 @@ pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String
         "confusion": confusion,
         "agreement": agreement,
     });
-    // Within a script nothing ends it but its closing tag.
-    let data = data.to_string().replace("</", "<\\/");
-    let parts = [("title", escaped(title)), ("style", STYLE.to_string()), ("charts", charts())];
+    // Within a script `</script` ends it, and `<!--<script` hides its end. `<` stands in strings
+    // only, which may escape it.
+    let data = data.to_string().replace('<', "\\u003c");
+    let parts = [("title", markup(title)), ("style", STYLE.to_string()), ("charts", charts())];
     let parts = parts.into_iter().chain([("data", data), ("script", SCRIPT.to_string())]);
     let mut rest = TEMPLATE;
     let mut page = String::with_capacity(TEMPLATE.len() + (2 << 20));
@@ -95,10 +98,6 @@ fn charts() -> String {
     // What the build deflated comes out whole; a test compares it with the file.
     let _ = flate2::read::DeflateDecoder::new(CHARTS).read_to_string(&mut text);
     text
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

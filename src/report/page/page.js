@@ -7,6 +7,9 @@
   const main = document.getElementById("main");
   const nav = document.getElementById("nav");
   const waiting = [];
+  // Rows of a chart or of a list; a browser draws no more in a second.
+  const mostRows = 40;
+  const firstOf = (list, what) => (list.length > mostRows ? `; the first ${mostRows} of ${number(list.length)} ${what}` : "");
 
   // ---- small helpers -------------------------------------------------------------------------------------------------
   function element(name, attributes = {}, ...children) {
@@ -19,7 +22,8 @@
     made.append(...children.flat().filter((child) => child !== null && child !== undefined));
     return made;
   }
-  const isNumber = (x) => typeof x === "number" && Number.isFinite(x);
+  // The ends of an axis lie beyond its numbers, and beyond 1e308 there are none.
+  const isNumber = (x) => typeof x === "number" && Math.abs(x) < 1e300;
   // Three digits, with thin spaces between thousands.
   function number(x, digits = 3) {
     if (!isNumber(x)) return "–";
@@ -119,7 +123,8 @@
   function warnings(parent, of) {
     if (!of.warnings || !of.warnings.length) return;
     const line = (warning) => element("li", {}, element("b", {}, warning.population ? `${warning.population}: ` : ""), warning.message);
-    parent.append(element("div", { class: "warnings", role: "note" }, element("b", {}, plural(of.warnings.length, "thing") + " to look at"), element("ul", {}, of.warnings.map(line))));
+    const more = of.warnings.length > mostRows ? element("li", {}, `${number(of.warnings.length - mostRows)} more, which nsim run prints`) : null;
+    parent.append(element("div", { class: "warnings", role: "note" }, element("b", {}, plural(of.warnings.length, "thing") + " to look at"), element("ul", {}, of.warnings.slice(0, mostRows).map(line), more)));
   }
 
   // ---- network -------------------------------------------------------------------------------------------------------
@@ -135,10 +140,16 @@
     }
     return level;
   }
+  // What of a large network is drawn.
+  function drawnOf(network) {
+    const [populations, projections] = [network.populations.length, network.projections.length];
+    const cut = network.populations_in_all > populations || network.projections_in_all > projections;
+    return cut ? ` Drawn are ${populations} of ${plural(network.populations_in_all, "population")}, the first of the model and its output, and ${projections} of ${plural(network.projections_in_all, "projection")}.` : "";
+  }
   function networkSection() {
     const network = data.network;
     if (!network) return;
-    const part = section("network", "Network", "Choose a population or a projection to see what it is made of. Circles grow with the number of units; their colour says how often a unit spikes.");
+    const part = section("network", "Network", "Choose a population or a projection to see what it is made of. Circles grow with the number of units; their colour says how often a unit spikes." + drawnOf(network));
     const counts = new Map([...(result.populations || []), ...(result.inputs || [])].map((row) => [row.name, row]));
     const rate = (name) => {
       const row = counts.get(name);
@@ -149,7 +160,7 @@
     network.populations.forEach((population) => byLevel.set(level[population.name], [...(byLevel.get(level[population.name]) || []), population.name]));
     const deepest = Math.max(...byLevel.keys(), 1);
     const tallest = Math.max(...[...byLevel.values()].map((names) => names.length));
-    const most = Math.max(...network.populations.map((population) => rate(population.name)), 1e-9);
+    const highest = Math.max(...network.populations.map((population) => rate(population.name)), 1e-9);
     // From nearly white to blue, as the legend.
     const shade = (part) => { const [low, high] = [[238, 243, 247], [0, 114, 178]]; return `rgb(${low.map((x, at) => Math.round(x + (high[at] - x) * part)).join(",")})`; };
     const nodes = network.populations.map((population) => {
@@ -159,7 +170,7 @@
         value: [level[population.name], (beside.indexOf(population.name) + 1) / (beside.length + 1)],
         symbolSize: 20 + 6 * Math.log10(Math.max(population.units, 1)),
         symbol: population.kind === "input" ? "rect" : "circle",
-        itemStyle: { color: shade(rate(population.name) / most), borderColor: "#333", borderWidth: population.name === network.output ? 3.5 : 1 },
+        itemStyle: { color: shade(rate(population.name) / highest), borderColor: "#333", borderWidth: population.name === network.output ? 3.5 : 1 },
       };
     });
     const links = network.projections.map((projection, index) => ({
@@ -171,7 +182,7 @@
     const detail = element("div", { "aria-live": "polite" });
     columns.append(left, detail);
     part.append(columns);
-    const drawn = chart(left, `Populations (squares are inputs, a thick rim is the output) and projections; the darkest spikes in ${number(100 * most)} % of the timesteps`, Math.max(220, Math.min(460, 95 * tallest + 70)), {
+    const drawn = chart(left, `Populations (squares are inputs, a thick rim is the output) and projections; the darkest spikes in ${number(100 * highest)} % of the timesteps`, Math.max(220, Math.min(460, 95 * tallest + 70)), {
       tooltip: { formatter: (at) => at.dataType === "edge" ? `${escape(at.data.source)} → ${escape(at.data.target)}<br>${number(at.data.value)} synapses` : `${escape(at.name)}<br>a unit spikes in ${number(100 * at.data.rate)} % of the timesteps` },
       grid: { left: 50, right: 50, top: 24, bottom: 30 },
       xAxis: { type: "value", show: false, min: -0.15, max: deepest + 0.15 }, yAxis: { type: "value", show: false, inverse: true, min: 0, max: 1 },
@@ -236,7 +247,7 @@
     const share = (core, name) => core[at[name]] / Math.max(fit.limits[resources.indexOf(name)], 1);
     const fullest = (core) => Math.max(...resources.map((name) => share(core, name)));
     const spent = new Map((result.cores || []).map((row) => [row.core, row]));
-    const populations = data.network ? data.network.populations.map((population) => population.name) : [];
+    const populations = new Map(data.network ? data.network.populations.map((population) => [population.index, population.name]) : []);
     const views = {
       "fullest resource (%)": (core) => 100 * fullest(core),
       ...Object.fromEntries(resources.map((name) => [`${spaced(name)} (%)`, (core) => 100 * share(core, name)])),
@@ -260,7 +271,7 @@
     fit.cores.forEach((core) => chips.set(core[at.chip], [Math.floor(core[at.x] / fit.mesh.width), Math.floor(core[at.y] / fit.mesh.height)]));
     const tooltip = (core) => {
       const row = spent.get(core[0]);
-      const lines = [`core ${core[0]} on chip ${core[at.chip]}, tile ${core[at.x]}, ${core[at.y]}`, populations[core[at.population]] ? `mostly ${escape(populations[core[at.population]])}` : null];
+      const lines = [`core ${core[0]} on chip ${core[at.chip]}, tile ${core[at.x]}, ${core[at.y]}`, populations.has(core[at.population]) ? `mostly ${escape(populations.get(core[at.population]))}` : null];
       resources.forEach((name, index) => lines.push(`${spaced(name)}: ${number(core[at[name]])} of ${number(fit.limits[index])}`));
       if (row) lines.push(`events: ${number(row.synaptic_events)}, spikes ${number(row.spikes)}`, `energy ${number(row.energy_pj / 1e3)} nJ, busy ${number(row.busy_us)} µs, slowest in ${number(row.slowest_steps)} steps`);
       return lines.filter(Boolean).join("<br>");
@@ -275,7 +286,7 @@
       const most = Math.max(...values, 1e-9);
       const byPopulation = view === "population";
       const visual = byPopulation
-        ? { type: "piecewise", categories: populations.map((_, index) => index), dimension: 2, seriesIndex: 2, right: 0, top: 30, orient: "vertical", formatter: (index) => populations[index], inRange: { color: populations.map((_, index) => colours[index % colours.length]) } }
+        ? { type: "piecewise", categories: [...populations.keys()], dimension: 2, seriesIndex: 2, right: 0, top: 30, orient: "vertical", formatter: (index) => populations.get(Number(index)), inRange: { color: [...populations.keys()].map((_, index) => colours[index % colours.length]) } }
         : { type: "continuous", min: 0, max: view.endsWith("(%)") ? 100 : most, dimension: 2, seriesIndex: 2, right: 6, top: 30, itemHeight: 90, calculable: false, text: [view.endsWith("(%)") ? "100" : number(most), "0"], inRange: { color: ["#f7fbff", "#9ecae1", "#4292c6", "#08519c", "#08306b"] } };
       return {
         tooltip: { confine: true, formatter: (hit) => (hit.seriesIndex === 2 ? tooltip(fit.cores[hit.dataIndex]) : hit.seriesIndex === 1 ? `link ${hit.data[0]}, ${hit.data[1]} to ${hit.data[2]}, ${hit.data[3]}<br>${number(hit.data[4])} messages a step, both ways` : `chip ${hit.data[2]}`) },
@@ -319,7 +330,7 @@
     if (!sample) return;
     const cutLength = sample.steps < sample.steps_of_sample ? ` Only its first ${number(sample.steps)} of ${number(sample.steps_of_sample)} timesteps are shown.` : "";
     const label = sample.label === null ? " The" : ` Its class is ${className(sample.label)}; the`;
-    const part = section("spikes", "Spikes", `The first sample, ${plural(sample.steps, "timestep")}.${label} network says ${className(sample.predicted)}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.${cutLength}`);
+    const part = section("spikes", "Spikes", `The first sample, ${plural(sample.steps, "timestep")}.${label} network says ${className(sample.predicted)}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.${cutLength}${drawnOf(data.network)}`);
     const shown = sample.rasters.filter((raster) => raster.units > 0);
     const outputName = data.network.output;
     const heights = shown.map((raster) => Math.max(46, Math.min(170, 30 + 2.2 * Math.min(raster.units, 400 / 1))));
@@ -454,8 +465,9 @@
     const classes = isNumber(agreement.class_agreement) ? ` Classes agree in ${number(100 * agreement.class_agreement)} %.` : "";
     const part = section("agreement", "Agreement with the trained network", `The integers on cores against the network as it was trained, ${plural(agreement.samples, "sample")}.${classes}`);
     const layers = agreement.layers || [];
-    const compared = layers.filter((layer) => layer.spikes_a + layer.spikes_b > 0);
-    chart(part, "Share of spikes that coincide, layer by layer (1 is every spike)", 60 + 34 * Math.max(compared.length, 1), {
+    const spiking = layers.filter((layer) => layer.spikes_a + layer.spikes_b > 0);
+    const compared = spiking.slice(0, mostRows);
+    chart(part, `Share of spikes that coincide, layer by layer (1 is every spike)${firstOf(spiking, "layers")}`, 60 + 34 * Math.max(compared.length, 1), {
       tooltip: { valueFormatter: (x) => number(x) }, grid: { left: 130, right: 60, top: 6, bottom: 40 },
       xAxis: { type: "value", min: 0, max: 1, ...axisName("coincidence", 24) }, yAxis: { type: "category", inverse: true, data: compared.map((layer) => layer.layer ?? layer.name) },
       series: [{ type: "bar", data: compared.map((layer) => layer.coincidence), label: { show: true, position: "right", formatter: (at) => number(at.value) } }],
@@ -502,10 +514,12 @@
     part.append(element("details", {}, element("summary", {}, "Under which conditions"), table(["", ...names], words.map((key) => [key, a[key] ?? "–", b[key] ?? "–"]).concat([["input", (a.input || []).join(", "), (b.input || []).join(", ")]]), [0, 1, 2])));
     results.forEach((one, index) => { if ((one.warnings || []).length) { part.append(element("h3", {}, names[index])); warnings(part, one); } });
     function grouped(caption, unit, pick, scale = 1) {
-      const keys = [...new Set([...Object.keys(pick(a)), ...Object.keys(pick(b))])].filter((key) => pick(a)[key] || pick(b)[key]);
+      const [ofA, ofB] = [pick(a), pick(b)];
+      const all = [...new Set([...Object.keys(ofA), ...Object.keys(ofB)])].filter((key) => ofA[key] || ofB[key]);
+      const keys = all.slice(0, mostRows);
       if (!keys.length) return;
       const of = (one) => keys.map((key) => (pick(one)[key] ?? 0) * scale);
-      chart(part, `${caption} (${unit})`, 110 + 40 * keys.length, {
+      chart(part, `${caption} (${unit})${firstOf(all, "rows")}`, 110 + 40 * keys.length, {
         tooltip: { trigger: "axis", axisPointer: { type: "shadow" }, valueFormatter: (x) => number(x) }, aria: { enabled: true, label: { enabled: false }, decal: { show: true } }, legend: { top: 0 }, grid: { left: 150, right: 30, top: 32, bottom: 40 },
         xAxis: { type: "value", ...axisName(unit, 24) }, yAxis: { type: "category", inverse: true, data: keys.map(spaced), axisLabel: { width: 140, overflow: "truncate" } },
         series: results.map((one, index) => ({ type: "bar", name: names[index], data: of(one) })),

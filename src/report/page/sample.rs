@@ -1,7 +1,11 @@
 //! What a page shows of samples: one step by step, and all by class.
 
+use std::collections::HashSet;
+
 use serde_json::{Value, json};
 
+use super::network::drawn;
+use crate::base::id::{Id, PopulationId};
 use crate::drive::Outcome;
 use crate::drive::timeline::{Raster, Timeline};
 use crate::ir::quantised::Quantised;
@@ -20,7 +24,7 @@ pub struct Watched {
 }
 
 /// A sample over its steps: means of so many steps in a row of everything that is counted, the largest potential of each such
-/// group, every kept spike.
+/// group, every kept spike of the populations that are [`drawn`].
 #[must_use]
 pub fn json(
     network: &Quantised,
@@ -41,8 +45,12 @@ pub fn json(
             curve.push(sum as f64 / column.unit.divisor() as f64 / steps);
         }
     }
+    let drawn = drawn(network);
+    let names: HashSet<&str> = drawn.iter().map(|&id| network.populations()[id].name.as_str()).collect();
+    let is_drawn = |column: &str| column.strip_prefix("spikes.").is_none_or(|name| names.contains(name));
+    let shown = columns.iter().zip(curves).filter(|(column, _)| is_drawn(&column.name));
     let curves: serde_json::Map<String, Value> =
-        columns.iter().zip(curves).map(|(column, curve)| (column.name.clone(), json!(curve))).collect();
+        shown.map(|(column, curve)| (column.name.clone(), json!(curve))).collect();
     let potentials: Vec<Value> = watched
         .iter()
         .zip(&timeline.potentials)
@@ -55,7 +63,7 @@ pub fn json(
         let Raster { population, units, every, spikes, cut } = raster;
         let (steps, units_of_spikes): (Vec<u32>, Vec<u32>) = spikes.iter().copied().unzip();
         json!({
-            "name": network.populations()[crate::base::id::PopulationId(*population as u32)].name,
+            "name": network.populations()[PopulationId(*population as u32)].name,
             "units": units, "every": every, "cut": cut, "step": steps, "unit": units_of_spikes,
         })
     };
@@ -68,7 +76,7 @@ pub fn json(
         "decided_at": outcome.decided_at,
         "curves": curves,
         "potentials": potentials,
-        "rasters": timeline.rasters.iter().map(raster).collect::<Vec<_>>(),
+        "rasters": drawn.into_iter().map(|id| raster(&timeline.rasters[id.index()])).collect::<Vec<_>>(),
     })
 }
 
