@@ -190,6 +190,19 @@ fn threads_shards_and_kills_change_nothing() {
     }
     ran(folder, "sweep s.ron -o merged.csv --merge 3.csv 1.csv 2.csv");
     assert!(std::fs::read(folder.join("merged.csv")).unwrap() == whole);
+    let part = std::fs::read_to_string(folder.join("2.csv")).unwrap();
+    let digit = part.rfind(|c: char| c.is_ascii_digit()).unwrap();
+    for bad in [
+        &part[..part.len() - 1],
+        &part[..digit - 20],
+        &part.replacen(",true,", ",false,", 1),
+        &part.replacen('7', "8", 1),
+    ] {
+        std::fs::write(folder.join("bad.csv"), bad).unwrap();
+        let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv bad.csv 3.csv").output().unwrap();
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(refused.status.code() == Some(3) && said.contains("error[sweep.shard]"), "{bad}: {said}");
+    }
     let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv").output().unwrap();
     assert_eq!(refused.status.code(), Some(3));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("variant 2 has no row"));

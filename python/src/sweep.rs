@@ -47,7 +47,7 @@ pub fn sweep_part(
             progress();
             Ok(())
         })?;
-        table.csv().map_err(|error| nsim::Error::Fault(error.to_string()))
+        table.csv(None).map_err(|error| nsim::Error::Fault(error.to_string()))
     })
 }
 
@@ -57,9 +57,9 @@ pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<Str
     let sweep = parsed(py, path, text)?;
     let merged = py.detach(|| {
         let mut whole = Table::new(&sweep);
-        tables.iter().try_for_each(|table| whole.add_csv(table))?;
+        tables.iter().try_for_each(|table| whole.add_csv(table).map(drop))?;
         whole.check_whole()?;
-        whole.csv().map_err(|error| nsim::Error::Fault(error.to_string()))
+        whole.csv(None).map_err(|error| nsim::Error::Fault(error.to_string()))
     });
     merged.map_err(|error| raised(py, error))
 }

@@ -33,7 +33,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::process::{log, panics, ranks, signals, threads};
 use crate::error::Error;
-use crate::io::shipped;
+use crate::io::{changes, shipped};
 
 const AFTER_HELP: &str = "\
 EXAMPLES:
@@ -235,9 +235,9 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     }
     // Those of a training are fields of the training file.
     if !matches!(cli.command, Command::Train(_))
-        && let Err(message) = crate::io::changes::set(&cli.set)
+        && let Err(error) = changes::set(&cli.set).map_err(Error::Usage).and_then(|()| Ok(changes::check()?))
     {
-        return diagnostics::report(&Error::Usage(message), cli.format);
+        return diagnostics::report(&error, cli.format);
     }
     let answer = threads::start(cli.threads).and_then(|threads| {
         let progress = diagnostics::on_terminal() && !cli.quiet;
@@ -246,6 +246,9 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     });
     match answer {
         Ok(answer) => {
+            for change in changes::unread() {
+                tracing::warn!("--set {}: this command reads nothing that has this path", change.path());
+            }
             ranks::finish();
             if answer == Answer::Yes { ExitCode::SUCCESS } else { ExitCode::from(1) }
         }

@@ -9,7 +9,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Instant, UNIX_EPOCH};
 
 use serde_json::json;
-use sha2::{Digest, Sha256};
 
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
@@ -18,9 +17,8 @@ use crate::error::Error;
 use crate::io;
 use crate::io::write::journal::Journal;
 use crate::sweep::picture;
-use crate::sweep::row::FIGURES;
-use crate::sweep::table::{Table, from_line, line};
-use crate::sweep::variants::Sweep;
+use crate::sweep::table::{Table, checksum_column, from_line, line};
+use crate::sweep::variants::{FIGURES, Sweep};
 use crate::sweep::work;
 
 const EXAMPLES: &str = "\
@@ -121,7 +119,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     } else {
         for path in &args.merge {
             let text = io::text::read_text(path)?;
-            table.add_csv(text.text()).map_err(|problem| problem.or_in_file(path))?;
+            if !table.add_csv(text.text()).map_err(|problem| problem.or_in_file(path))? {
+                tracing::warn!("{} has no checksums: a changed digit in it is not noticed", path.display());
+            }
         }
         table.check_whole()?;
         (Done { run: 0, before: table.rows.len() as u64, wall_s: 0.0 }, None)
@@ -132,15 +132,16 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let picture = output::picture_bytes(path, &picture::svg(&table, [x, y])?)?;
         batch.add(path, |out| out.write_all(&picture))?;
     }
+    let checksums = args.shard.map(|_| checksum_column(&work(&sweep)));
     if let Some(path) = file {
-        table.write(path, &mut batch)?;
+        table.write(path, checksums.as_deref(), &mut batch)?;
     }
     batch.commit()?;
     if let Some(journal) = journal {
         journal.remove()?;
     }
     let done = Done { wall_s: begin.elapsed().as_secs_f64(), ..done };
-    say(&sweep, &table, &done, file, context)
+    say((&sweep, &table, checksums.as_deref()), &done, file, context)
 }
 
 /// Runs what the journal does not hold yet.
@@ -188,32 +189,43 @@ fn journal_beside(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// What tells a sweep from others: its text, the files that it names, what is changed besides, and the program's version.
+/// What identifies a journal: the program's version, the part, the sweep, and its files by size and
+/// time, which are read at once.
 fn head(args: &Args, sweep: &Sweep) -> String {
-    let mut hash = Sha256::new();
-    let mut add = |text: &str| {
-        hash.update((text.len() as u64).to_le_bytes());
-        hash.update(text);
-    };
-    add(sweep.text());
-    add(&format!("{:?} {:?}", args.shard, io::changes::of_process()));
-    for name in sweep.names() {
-        // A file is told by its size and time; what is shipped by the version.
-        let found = std::fs::metadata(&name).ok().filter(std::fs::Metadata::is_file);
+    let of_file = |name: &String| {
+        let found = std::fs::metadata(name).ok().filter(std::fs::Metadata::is_file);
         let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
-        add(&format!("{name} {:?} {time:?}", found.as_ref().map(std::fs::Metadata::len)));
-    }
-    let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
+        format!("{:?} {time:?}", found.as_ref().map(std::fs::Metadata::len))
+    };
+    format!("nsim sweep {} {}", env!("CARGO_PKG_VERSION"), digest(&format!("{:?}", args.shard), sweep, of_file))
 }
 
-fn say(sweep: &Sweep, table: &Table<'_>, done: &Done, file: Option<&Path>, context: Context) -> Result<Answer, Error> {
+/// What identifies the work of all parts, on every machine: the program's version, the sweep, and
+/// its files by content.
+fn work(sweep: &Sweep) -> String {
+    digest(env!("CARGO_PKG_VERSION"), sweep, |name| io::text::sha256_of_file(Path::new(name)).unwrap_or_default())
+}
+
+/// A digest of a sweep's text, what is changed besides, and the files that it names; what is
+/// shipped follows from the version.
+fn digest(before: &str, sweep: &Sweep, of_file: impl Fn(&String) -> String) -> String {
+    let names = sweep.names();
+    let files: Vec<String> = names.iter().map(of_file).collect();
+    io::text::sha256(format!("{:?}", (before, sweep.text(), io::changes::of_process(), names, files)).as_bytes())
+}
+
+fn say(
+    (sweep, table, checksums): (&Sweep, &Table<'_>, Option<&str>),
+    done: &Done,
+    file: Option<&Path>,
+    context: Context,
+) -> Result<Answer, Error> {
     let place = |name: &str| FIGURES.iter().position(|figure| *figure == name).unwrap_or_default();
     let count = |name: &str, value: &dyn Fn(&str) -> bool| {
         table.rows.values().filter(|cells| value(&cells[place(name)])).count()
     };
     let (errors, refused) = (count("error", &|cell| !cell.is_empty()), count("fits", &|cell| cell == "false"));
-    let csv = || table.csv();
+    let csv = || table.csv(checksums);
     let Some(file) = file else {
         let text = || csv().unwrap_or_default();
         output::print(context.format, text, || json(sweep, table, done, [errors, refused]), csv)?;

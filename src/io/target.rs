@@ -22,7 +22,7 @@ use crate::desc::target::{Chip, Target, TargetChanges, TargetFile};
 pub fn load_target(argument: &str) -> Result<Target> {
     let (source, origin) = shipped::text_of(argument, shipped::TARGETS, "target", "target.unknown")?;
     let mut target = target(&source, origin)?;
-    if let Some(fields) = changes::target_fields() {
+    if let Some(fields) = changes::target_fields()? {
         // A change is read as a file would be that changes the target.
         let text = format!("Target(base: {:?}, name: {:?}, {fields})", argument, target.name());
         let source = SourceText::new(SET, text);

@@ -36,27 +36,7 @@ use crate::ir::quantised::{Population, Quantised, Units};
 use crate::ir::spikes::{Sample, Stimulus};
 use crate::sweep::last_layers::{Ran, Record, last_populations};
 use crate::sweep::made::{MadeOnce, held};
-use crate::sweep::variants::Job;
-
-/// The columns behind those of what varies.
-pub const FIGURES: [&str; 16] = [
-    "error",
-    "fits",
-    "cores",
-    "chips",
-    "samples",
-    "timesteps",
-    "accuracy",
-    "digest",
-    "spikes",
-    "synaptic_events",
-    "static_mw",
-    "dynamic_mw",
-    "total_mw",
-    "latency_us",
-    "energy_uj",
-    "edp_pjs",
-];
+use crate::sweep::variants::{FIGURES, Job};
 
 /// The cells of a variant.
 pub type Cells = [String; FIGURES.len()];

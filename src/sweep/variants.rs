@@ -4,6 +4,7 @@
 //! Variants are numbered from 0: the list's entries in order, of each the combinations of the grid, the last axis changing fastest.
 //! Errors: `sweep.axis`, `sweep.path`, `sweep.value`, `sweep.size`.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
@@ -14,6 +15,26 @@ use crate::desc::published::baseline::Mode;
 use crate::desc::spanned::parse;
 use crate::io::changes::Change;
 use crate::sweep::file::{AxisDesc, SweepFile, ValueText};
+
+/// The columns behind those of what varies.
+pub const FIGURES: [&str; 16] = [
+    "error",
+    "fits",
+    "cores",
+    "chips",
+    "samples",
+    "timesteps",
+    "accuracy",
+    "digest",
+    "spikes",
+    "synaptic_events",
+    "static_mw",
+    "dynamic_mw",
+    "total_mw",
+    "latency_us",
+    "energy_uj",
+    "edp_pjs",
+];
 
 /// The most variants of a sweep.
 const MOST_VARIANTS: u64 = 10_000_000;
@@ -128,6 +149,7 @@ impl Job {
             }
             _ => {
                 let change = Change::new(path, value);
+                change.check()?;
                 let changes = if change.is_of_target() { &mut self.of_target } else { &mut self.of_model };
                 changes.push(change);
                 Ok(())
@@ -193,8 +215,26 @@ impl Sweep {
         if list.is_empty() {
             list.push(Vec::new());
         }
+        let paths = axes.iter().flat_map(|axis: &Axis| &axis.paths);
+        if let Some(twice) = repeated(paths.clone().chain(&listed).map(|path| Change::new(path, "").path().to_string()))
+        {
+            let message = format!("{twice} is varied twice, so one of its values would have no effect");
+            return Err(in_file(Diagnostic::new("sweep.axis", message).help("leave it in one axis, or in the list")));
+        }
+        let set: Vec<&String> = file.set.0.iter().map(|(path, _)| path).collect();
+        if let Some(twice) = repeated(set.iter().copied()).or(paths.clone().find(|path| set.contains(path))) {
+            let message = format!("{twice} is set twice, so one of its values would have no effect");
+            return Err(in_file(Diagnostic::new("sweep.path", message).help("leave it out in one place")));
+        }
+        for (entry, of) in file.list.iter().enumerate() {
+            if let Some(twice) = repeated(of.0.iter().map(|(path, _)| path)) {
+                let message = format!("entry {entry} of the list has {twice} twice");
+                return Err(in_file(Diagnostic::new("sweep.path", message).help("leave one of them out")));
+            }
+        }
         let sweep = Sweep { base, listed, list, axes, text: source.text().to_string() };
         let mut names = sweep.columns();
+        names.extend(std::iter::once("variant").chain(FIGURES));
         names.sort_unstable();
         if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
             let problem = Diagnostic::new("sweep.axis", format!("two columns would be named {}", twice[0]));
@@ -317,6 +357,12 @@ impl Sweep {
     }
 }
 
+/// The first that was there before.
+fn repeated<T: Ord + Clone>(all: impl Iterator<Item = T>) -> Option<T> {
+    let mut seen = BTreeSet::new();
+    all.into_iter().find(|one| !seen.insert(one.clone()))
+}
+
 fn axis(desc: &AxisDesc) -> Result<Axis> {
     let wrong = |message: &str| Err(Diagnostic::new("sweep.axis", message));
     let name = match (&desc.name, desc.paths.as_slice()) {
@@ -396,6 +442,22 @@ mod tests {
             ("Sweep(grid: [(paths: [\"a\"])])", "sweep.axis"),
             ("Sweep(grid: [(paths: [\"a\"], values: [1], from: 2)])", "sweep.axis"),
             ("Sweep(grid: [(paths: [\"a\"], values: [1]), (paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(name: \"x\", paths: [\"a\"], values: [1]), (paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(name: \"x\", paths: [\"a\", \"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(list: [{\"a\": 1}], grid: [(name: \"x\", paths: [\" a\"], values: [1])])", "sweep.axis"),
+            (
+                "Sweep(grid: [(name: \"x\", paths: [\"constants.a\"], values: [1]),
+                    (paths: [\"constants.a.value\"], values: [1])])",
+                "sweep.axis",
+            ),
+            ("Sweep(set: {\"a\": 1}, grid: [(paths: [\"a\"], values: [1])])", "sweep.path"),
+            ("Sweep(list: [{\"a\": 1, \"a\": 2}])", "sweep.path"),
+            ("Sweep(grid: [(name: \"energy_uj\", paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(name: \"variant\", paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(paths: [\"constants\"], values: [1])])", "set.path"),
+            ("Sweep(grid: [(paths: [\"target.\"], values: [1])])", "set.path"),
+            ("Sweep(set: {\"a..b\": 1})", "set.path"),
+            ("Sweep(set: {\"a\": \"(\"})", "set.value"),
             ("Sweep(grid: [(paths: [\"options.copys\"], values: [1])])", "sweep.path"),
             ("Sweep(grid: [(paths: [\"options.copies\"], values: [0])])", "sweep.value"),
             ("Sweep(list: [{\"options.strategy\": \"best\"}])", "sweep.value"),

@@ -10,6 +10,7 @@ pub mod ron_path;
 
 use std::cell::RefCell;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::target::constants::{Constants, Status, classes_of};
@@ -22,6 +23,8 @@ pub struct Change {
 }
 
 static CHANGES: OnceLock<Vec<Change>> = OnceLock::new();
+/// What has asked for changes: the target, the constants, a model.
+static READ: [AtomicBool; 3] = [const { AtomicBool::new(false) }; 3];
 
 thread_local! {
     /// What this thread changes besides.
@@ -29,10 +32,28 @@ thread_local! {
 }
 
 impl Change {
-    /// A value for a path.
+    /// A value for a path. A constant's path may end with its field `value`, which is the constant.
     #[must_use]
     pub fn new(path: &str, value: &str) -> Self {
-        Change { path: path.trim().to_string(), value: value.trim().to_string() }
+        let path = path.trim();
+        let constant = path.strip_prefix("constants.").and_then(|_| path.strip_suffix(".value"));
+        Change { path: constant.unwrap_or(path).to_string(), value: value.trim().to_string() }
+    }
+
+    /// Whether it can change anything: its path names a field, its value is one.
+    ///
+    /// # Errors
+    /// `set.path`, `set.value`.
+    pub fn check(&self) -> Result<()> {
+        let Change { path, value } = self;
+        if ["target", "constants"].contains(&path.as_str()) || path.split('.').any(|part| part.trim().is_empty()) {
+            return Err(nowhere(path, "the path leads nowhere; it has to end with the name of a field"));
+        }
+        match ron_path::is_one_value(value) {
+            true => Ok(()),
+            false => Err(Diagnostic::new("set.value", format!("--set {path}={value}: this is not one value"))
+                .help("write a number, a text in quotes, or a list or struct with its brackets closed")),
+        }
     }
 
     /// From `PATH=VALUE`.
@@ -44,6 +65,12 @@ impl Change {
             Some((path, value)) if !path.is_empty() && !value.trim().is_empty() => Ok(Change::new(path, value)),
             _ => Err(format!("--set {typed}: write PATH=VALUE, such as populations.hidden.vth_mant=60")),
         }
+    }
+
+    /// Where it leads.
+    #[must_use]
+    pub fn path(&self) -> &str {
+        &self.path
     }
 
     /// Whether it changes the target or its constants, and no model.
@@ -96,6 +123,27 @@ pub fn set(typed: &[String]) -> Result<(), String> {
     Ok(())
 }
 
+/// Checks what this process changes, before it works.
+///
+/// # Errors
+/// As [`Change::check`].
+pub fn check() -> Result<()> {
+    of_process().iter().try_for_each(Change::check)
+}
+
+/// What this process changes and has not read a file for.
+pub fn unread() -> impl Iterator<Item = &'static Change> {
+    of_process().iter().filter(|change| {
+        let of = ["target", "constants"].into_iter().find(|of| change.path.split('.').next() == Some(of));
+        !READ[kind(of)].load(Ordering::Relaxed)
+    })
+}
+
+/// The place of what is changed in [`READ`].
+fn kind(of: Option<&str>) -> usize {
+    of.map_or(2, |of| usize::from(of != "target"))
+}
+
 /// What this process changes.
 #[must_use]
 pub fn of_process() -> &'static [Change] {
@@ -104,6 +152,7 @@ pub fn of_process() -> &'static [Change] {
 
 /// The changes whose paths begin so, or of the model, and the rest of their paths.
 fn changes(of: Option<&str>) -> Vec<(String, String)> {
+    READ[kind(of)].store(true, Ordering::Relaxed);
     let one = |change: &Change| {
         let (first, rest) = change.path.split_once('.').unwrap_or((&change.path, ""));
         let path = match of {
@@ -127,38 +176,58 @@ fn nowhere(path: &str, message: &str) -> Diagnostic {
 /// `set.path`.
 pub fn model(source: SourceText) -> Result<SourceText> {
     let mut text: Option<String> = None;
-    for (path, value) in changes(None) {
+    let changes = changes(None);
+    for (path, value) in &changes {
         let before = text.as_deref().unwrap_or(source.text());
-        text = Some(ron_path::replaced(before, &path, &value).map_err(|message| nowhere(&path, &message))?);
+        text = Some(ron_path::replaced(before, path, value).map_err(|message| nowhere(path, &message))?);
     }
     Ok(match text {
-        Some(text) => SourceText::new(source.path(), text),
+        Some(text) => {
+            check_kept(&text, &changes, "")?;
+            SourceText::new(source.path(), text)
+        }
         None => source,
     })
 }
 
-/// The fields of the target that are set, as a target file has them; nothing when none is.
-#[must_use]
-pub fn target_fields() -> Option<String> {
-    let mut text = "Target()".to_string();
-    let mut any = false;
-    for (path, value) in changes(Some("target")) {
-        any = true;
-        text = with_parents(text, &path, &value);
+/// Checks that each change is in the text that all of them made, unless a later one has its path.
+///
+/// # Errors
+/// `set.path` for two paths that lead to one field, or to a field and what it is part of.
+fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<()> {
+    for (number, (path, value)) in changes.iter().enumerate() {
+        let again = changes[number + 1..].iter().any(|(later, _)| later == path);
+        if !again && ron_path::value(text, path) != Some(value) {
+            return Err(nowhere(&format!("{before}{path}"), "another path that is set changes the same field"));
+        }
     }
-    let fields = text.strip_prefix("Target(")?.strip_suffix(')')?.to_string();
-    any.then_some(fields)
+    Ok(())
+}
+
+/// The fields of the target that are set, as a target file has them; nothing when none is.
+///
+/// # Errors
+/// `set.path`.
+pub fn target_fields() -> Result<Option<String>> {
+    let mut text = "Target()".to_string();
+    let changes = changes(Some("target"));
+    for (path, value) in &changes {
+        text = with_parents(text, path, value).map_err(|message| nowhere(&format!("target.{path}"), &message))?;
+    }
+    check_kept(&text, &changes, "target.")?;
+    let fields = text.strip_prefix("Target(").and_then(|text| text.strip_suffix(')'));
+    Ok(fields.filter(|_| !changes.is_empty()).map(str::to_string))
 }
 
 /// A value at a path whose parents are made where they are absent.
-fn with_parents(mut text: String, path: &str, value: &str) -> String {
+fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, String> {
     for (at, _) in path.match_indices('.') {
         let parent = &path[..at];
-        if ron_path::replaced(&text, &format!("{parent}.x"), "0").is_err() {
-            text = ron_path::replaced(&text, parent, "()").unwrap_or(text);
+        if ron_path::value(&text, parent).is_none() {
+            text = ron_path::replaced(&text, parent, "()")?;
         }
     }
-    ron_path::replaced(&text, path, value).unwrap_or(text)
+    ron_path::replaced(&text, path, value)
 }
 
 /// Gives constants the numbers that are set.
@@ -167,9 +236,8 @@ fn with_parents(mut text: String, path: &str, value: &str) -> String {
 /// `set.path`, `set.value`.
 pub fn constants(constants: &mut Constants) -> Result<()> {
     for (path, value) in changes(Some("constants")) {
-        let name = path.strip_suffix(".value").unwrap_or(&path);
         let missing = || nowhere(&format!("constants.{path}"), "the constants have no such number");
-        let constant = constants.get_mut(name).ok_or_else(missing)?;
+        let constant = constants.get_mut(&path).ok_or_else(missing)?;
         let number = constant.unit.parsed(&value).map_err(|message| {
             let help = format!("write --set constants.{path}=NUMBER{}", constant.unit.suffix());
             Diagnostic::new("set.value", format!("--set constants.{path}={value}: {message}")).help(help)
@@ -177,7 +245,7 @@ pub fn constants(constants: &mut Constants) -> Result<()> {
         constant.value = number.into();
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
         constant.findings.clear();
-        constants.forget_errors(classes_of(name));
+        constants.forget_errors(classes_of(&path));
     }
     Ok(())
 }
@@ -188,11 +256,13 @@ mod tests {
 
     #[test]
     fn parents_are_made_where_they_are_absent() {
-        let one = with_parents("Target()".to_string(), "limits.axons_out", "8192");
+        let one = with_parents("Target()".to_string(), "limits.axons_out", "8192").unwrap();
         assert_eq!(one, "Target( limits: ( axons_out: 8192))");
-        let two = with_parents(one, "limits.axons_in", "7");
+        let two = with_parents(one, "limits.axons_in", "7").unwrap();
         assert_eq!(two, "Target( limits: ( axons_out: 8192, axons_in: 7))");
-        assert_eq!(with_parents(two, "chips_x", "2"), "Target( limits: ( axons_out: 8192, axons_in: 7), chips_x: 2)");
+        let three = with_parents(two, "chips_x", "2").unwrap();
+        assert_eq!(three, "Target( limits: ( axons_out: 8192, axons_in: 7), chips_x: 2)");
+        assert!(with_parents(three, "chips_x.y", "2").is_err());
     }
 
     #[test]
@@ -200,8 +270,32 @@ mod tests {
         let read = || model(SourceText::new("m", "Network(a: 1, b: 2)")).unwrap().text().to_string();
         let changed = within(&[Change::new("a", "5"), Change::new("target.x", "7")], read);
         assert_eq!((changed.as_str(), read().as_str()), ("Network(a: 5, b: 2)", "Network(a: 1, b: 2)"));
-        let of_target = within(&[Change::new("target.x", "7")], target_fields);
-        assert_eq!((of_target.as_deref(), target_fields()), (Some(" x: 7"), None));
+        let of_target = within(&[Change::new("target.x", "7")], target_fields).unwrap();
+        assert_eq!((of_target.as_deref(), target_fields().unwrap()), (Some(" x: 7"), None));
+    }
+
+    #[test]
+    fn two_paths_of_one_field_are_refused() {
+        let read = || model(SourceText::new("m", r#"Network(populations: [Loihi(name: "out", du: 1)])"#));
+        for paths in [["populations.out.du", "populations.0.du"], ["populations.out.du", "populations"]] {
+            let changes = [Change::new(paths[0], "5"), Change::new(paths[1], "6")];
+            assert_eq!(within(&changes, read).unwrap_err().code, "set.path", "{paths:?}");
+        }
+        let again = ["5", "6"].map(|value| Change::new("populations.out.du", value));
+        assert!(within(&again, read).unwrap().text().contains("du: 6"));
+    }
+
+    #[test]
+    fn a_path_that_ends_nowhere_and_a_value_that_is_none_are_refused() {
+        for path in ["target", "constants", "target.", "constants.", ".x", "a..b", "a.", "", " . "] {
+            assert_eq!(Change::new(path, "1").check().unwrap_err().code, "set.path", "{path}");
+        }
+        for value in ["nonsense(", "1, dv: 2", ")", "1) //", "[1", "\"a"] {
+            assert_eq!(Change::new("a", value).check().unwrap_err().code, "set.value", "{value}");
+        }
+        for value in ["1", "-0.5", "0.4us", "\"a, b\"", "[1, [2]]", "Npy(\"a.npy\")", "GreatestV"] {
+            Change::new("a", value).check().unwrap();
+        }
     }
 
     #[test]

@@ -156,6 +156,29 @@ pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
     Ok(format!("{}{value}{}", &text[..place.start], &text[place.end..]))
 }
 
+/// The value at a path, if it is there.
+#[must_use]
+pub fn value<'t>(text: &'t str, path: &str) -> Option<&'t str> {
+    let mut place = Cursor { text, at: 0 }.value();
+    for part in path.split('.') {
+        match part_of(text, place, part) {
+            Part::At(found) => place = found,
+            Part::NotYet(_) | Part::Nothing => return None,
+        }
+    }
+    Some(&text[place])
+}
+
+/// Whether a text is one value and nothing else: no comma or bracket ends it before its end, and
+/// none is missing.
+#[must_use]
+pub fn is_one_value(text: &str) -> bool {
+    // What follows a value that is not closed is taken for a part of it.
+    let followed = format!("({text})");
+    let mut cursor = Cursor { text: &followed, at: 1 };
+    cursor.value() == (1..1 + text.len()) && cursor.rest() == ")"
+}
+
 /// What a part of a path is.
 enum Part {
     /// A value.
