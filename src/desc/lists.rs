@@ -10,6 +10,26 @@ use std::ops::Range;
 
 use crate::base::diagnostic::Span;
 
+/// Brackets that may be open at a place of a text. A value with a position is scanned once for each
+/// bracket around it.
+const DEEPEST: u32 = 100;
+
+/// The first bracket that is nested too deeply.
+pub(crate) fn too_deep(text: &str) -> Option<usize> {
+    let (mut cursor, mut depth) = (Cursor { text, at: 0 }, 0u32);
+    loop {
+        cursor.blanks();
+        match cursor.peek()? {
+            b'(' | b'[' | b'{' if depth == DEEPEST => return Some(cursor.at),
+            b'(' | b'[' | b'{' => (depth, cursor.at) = (depth + 1, cursor.at + 1),
+            b')' | b']' | b'}' => (depth, cursor.at) = (depth.saturating_sub(1), cursor.at + 1),
+            _ if cursor.quoted() => {}
+            _ if cursor.token().is_empty() => cursor.at += 1,
+            _ => {}
+        }
+    }
+}
+
 /// What is wrong with a list, and where.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct ListError {

@@ -12,7 +12,7 @@ use ron::value::RawValue;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer};
 use serde::ser::{Serialize, Serializer};
 
-use super::lists::ListError;
+use super::lists::{ListError, too_deep};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 
 thread_local! {
@@ -204,6 +204,10 @@ struct Malformed {
 
 /// Parses a text; `written` is the same without blanks.
 fn attempt<T: DeserializeOwned>(text: &str, written: &Arc<str>) -> Result<T, Malformed> {
+    if let Some(at) = too_deep(text) {
+        let message = plain(&ron::Error::ExceededRecursionLimit);
+        return Err(Malformed { span: Span { start: at, end: at + 1 }, message });
+    }
     let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
     let written = WRITTEN.replace(Some(written.clone()));
     INNERMOST.set(None);

@@ -46,6 +46,11 @@ fn is_descriptor(path: &Path) -> bool {
     ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|open| path.starts_with(open))
 }
 
+/// What to say of a path at which something stands that may never end.
+pub(in crate::io) fn not_regular(path: &Path) -> Diagnostic {
+    Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file").in_file(path)
+}
+
 /// Opens a regular file, or a descriptor: nobody may ever write to a named pipe, and a device may have no end.
 ///
 /// # Errors
@@ -53,9 +58,7 @@ fn is_descriptor(path: &Path) -> bool {
 pub(super) fn open(path: &Path) -> Result<(Input, Metadata)> {
     let found = disk::metadata(path).map_err(|error| unreadable(path, &error))?;
     if !found.is_file() && !found.is_dir() && !is_descriptor(path) {
-        return Err(Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file")
-            .help("give - to read stdin, or a regular file")
-            .in_file(path));
+        return Err(not_regular(path).help("give - to read stdin, or a regular file"));
     }
     let (file, metadata) = Input::open(path).map_err(|error| unreadable(path, &error))?;
     if metadata.is_dir() {

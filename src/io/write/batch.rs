@@ -4,13 +4,14 @@
 //! before the first new one is named, so that old and new ones never lie side by side; they come back when naming fails.
 
 use std::collections::BTreeSet;
+use std::fs::File;
 use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use super::temporary::Temporary;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::disk;
-use crate::io::text::is_standard_stream;
+use crate::io::text::{self, is_standard_stream};
 
 fn exists(path: &Path) -> Diagnostic {
     Diagnostic::new("write.exists", "the file exists already")
@@ -20,6 +21,17 @@ fn exists(path: &Path) -> Diagnostic {
 
 pub(super) fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
+}
+
+/// Opens a file for writing that keeps what it holds, and makes it when it is absent. A pipe is
+/// refused: opening it waits for a reader.
+pub(super) fn open_or_make(path: &Path) -> Result<File> {
+    match disk::metadata(path) {
+        Ok(found) if !found.is_file() && !found.is_dir() => {
+            Err(text::not_regular(path).help("remove it, or give the result another name"))
+        }
+        _ => disk::open_or_make(path).map_err(|error| failed(path, &error)),
+    }
 }
 
 /// Checks that a file may be written there, before a long run that would otherwise fail at its end.

@@ -10,7 +10,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use super::batch::{Batch, check_free, failed};
+use super::batch::{Batch, check_free, failed, open_or_make};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::disk;
 
@@ -59,7 +59,7 @@ impl Folder {
         let marker = path.join(MARKER);
         let interrupted = is_unfinished(path, name).map_err(fail)?;
         let had_manifest = disk::named(&manifest).map_err(fail)?.is_some();
-        let file = disk::open_or_make(&marker).map_err(fail)?;
+        let file = open_or_make(&marker)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
             return Err(Diagnostic::new("write.busy", "another nsim is writing to this folder").in_file(path));
         }

@@ -4,7 +4,9 @@
 //! once all of it is in the file: each has a checksum, and what follows the last whole one is cut off when the file is opened again.
 //! One process at a time holds a journal, by a lock.
 //!
-//! Errors: `journal.other` for a file with another head, `journal.held` when another process works, `write.failed`.
+//! Errors: `journal.other` for a file with another head, `journal.held` when another process works,
+//! `io.not-regular` for a pipe,
+//! `write.failed`.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -12,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::disk;
-use crate::io::write::batch::failed;
+use crate::io::write::batch::{failed, open_or_make};
 
 /// A journal that is open.
 #[derive(Debug)]
@@ -48,11 +50,11 @@ impl Journal {
     /// Opens a journal, which is made when it is absent or ends within its head; returns the lines behind its head.
     ///
     /// # Errors
-    /// `journal.other`, `journal.held`, `write.failed`.
+    /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
     pub fn open(path: &Path, head: &str) -> Result<(Journal, Vec<String>)> {
         let fail = |error: std::io::Error| failed(path, &error);
         disk::make_folder(&disk::folder_of(path)).map_err(fail)?;
-        let file = disk::open_or_make(path).map_err(fail)?;
+        let file = open_or_make(path)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
             return Err(Diagnostic::new("journal.held", "another process works on this").in_file(path));
         }
