@@ -262,6 +262,187 @@ fn pipes_without_a_writer_do_not_hang() {
     place.ends("timeout 60 $program map p.ron", &[3]);
     place.ends("timeout 60 $program inspect p.pt", &[3]);
     place.ends("nsim map <(cat ok.ron)", &[0]);
+    let axis = r#"(paths: ["populations.o.vth_mant"], values: [8, 9])"#;
+    place.put("sweep.ron", format!("Sweep(model: \"ok.ron\", input: [\"{NOISE}\"], grid: [{axis}])"));
+    let output = place.ends("mkfifo t.csv.journal; timeout 60 $program sweep sweep.ron -o t.csv", &[3]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("error[io.not-regular]"), "{output:?}");
+}
+
+#[test]
+fn a_path_that_changes_nothing_is_refused() {
+    let place = Place::new();
+    let line = format!("energy ok.ron --input '{NOISE}' --baseline");
+    for (set, code) in [
+        ("constants=nonsense(", "set.path"),
+        ("constants=10", "set.path"),
+        ("target=x", "set.path"),
+        ("target.=3", "set.path"),
+        ("constants.=3", "set.path"),
+        (".=3", "set.path"),
+        ("populations..vth_mant=3", "set.path"),
+        ("target.limits..axons_in=3", "set.path"),
+        ("populations.o.=3", "set.path"),
+        ("populations.o.vth_mant=9, dv: 3", "set.value"),
+        ("target.limits.axons_in=(", "set.value"),
+    ] {
+        let object = place.object(&format!("nsim {line} --set '{set}'"), 3);
+        assert!(object["code"] == code && object["help"].is_string(), "{set}: {object}");
+        assert_eq!(place.object(&format!("nsim inspect ok.ron --set '{set}'"), 3)["code"], code, "{set}");
+    }
+    for both in [
+        "--set populations.o.vth_mant=9 --set populations.1.vth_mant=8",
+        "--set target.limits.axons_in=9 --set 'target.limits=(axons_in: 8)'",
+        "--set target.limits=5 --set target.limits.axons_in=9",
+    ] {
+        assert_eq!(place.object(&format!("nsim {line} {both}"), 3)["code"], "set.path", "{both}");
+    }
+    place.ends(&format!("nsim {line} --set populations.o.vth_mant=9 --set target.limits.axons_in=900"), &[0]);
+}
+
+#[test]
+fn a_name_controls_neither_terminal_nor_page_nor_picture() {
+    let place = Place::new();
+    let named = |name: &str| model_with("name: \"x\"", &format!("name: \"{name}\""));
+    for name in ["small\\u{1}", "\\u{1b}[31mred", "two\\nlines", "\\u{202e}back", "\\u{9b}2J"] {
+        place.put("m.ron", named(name));
+        for picture in ["c.svg", "c.png", "c.pdf"] {
+            let object = place.object(&format!("nsim plot raster m.ron --input '{NOISE}' -o {picture}"), 2);
+            assert_eq!(object["code"], "usage", "a format is for results");
+            let output = place.ends(&format!("nsim plot raster m.ron --input '{NOISE}' -o {picture}"), &[3]);
+            assert!(String::from_utf8_lossy(&output.stderr).contains("error[model.name]"), "{name}: {output:?}");
+        }
+        let shown = place.ends("nsim inspect m.ron", &[0]).stdout;
+        assert!(!String::from_utf8(shown).unwrap().contains(['\u{1}', '\u{1b}', '\u{202e}', '\u{9b}']), "{name}");
+    }
+    place.put("m.ron", named("<!--<script>&"));
+    place.ends(&format!("nsim report m.ron --input '{NOISE}' --baseline -o r.html"), &[0]);
+    let page = std::fs::read_to_string(place.path("r.html")).unwrap();
+    assert!(!page.contains("<!--<script>") && page.contains("\\u003c!--\\u003cscript>&"));
+    place.ends(&format!("nsim plot raster m.ron --input '{NOISE}' -o r.svg"), &[0]);
+    assert!(std::fs::read_to_string(place.path("r.svg")).unwrap().contains("&lt;!--&lt;script&gt;&amp;"));
+    for line in [
+        "run $'a\\e[2J.ron'",
+        "run ok.ron --input $'b\\e[2J.npy'",
+        "run ok.ron $'--\\e[2J'",
+        "map ok.ron --set $'\\e[2J=1'",
+    ] {
+        let output = place.ends(&format!("nsim {line}"), &[2, 3]);
+        assert!(!output.stderr.contains(&0x1b), "{line}: {output:?}");
+    }
+}
+
+#[test]
+fn a_mapping_that_could_not_be_run_is_no_deployment() {
+    let place = Place::new();
+    place.ends("nsim map ok.ron --target tiny -o good.ron", &[0]);
+    let good = std::fs::read_to_string(place.path("good.ron")).unwrap();
+    let line = format!("energy ok.ron --target tiny --input '{NOISE}' --baseline --deployment");
+    place.ends(&format!("nsim {line} good.ron"), &[0]);
+    let (hand, _) = good.split_once("    checksum: ").unwrap();
+    let hand = format!("{hand})\n");
+    place.put("m.ron", &hand);
+    place.ends(&format!("nsim {line} m.ron"), &[0]);
+    let (head, holds) = hand.split_once("cores: [").unwrap();
+    let held = "population: \"o\", first: 0, count: 2";
+    assert!(holds.contains(held), "{hand}");
+    let mut cases = vec![
+        (format!("{head}cores: [])"), "mapping.missing"),
+        (format!("{head})"), "mapping.missing"),
+        (hand.replace("model: \"x\"", "model: \"y\""), "mapping.model"),
+        (hand.replace("\"tiny\"", "\"nahuku-32\""), "mapping.target"),
+        (hand.replace("copies: 1", "copies: 0"), "mapping.copies"),
+        (hand.replace(held, "population: \"ghost\", first: 0, count: 2"), "mapping.population"),
+        (hand.replace(held, "population: \"o\", first: 0, count: 1"), "mapping.missing"),
+        (hand.replace(held, "population: \"o\", first: 0, count: 3"), "mapping.run"),
+        (hand.replace(held, "population: \"o\", at: \"0 1 1\""), "mapping.twice"),
+        (hand.replace("cores: [", "cores: [(chip: 0, x: 0, y: 0, core: 3, holds: []),"), "mapping.empty"),
+        (good.replace("core: 0", "core: 1"), "mapping.checksum"),
+        (good.replace("seed: 0", "seed: 1"), "mapping.checksum"),
+    ];
+    cases.extend((0..hand.len() - 2).step_by(9).map(|end| (good[..end].to_string(), "mapping.syntax")));
+    for (text, code) in cases {
+        assert_ne!(text, hand);
+        place.put("m.ron", &text);
+        for line in [line.as_str(), &format!("run ok.ron --target tiny --input '{NOISE}' --mapping")] {
+            let object = place.object(&format!("nsim {line} m.ron"), 3);
+            let is_code = object["code"] == code || code == "mapping.syntax" && object["code"] == "io.utf8";
+            assert!(is_code && (object["help"].is_string() || code == "mapping.syntax"), "{line} {text}: {object}");
+        }
+    }
+}
+
+#[test]
+fn a_result_that_was_changed_is_refused() {
+    let place = Place::new();
+    place.ends(&format!("nsim energy ok.ron --input '{NOISE}' --baseline --format json > e.json"), &[0]);
+    let good = std::fs::read_to_string(place.path("e.json")).unwrap();
+    let energy = format!("\"energy_uj\": {}", serde_json::from_str::<Value>(&good).unwrap()["rows"][0]["energy_uj"]);
+    assert!(good.contains(&energy), "{energy}");
+    place.ends("nsim report e.json -o r.html", &[0]);
+    for bad in [
+        good.replace(&energy, &energy.replace(": ", ": 9")),
+        good.replace("\"x\"", "\"y\""),
+        good[..good.len() / 2].into(),
+    ] {
+        place.put("bad.json", bad);
+        for line in ["report bad.json -o r.html --force", "plot energy bad.json -o e.svg"] {
+            let output = place.ends(&format!("nsim {line}"), &[3]);
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert!(said.contains("error[report.result]") && said.contains("help"), "{line}: {said}");
+        }
+    }
+    // Layout is no part of it.
+    place.put("again.json", serde_json::from_str::<Value>(&good).unwrap().to_string());
+    place.ends("nsim report again.json -o again.html", &[0]);
+}
+
+#[test]
+fn nested_brackets_cost_nothing() {
+    let place = Place::new();
+    for (open, close) in [("Some(", ")"), ("(", ")"), ("[", "]"), ("{1:", "}")] {
+        let deep = format!("{}1{}", open.repeat(200_000), close.repeat(200_000));
+        for (old, new) in [("du: 1", format!("du: {deep}")), ("to: \"o\"", format!("to: \"o\", delay: {deep}"))] {
+            place.put("m.ron", model_with(old, &new));
+            let begin = Instant::now();
+            assert_eq!(place.object("timeout 60 $program inspect m.ron", 3)["code"], "model.syntax", "{open}");
+            assert!(begin.elapsed() < Duration::from_secs(30), "{open}: {:?}", begin.elapsed());
+        }
+    }
+}
+
+/// Seconds of a processor that a command takes.
+fn processor_s(place: &Place, line: &str) -> f64 {
+    let output = place.ends(&format!("TIMEFORMAT='%U'; time {line} > /dev/null 2> /dev/null"), &[0]);
+    let said = String::from_utf8_lossy(&output.stderr).replace(',', ".");
+    said.trim().parse().unwrap_or_else(|_| panic!("{line}: {said}"))
+}
+
+#[test]
+fn four_times_the_populations_take_about_four_times_as_long() {
+    let place = Place::new();
+    for count in [4_000, 16_000] {
+        let one = |n: u32| format!("Loihi(name: \"p{n}\", shape: [2], du: 1, dv: 1, vth_mant: 1)");
+        let into = |n: u32| {
+            let from = if n == 0 { "in".to_string() } else { format!("p{}", n - 1) };
+            format!("Sparse(from: [\"{from}\"], to: \"p{n}\", synapses: [(0, 0, 2)])")
+        };
+        let list = |of: &dyn Fn(u32) -> String| (0..count).map(of).collect::<Vec<_>>().join(",");
+        let (populations, projections) = (list(&one), list(&into));
+        place.put(
+            &format!("{count}.ron"),
+            format!(
+                "Network(name: \"s\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), {populations}],
+                projections: [{projections}], output: \"p0\")"
+            ),
+        );
+    }
+    let noise = "--input 'scene:noise?samples=1&steps=10&seed=1' --baseline --no-cache --force -o r.html";
+    for line in ["inspect N.ron", "map N.ron --no-cache", &format!("report N.ron {noise}")] {
+        let [few, many] =
+            ["4000", "16000"].map(|count| processor_s(&place, &format!("nsim {}", line.replace('N', count))));
+        // Without a square: 16 times as long.
+        assert!(many < 8.0 * few + 1.0, "{line}: {few} s and {many} s");
+    }
 }
 
 #[test]

@@ -106,6 +106,61 @@ fn threads_and_interruptions_change_nothing() {
     assert!(String::from_utf8_lossy(&other.stderr).contains("other settings"));
 }
 
+/// A checkpoint without what a version without checksums did not write.
+fn without_checksum(file: &[u8]) -> Vec<u8> {
+    let length = u64::from_le_bytes(file[..8].try_into().unwrap()) as usize;
+    let mut header: Value = serde_json::from_slice(&file[8..8 + length]).unwrap();
+    let facts = &mut header["__metadata__"]["nsim_training"];
+    let mut own: Value = serde_json::from_str(facts.as_str().unwrap()).unwrap();
+    ["checksum", "numbers"].iter().for_each(|field| assert!(own.as_object_mut().unwrap().remove(*field).is_some()));
+    *facts = own.to_string().into();
+    let header = header.to_string();
+    [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), &file[8 + length..]].concat()
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    samples(folder);
+    let line = ["train", "config.ron", "--set", "averaging=0"];
+    nsim(folder, &[&line[..], &["-o", "whole.ron", "--checkpoint", "state"]].concat());
+    let good = std::fs::read(folder.join("state")).unwrap();
+    let resumed = |file: &[u8]| {
+        std::fs::write(folder.join("damaged"), file).unwrap();
+        let run = Command::new(env!("CARGO_BIN_EXE_nsim"))
+            .current_dir(folder)
+            .args(line)
+            .args(["-o", "again.ron", "--force", "--checkpoint", "damaged"])
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert!(run.status.success() || said.contains("error[train.checkpoint]") && said.contains("help"), "{said}");
+        run.status.success()
+    };
+    assert!(resumed(&good));
+    let old = without_checksum(&good);
+    assert!(resumed(&old));
+    let numbers = old.len() / 2;
+    for (file, name) in [(&good, "new"), (&old, "old")] {
+        for at in (0..file.len()).step_by(file.len() / 20) {
+            let mut damaged = file.clone();
+            damaged[at] ^= 1 << (at % 8);
+            // What is read of a finished training without checksum is the weights.
+            let same = || weights(folder, "again.ron") == weights(folder, "whole.ron");
+            assert!(!resumed(&damaged) || name == "old" && same(), "{name}: byte {at}");
+            assert!(!resumed(&file[..at]), "{name}: cut at {at}");
+        }
+        for wrong in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            for at in (numbers..file.len() - 4).rev().step_by(4).filter(|at| at % 512 == file.len() % 512) {
+                let mut damaged = file.clone();
+                damaged[at..at + 4].copy_from_slice(&wrong.to_le_bytes());
+                assert!(!resumed(&damaged), "{name}: {wrong} at {at}");
+            }
+        }
+    }
+}
+
 #[test]
 fn the_deployed_network_decides_as_the_trained_one() {
     let folder = tempfile::tempdir().unwrap();

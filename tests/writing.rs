@@ -361,7 +361,7 @@ impl Expected {
 
     /// Whether this was printed, but for lines with measured times.
     fn is_printed(&self, printed: &[u8]) -> bool {
-        let times = ["wall_s", "us_per_timestep", "us a timestep", "ms: ", "\"seconds\"", " s,"];
+        let times = ["wall_s", "us_per_timestep", "us a timestep", "ms: ", "\"seconds\"", "\"checksum\"", " s,"];
         let steady = |printed: &[u8]| {
             // A line that is too long goes on behind two spaces.
             let text = String::from_utf8_lossy(printed).replace("\n  ", " ");

@@ -10,6 +10,7 @@ use nsim::drive::populations::ByPopulation;
 use nsim::drive::samples::{self, Division, Running, fast, fast_on};
 use nsim::drive::warnings::{Finished, Ran, warnings};
 use nsim::drive::{Keep, Outcome, Probe, Quantity, digest};
+use nsim::io::write::checksum;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Copies, Sample};
 use nsim::report::detail::Detail;
@@ -65,9 +66,9 @@ pub fn is_long(mapping: &Shared, shown: &Shown) -> bool {
     steps * u64::from(mapping.compiled().quantised.compartments().max(1)) > LONG
 }
 
-/// JSON as Python's own dictionaries and lists.
+/// JSON as Python's own dictionaries and lists; a result as the command line prints it.
 pub fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<'py, PyAny>> {
-    py.import("json")?.call_method1("loads", (value.to_string(),))
+    py.import("json")?.call_method1("loads", (checksum::printed(value.clone()).to_string(),))
 }
 
 /// Runs samples on the simulated cores.

@@ -127,6 +127,9 @@ pub fn study_models(folder: &Path) -> Result<Vec<StudyModel>, Diagnostic> {
         }
         let bytes = io::text::read_bytes(&path, 1 << 26)?;
         let run: Value = serde_json::from_slice(&bytes).map_err(|error| unreadable(&path, error.to_string()))?;
+        if io::write::checksum::holds(&run) == Some(false) {
+            return Err(unreadable(&path, "the file is damaged: its checksum is another".to_string()));
+        }
         let text = |key: &str| run[key].as_str().map(str::to_string);
         let (Some(name), Some(setting)) = (text("name"), text("setting")) else {
             return Err(unreadable(&path, "this is no run of a study".to_string()));

@@ -12,6 +12,7 @@ use crate::drive::samples::Progress;
 use crate::drive::warnings::Warning;
 use crate::error::Error;
 use crate::io;
+use crate::io::write::checksum;
 use crate::report::charts::picture::{ENDINGS, PictureFormat};
 use crate::report::text::{self, replaced};
 
@@ -82,7 +83,7 @@ pub fn print(
 ) -> Result<(), Error> {
     let out = match format {
         Format::Text => plain(),
-        Format::Json => format!("{:#}\n", json()),
+        Format::Json => format!("{:#}\n", checksum::printed(json())),
         Format::Csv | Format::Markdown | Format::Latex => {
             let rows = csv().map_err(|error| Error::Fault(format!("csv: {error}")))?;
             match format {

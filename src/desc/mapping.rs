@@ -194,6 +194,10 @@ pub struct MappingFile {
     /// Instead of cores: layers in boxes, of a network that is mapped by its kernels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub layers: Vec<MappedLayer>,
+    /// SHA-256 of the other fields; a file that was written by hand has none. Once read, one that is
+    /// not that of the other fields.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub checksum: Option<String>,
 }
 
 impl MappingFile {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::base::diagnostic::Diagnostic;
 use crate::base::names::did_you_mean;
 use crate::compile::place::SAVED;
-use crate::compile::{self, CompileError, Compiled, CopyPlacement, Form, Front, Options};
+use crate::compile::{self, Compiled, CopyPlacement, Form, Front, Options, mapping_file};
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::cost::estimate::Convention;
 use crate::cost::{CostTable, Deployment, Host, HostWork, Streams, Transport};
@@ -13,7 +13,7 @@ use crate::desc::mapping::MappingFile;
 use crate::desc::published::baseline::Mode;
 use crate::desc::published::scenario::{DeployedCores, ScenarioFile};
 use crate::desc::published::workload::Accounting;
-use crate::desc::spanned::{parse, root_name};
+use crate::desc::spanned::root_name;
 use crate::desc::target::Target;
 use crate::drive::decision::Rule;
 use crate::error::{Error, Result};
@@ -210,7 +210,7 @@ impl DeploymentSource {
             let scenario = io::published::scenario::scenario(&source)?;
             return Ok(DeploymentSource::Scenario(path.display().to_string(), Box::new(scenario)));
         }
-        let mapping = parse(&source, "mapping.syntax").map_err(|error| match error.help {
+        let mapping = io::mapping::mapping(&source).map_err(|error| match error.help {
             None => error.help(
                 "--deployment is spread, packed, paper, CORES,CHIPS,X86, a scenario, or a mapping saved by nsim map -o",
             ),
@@ -222,8 +222,8 @@ impl DeploymentSource {
     /// The numbers of cores of so many copies of a mapped network.
     ///
     /// # Errors
-    /// [`Error::Usage`] when a scenario is of another model, or a saved mapping of another number of copies or another
-    /// target; [`Error::Input`] when a saved mapping is not one of this network on this target.
+    /// [`Error::Usage`] when a scenario is of another model; [`Error::Input`] when a saved mapping
+    /// is not one of so many copies of this network on this target.
     pub fn deployment(&self, compiled: &Compiled, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
         let model = &compiled.one.parts().name;
         match self {
@@ -245,26 +245,16 @@ impl DeploymentSource {
             }
             DeploymentSource::Numbers(cores) => Ok(Deployment::from_numbers("as given", *cores, target, copies, work)),
             DeploymentSource::Mapping(path, mapping) => {
-                if mapping.copies != copies || mapping.target != target.name() || mapping.model != *model {
-                    return Err(Error::Usage(format!(
-                        "{} holds {} copies of {} on {}, not {copies} of {model} on {}",
-                        path.display(),
-                        mapping.copies,
-                        mapping.model,
-                        mapping.target,
-                        target.name()
-                    )));
-                }
                 // A mapping that could not be run is no deployment either.
                 let options = Options { copies, ..Options::default() };
                 let form = Form::for_network(&compiled.one, copies);
                 let front = Front::from(compiled.one.clone());
-                let loaded = compile::load(front, target, &options, mapping, form).map_err(|error| match error {
-                    CompileError::Input(diagnostic) if diagnostic.place.is_none() => {
-                        CompileError::Input(diagnostic.in_file(path))
-                    }
-                    other => other,
-                })?;
+                let loaded = compile::load(front, target, &options, mapping, form)
+                    .map_err(|error| mapping_file::explained(error, path, "MODEL"))?;
+                if loaded.placement.is_empty() {
+                    let message = "the mapping has no core, so there is nothing that it could cost";
+                    return Err(Diagnostic::new("mapping.missing", message).in_file(path).into());
+                }
                 let name = path.display().to_string();
                 Ok(Deployment::from_placement(name, &loaded.placement, target, copies, work))
             }

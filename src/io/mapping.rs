@@ -7,25 +7,65 @@ use std::path::Path;
 use ron::ser::PrettyConfig;
 use serde::Serialize;
 
-use super::text::read_text;
-use crate::base::diagnostic::{Diagnostic, Result};
+use super::text::{read_text, sha256};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::desc::mapping::MappingFile;
 use crate::desc::spanned::parse;
 
 /// Loads a saved mapping.
 ///
 /// # Errors
-/// `mapping.syntax`, `io.*`.
+/// As [`mapping`]; `io.*`.
 pub fn load_mapping(path: &Path) -> Result<MappingFile> {
-    parse(&read_text(path)?, "mapping.syntax")
+    mapping(&read_text(path)?).map_err(|problem| match problem.help {
+        None => problem.help("a mapping is what nsim map writes: nsim map MODEL -o FILE"),
+        Some(_) => problem,
+    })
 }
 
-/// A mapping as RON, one core a line, or one chip of a layer.
+/// A mapping from its text. A checksum that is not its own stays in it, for [`check_unchanged`].
+///
+/// # Errors
+/// `mapping.syntax`; `mapping.copies` for none.
+pub fn mapping(source: &SourceText) -> Result<MappingFile> {
+    let mut mapping: MappingFile = parse(source, "mapping.syntax")?;
+    if mapping.copies == 0 {
+        let message = "the mapping is of 0 copies; a mapping has at least one";
+        let help = "make it again: nsim map MODEL -o FILE";
+        return Err(Diagnostic::new("mapping.copies", message).help(help).in_file(source.path()));
+    }
+    let written = mapping.checksum.take();
+    let own = checksum(&mapping)?;
+    mapping.checksum = written.filter(|sum| *sum != own);
+    Ok(mapping)
+}
+
+/// Refuses a mapping that was changed after it was saved. What else is wrong with it says more, so
+/// this is looked at last.
+///
+/// # Errors
+/// `mapping.checksum`.
+pub fn check_unchanged(mapping: &MappingFile) -> Result<()> {
+    if mapping.checksum.is_none() {
+        return Ok(());
+    }
+    let message = "the mapping was changed or damaged after it was saved: its checksum is another";
+    Err(Diagnostic::new("mapping.checksum", message)
+        .help("make it again: nsim map MODEL -o FILE; if you changed it on purpose, remove the line of its checksum"))
+}
+
+/// The checksum of a mapping that has none.
+fn checksum(mapping: &MappingFile) -> Result<String> {
+    Ok(sha256(pretty(mapping, 0)?.as_bytes()))
+}
+
+/// A mapping as RON with its checksum, one core a line, or one chip of a layer.
 ///
 /// # Errors
 /// `write.ron`, which does not happen for mappings.
 pub fn mapping_text(mapping: &MappingFile) -> Result<String> {
-    pretty(mapping, if mapping.layers.is_empty() { 2 } else { 4 })
+    let sealed = MappingFile { checksum: Some(checksum(mapping)?), ..mapping.clone() };
+    pretty(&sealed, if mapping.layers.is_empty() { 2 } else { 4 })
 }
 
 /// A value as RON in which everything deeper than `lines` brackets stands on one line.
@@ -68,14 +108,18 @@ mod tests {
             pruned: None,
             cores: vec![core(0), core(1)],
             layers: Vec::new(),
+            checksum: None,
         };
         let text = mapping_text(&mapping).unwrap();
-        assert_eq!(text.lines().count(), 11, "{text}");
+        assert_eq!(text.lines().count(), 12, "{text}");
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.ron");
         std::fs::write(&path, &text).unwrap();
         assert_eq!(load_mapping(&path).unwrap(), mapping);
         std::fs::write(&path, text.replace("copies", "copy")).unwrap();
         assert_eq!(load_mapping(&path).unwrap_err().position().unwrap().line, 4);
+        std::fs::write(&path, text.replacen("x: 1", "x: 2", 1)).unwrap();
+        let changed = load_mapping(&path).unwrap();
+        assert_eq!(check_unchanged(&changed).unwrap_err().code, "mapping.checksum");
     }
 }

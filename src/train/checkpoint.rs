@@ -1,6 +1,8 @@
 //! A training's state as a safetensors file. A training that resumes from it ends as one that was never interrupted.
 //!
 //! The file holds a fingerprint of plan and samples: a checkpoint of another training is refused.
+//! It holds a checksum: a damaged one is refused. A file of a version without checksums is read
+//! only when it is of a finished training and its second copy of the weights is the same.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -18,8 +20,9 @@ use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::Semantics;
 use crate::desc::training::CreditDesc;
 use crate::io::budget::MOST_ARRAY;
-use crate::io::text::read_bytes;
+use crate::io::text::{read_bytes, sha256};
 use crate::io::write;
+use crate::io::write::checksum;
 use crate::neuron::Fields;
 
 /// A digest of a training's plan and samples. What is digested of the plan is written out field by field under names of its
@@ -137,15 +140,24 @@ fn fields(fields: &Fields) -> Value {
 const FACTS: &str = "nsim_training";
 const PARTS: [&str; 4] = ["weights", "average", "first", "second"];
 
+fn parts(state: &TrainingState) -> [&Weights; 4] {
+    [&state.weights, &state.average, &state.moments.first, &state.moments.second]
+}
+
+/// SHA-256 of all numbers of a state.
+fn digest(state: &TrainingState) -> String {
+    let bytes: Vec<u8> = parts(state).into_iter().flatten().flatten().flat_map(|x| x.to_le_bytes()).collect();
+    sha256(&bytes)
+}
+
 /// Writes a state; the file is replaced as a whole.
 ///
 /// # Errors
 /// `write.*`.
 pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()> {
-    let parts = [&state.weights, &state.average, &state.moments.first, &state.moments.second];
     let bytes: Vec<(String, Vec<u8>)> = PARTS
         .iter()
-        .zip(parts)
+        .zip(parts(state))
         .flat_map(|(part, weights)| {
             weights.iter().enumerate().map(move |(layer, numbers)| {
                 (format!("{part}.{layer}"), numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>())
@@ -158,9 +170,10 @@ pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()>
     let broken = |error: String| Diagnostic::new("write.failed", error).in_file(path);
     let views = views.collect::<Result<Vec<_>, _>>().map_err(|error| broken(error.to_string()))?;
     // One entry: the order of several would change from run to run.
-    let facts = json!({
+    let facts = checksum::with(json!({
         "epoch": state.epoch, "steps": state.moments.steps, "history": state.history, "fingerprint": fingerprint,
-    });
+        "numbers": digest(state),
+    }));
     let facts = HashMap::from([(FACTS.to_string(), facts.to_string())]);
     let file = safetensors::serialize(views, Some(facts)).map_err(|error| broken(error.to_string()))?;
     write::file(path, true, |out| out.write_all(&file))
@@ -182,7 +195,8 @@ pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<Traini
     };
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|_| wrong("this is no checkpoint"))?;
     let facts = header.metadata().as_ref().and_then(|facts| serde_json::from_str::<Value>(facts.get(FACTS)?).ok());
-    let fact = |key: &str| facts.as_ref().map_or(Value::Null, |facts| facts[key].clone());
+    let facts = facts.unwrap_or(Value::Null);
+    let fact = |key: &str| facts[key].clone();
     if fact("fingerprint").as_str() != Some(fingerprint) {
         return Err(wrong("this checkpoint belongs to a training with other settings or samples"));
     }
@@ -208,5 +222,21 @@ pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<Traini
             history,
         })
     };
-    state().map(Some).ok_or_else(|| wrong("this checkpoint is not whole"))
+    let state = state().ok_or_else(|| wrong("this checkpoint is not whole"))?;
+    if !parts(&state).into_iter().flatten().flatten().all(|x| x.is_finite()) {
+        return Err(wrong("this checkpoint is damaged: a number in it is NaN or infinite"));
+    }
+    match checksum::holds(&facts) {
+        Some(sound) if !sound || fact("numbers") != digest(&state) => {
+            Err(wrong("this checkpoint is damaged: its checksum is another"))
+        }
+        Some(_) => Ok(Some(state)),
+        // Without averaging, the average of the weights is the weights; a finished training needs
+        // nothing else.
+        None if state.epoch == plan.epochs && plan.averaging == 0.0 => match state.average == state.weights {
+            true => Ok(Some(state)),
+            false => Err(wrong("this checkpoint is damaged: its two copies of the weights differ")),
+        },
+        None => Err(wrong("this checkpoint has no checksum, so it may be damaged: an older nsim wrote it")),
+    }
 }

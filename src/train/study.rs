@@ -14,6 +14,7 @@ use serde_json::Value;
 use crate::base::diagnostic::SourceText;
 use crate::error::Result;
 use crate::io;
+use crate::io::write::checksum;
 use crate::train::checkpoint;
 use crate::train::fit::{Example, Plan, TrainingState};
 use crate::train::job::{Data, Job, cross_validate, with_fields};
@@ -86,13 +87,15 @@ fn combinations<'a>(fields: &[(&'a str, &'a str)]) -> Vec<Vec<(&'a str, &'a str)
     all
 }
 
-/// A run of a study from its file, when it is there, whole and of the same training.
+/// A run of a study from its file, when it is there, whole and of the same training. What is not is
+/// trained again.
 fn kept(path: &Path, print: &str) -> Result<Option<StudyRun>> {
     let bytes = match io::text::read_bytes(path, MOST_RUN) {
         Err(absent) if absent.code == "io.missing" => return Ok(None),
         read => read?,
     };
-    let value = serde_json::from_slice(&bytes).ok().filter(|value: &Value| value["fingerprint"] == print);
+    let is_whole = |value: &Value| value["fingerprint"] == print && checksum::holds(value) == Some(true);
+    let value = serde_json::from_slice(&bytes).ok().filter(is_whole);
     Ok(value.and_then(|value| serde_json::from_value(value).ok()))
 }
 
@@ -168,7 +171,7 @@ impl Study<'_> {
         value["fingerprint"] = print.into();
         value["name"] = name.clone().into();
         value["tested"] = tested.clone().into();
-        io::write::text(&path, true, &format!("{value:#}\n"))?;
+        io::write::text(&path, true, &format!("{:#}\n", checksum::with(value)))?;
         Ok(Finished { run, model, tested })
     }
 }

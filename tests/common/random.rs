@@ -253,6 +253,7 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
         pruned: None,
         cores,
         layers: Vec::new(),
+        checksum: None,
     }
 }
 

@@ -71,19 +71,9 @@ impl JobArgs {
     /// An error about the saved mapping, with its file and what to do.
     #[must_use]
     pub fn with_mapping_file(&self, error: CompileError) -> CompileError {
-        match (&self.mapping, error) {
-            (Some(path), CompileError::Input(diagnostic)) if diagnostic.code.starts_with("mapping.") => {
-                let has_help = diagnostic.help.is_some();
-                let diagnostic = if diagnostic.place.is_none() { diagnostic.in_file(path) } else { diagnostic };
-                CompileError::Input(match has_help {
-                    true => diagnostic,
-                    false => diagnostic.help(format!(
-                        "use it with the model, target and copies that it was made for, or make another: nsim map {} -o FILE",
-                        self.model
-                    )),
-                })
-            }
-            (_, error) => error,
+        match &self.mapping {
+            Some(path) => mapping_file::explained(error, path, &self.model),
+            None => error,
         }
     }
 }

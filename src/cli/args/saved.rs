@@ -7,6 +7,7 @@ use serde_json::Value;
 use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::error::Error;
 use crate::io;
+use crate::io::write::checksum;
 
 /// Whether a name is that of a saved result.
 #[must_use]
@@ -25,6 +26,14 @@ pub fn read(path: &Path, schemas: &[&str], help: &str) -> Result<(Value, SourceT
     let schema = result["schema"].as_str().unwrap_or_default();
     if !schemas.contains(&schema) {
         return Err(wrong(format!("holds '{schema}', not {}", schemas.join(" or "))).into());
+    }
+    match checksum::holds(&result) {
+        Some(true) => {}
+        Some(false) => {
+            let message = "was changed or damaged after it was printed: its checksum is another".to_string();
+            return Err(wrong(message).into());
+        }
+        None => tracing::warn!("{} has no checksum: a damaged number in it is not noticed", path.display()),
     }
     Ok((result, text))
 }

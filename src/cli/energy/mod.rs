@@ -231,14 +231,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("saved.ron");
         let packed = mapped(2, CopyPlacement::Packed);
-        let text = io::mapping::mapping_text(&packed.clone().mapping_file()).unwrap();
+        let text = io::mapping::pretty(&packed.clone().mapping_file(), 2).unwrap();
         let with = |text: &str| {
             std::fs::write(&path, text).unwrap();
             deployed("m", path.to_str().unwrap(), &packed, 2)
         };
         let found = with(&text).unwrap();
         assert_eq!((found.cores_used, found.chips_used), (packed.placement.len() as u64, 1));
-        assert_eq!(with(&text.replace("copies: 2", "copies: 3")).unwrap_err().exit_status(), 2);
+        assert_eq!(with(&text.replace("copies: 2", "copies: 3")).unwrap_err().exit_status(), 3);
         assert_eq!(with("oops").unwrap_err().exit_status(), 3);
         // Without cores, and of other populations.
         let cut = format!("{}cores: [])", text.split("cores: [").next().unwrap());

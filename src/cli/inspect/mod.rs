@@ -22,10 +22,11 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::desc::mapping::{MappingFile, PrunedFile, Run};
-use crate::desc::spanned::{parse, root_name};
+use crate::desc::spanned::root_name;
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
 use crate::io::kind::FileKind;
+use crate::io::mapping::{check_unchanged, mapping};
 use crate::io::published::scenario;
 use crate::io::shipped::{self, Origin};
 use crate::io::spikes::{self, manifest};
@@ -105,7 +106,11 @@ fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnosti
         "Constants" => Ok(constants_findings(&target::parse_constants(&source)?)),
         "Baseline" => Ok(baseline_findings(&Baseline::parse(&source)?)),
         "Scenario" => Ok(scenario_findings(&scenario::scenario(&source)?)),
-        "Mapping" => Ok(mapping_findings(&parse(&source, "mapping.syntax")?)),
+        "Mapping" => {
+            let mapping = mapping(&source)?;
+            check_unchanged(&mapping).map_err(|problem| problem.in_file(source.path()))?;
+            Ok(mapping_findings(&mapping))
+        }
         "DataSet" => Ok(dataset_findings(&manifest::from_source(source)?)),
         other => Err(Diagnostic::new(
             "inspect.kind",

@@ -8,6 +8,8 @@
 pub mod layers;
 pub mod pruned;
 
+use std::path::Path;
+
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::compile::error::CompileError;
@@ -21,6 +23,7 @@ use crate::compile::resources::exact::usage;
 use crate::compile::resources::packing::MOST_SLOTS;
 use crate::desc::mapping::{MappedCore, MappingFile, Run};
 use crate::desc::target::Target;
+use crate::io::mapping::check_unchanged;
 use crate::ir::partition::{Partition, seats};
 use crate::ir::placement::{Mesh, Placement, Site};
 use crate::ir::quantised::Quantised;
@@ -56,6 +59,7 @@ fn empty(network: &Quantised, target: &str, options: &Options) -> MappingFile {
         pruned: network.pruned().map(|pruned| pruned_file(pruned)),
         cores: Vec::new(),
         layers: Vec::new(),
+        checksum: None,
     }
 }
 
@@ -102,9 +106,22 @@ fn file_of_cores(
 /// The partition and the placement that a file gives for all copies of a network, and the boxes of a symbolic mapping.
 ///
 /// # Errors
-/// [`CompileError::Input`] when the file is of another network or target, or names what there is not;
+/// [`CompileError::Input`] when the file is of another network or target, names what there is not, or
+/// was changed;
 /// [`CompileError::DoesNotFit`] when a core exceeds a limit.
 pub fn load(
+    file: &MappingFile,
+    all: &Quantised,
+    target: &Target,
+    form: Form,
+) -> Result<(Partition, Placement, Option<Boxes>), CompileError> {
+    let loaded = loaded(file, all, target, form)?;
+    check_unchanged(file)?;
+    Ok(loaded)
+}
+
+/// As [`load`], of a file that may have been changed.
+fn loaded(
     file: &MappingFile,
     all: &Quantised,
     target: &Target,
@@ -190,6 +207,24 @@ pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Resu
         return Err(Diagnostic::new("mapping.target", message));
     }
     Ok(())
+}
+
+/// An error about a saved mapping, with its file and what to do.
+#[must_use]
+pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError {
+    match error {
+        CompileError::Input(diagnostic) if diagnostic.code.starts_with("mapping.") => {
+            let help = || {
+                format!(
+                    "use it with the model, target and copies that it was made for, or make another: nsim map {model} -o FILE"
+                )
+            };
+            let has_help = diagnostic.help.is_some();
+            let diagnostic = diagnostic.or_in_file(path);
+            CompileError::Input(if has_help { diagnostic } else { diagnostic.help(help()) })
+        }
+        other => other,
+    }
 }
 
 /// Checks that a file is of so many copies.
@@ -290,6 +325,9 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
     if let Some(missing) = seated.iter().position(|&seated| !seated) {
         let (name, index) = populations_of(network)(CompartmentId::new(missing));
         return wrong("mapping.missing", format!("compartment {index} of {name} is not in the mapping"));
+    }
+    if let Some(core) = members.iter().position(Vec::is_empty) {
+        return wrong("mapping.empty", format!("core {core} of the mapping holds no compartment"));
     }
     match Placement::new(mesh, sites.clone()) {
         Ok(_) => Ok((members, sites)),

@@ -8,6 +8,7 @@
 
 mod batch;
 pub mod cache;
+pub mod checksum;
 mod folder;
 pub mod journal;
 mod temporary;
@@ -22,6 +23,7 @@ pub use self::folder::{Folder, is_unfinished};
 use super::disk;
 use super::text::is_standard_stream;
 use crate::base::diagnostic::Result;
+use crate::base::names::printable;
 
 /// Whether something has been, or is being, printed to stdout.
 static PRINTING: AtomicBool = AtomicBool::new(false);
@@ -81,12 +83,13 @@ pub fn text(path: &Path, force: bool, text: &str) -> Result<()> {
     file(path, force, |out| out.write_all(text.as_bytes()))
 }
 
-/// Prints to stdout. A reader that has gone away (`nsim .. | head`) is not an error.
+/// Prints a [`printable`] text to stdout. A reader that has gone away (`nsim .. | head`) is not an
+/// error.
 ///
 /// # Errors
 /// `write.failed`.
 pub fn stdout(text: &str) -> Result<()> {
-    self::text(Path::new("-"), false, text)
+    self::text(Path::new("-"), false, &printable(text))
 }
 
 fn ignore_closed_pipe(error: std::io::Error) -> std::io::Result<()> {
