@@ -12,6 +12,7 @@ use npyz::{DType, Endianness, NpyHeader, Order, TypeChar, WriterBuilder};
 
 use super::budget::{Budget, MOST_ARRAY};
 use super::element::Element;
+use super::spikes::events::text::is_header;
 use super::text::{NPY_MAGIC, read_bytes};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::tensor::{Numbers, Tensor};
@@ -68,6 +69,45 @@ fn kind_of(dtype: &DType) -> &'static str {
         },
         DType::Record(_) | DType::Array(..) => "records of several fields",
     }
+}
+
+/// How an array of an unreadable type is saved so that it is read.
+fn remedy(dtype: &DType) -> String {
+    let kind = match dtype {
+        DType::Plain(plain) => plain.type_char(),
+        // NumPy converts no record of several fields into a number.
+        DType::Record(fields) => {
+            // Fields of events, by what their reader takes for a time; of other names none is printed.
+            let plain = |name: &&str| name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+            let names = || fields.iter().map(|field| field.name.as_str()).filter(plain);
+            let time = names().find(|name| is_header(&format!("x,{name}")));
+            let places = names().filter(|name| matches!(*name, "x" | "y" | "p" | "polarity"));
+            let Some(time) = time.filter(|_| names().any(|name| name == "x")) else {
+                return "save one field of it as an array of numbers: array[array.dtype.names[0]]".to_string();
+            };
+            let unit = if time.contains('_') { "" } else { "_us" };
+            let header: Vec<String> =
+                [format!("{time}{unit}")].into_iter().chain(places.clone().map(Into::into)).collect();
+            let columns: Vec<String> =
+                [time].into_iter().chain(places).map(|name| format!("array['{name}']")).collect();
+            return format!(
+                "events are read as text: numpy.savetxt('events.csv', numpy.column_stack([{}]), fmt='%.17g', delimiter=',', \
+                 header='{}', comments=''); of times in other units the header says _s, _ms or _ns",
+                columns.join(", "),
+                header.join(",")
+            );
+        }
+        DType::Array(..) => {
+            return "save its numbers without a type of several: numpy.array(array.tolist())".to_string();
+        }
+    };
+    let way = match kind {
+        TypeChar::Complex => "array.real or numpy.abs(array)",
+        TypeChar::TimeDelta | TypeChar::DateTime => "array.astype('int64')",
+        TypeChar::RawData => "array.view(DTYPE), with the type that was stored as bytes",
+        _ => "array.astype(numpy.float64)",
+    };
+    format!("save it as integers or floating-point numbers: {way}")
 }
 
 /// Checks the header's length, its nesting and the sizes that it claims, and returns where the numbers begin. The parser
@@ -170,7 +210,7 @@ impl Array {
                 "npy.dtype",
                 format!("the array's type {} holds {}, which are not read", dtype_name(&dtype), kind_of(&dtype)),
             )
-            .help("save it as integers or floating-point numbers: array.astype(numpy.int32)")
+            .help(remedy(&dtype))
             .in_file(path));
         };
         let there = bytes.len() - data;
@@ -461,6 +501,15 @@ mod tests {
         ] {
             let error = parse(file(descr, "False", "(2,)", &[0; 64])).unwrap_err();
             assert_eq!((error.code, error.message.contains(what)), ("npy.dtype", true), "{descr}: {error}");
+        }
+        for (descr, help) in [
+            ("[('x', '<i2'), ('y', '<i2'), ('p', '|b1'), ('t', '<i8')]", "header='t_us,x,y,p'"),
+            ("[('t_ms', '<f8'), ('x', '<i2')]", "header='t_ms,x'"),
+            ("[('a', '<f4'), ('b', '<i4')]", "array[array.dtype.names[0]]"),
+            ("'<c8'", "array.real"),
+        ] {
+            let error = parse(file(descr, "False", "(2,)", &[0; 64])).unwrap_err();
+            assert!(error.help.as_ref().is_some_and(|said| said.contains(help)), "{descr}: {:?}", error.help);
         }
         let huge =
             ["(18446744073709551615, 18446744073709551615)", "(4000000000000,)", "(99999999999999999999999999,)"];
