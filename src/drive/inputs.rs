@@ -4,6 +4,7 @@
 //! several populations are matched sample by sample: they must agree in number, steps and labels. A clock may serve one population
 //! beside the recordings of others.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crate::base::diagnostic::Diagnostic;
@@ -33,6 +34,25 @@ pub fn stimulus(
     let mut stimulus = given(network, arguments, default, seed)?;
     stimulus.samples = drained(network, stimulus.samples)?;
     Ok(stimulus)
+}
+
+/// How often the samples of a run are repeated at most.
+pub const MOST_REPEATS: u32 = 1_000_000;
+/// The most samples of a run, each of which has results of its own.
+const MOST_RUNS: u64 = 1 << 22;
+
+/// The numbers of the samples that run, in order: those of a range, this many times.
+///
+/// # Errors
+/// `input.too-many` before any memory is taken for them.
+pub fn repeated(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnostic> {
+    let runs = range.len() as u64 * u64::from(repeat);
+    if runs > MOST_RUNS {
+        let message =
+            format!("{} samples, repeated {repeat} times, are {runs} runs, more than {MOST_RUNS}", range.len());
+        return Err(Diagnostic::new("input.too-many", message).help("repeat fewer times, or choose fewer samples"));
+    }
+    Ok((0..repeat).flat_map(|_| range.clone()).collect())
 }
 
 /// Samples with the steps that a network has after the last of its input.

@@ -2,6 +2,7 @@
 
 use crate::cli::args::values::SampleRange;
 use crate::compile::frontend::prune::check_stimulus;
+use crate::drive::inputs::{MOST_REPEATS, repeated};
 use crate::error::Error;
 use crate::ir::quantised::Quantised;
 use crate::ir::spikes::Sample;
@@ -19,7 +20,7 @@ pub struct InputArgs {
     #[arg(long, value_name = "A..B")]
     pub samples: Option<SampleRange>,
     /// Run all samples N times; each starts from rest
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_REPEATS)))]
     pub repeat: u32,
     /// Seed of a synthetic scene
     #[arg(long)]
@@ -63,7 +64,7 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
 /// The numbers of the samples that a run asks for, of so many, as often as it asks.
 ///
 /// # Errors
-/// [`Error::Usage`] when the range holds no sample.
+/// [`Error::Usage`] when the range holds no sample, `input.too-many`.
 pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Error> {
     let range = args.samples.as_ref().map_or(0..usize::MAX, |range| range.0.clone());
     if range.end != usize::MAX && range.end > samples {
@@ -77,7 +78,7 @@ pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Er
     if chosen.is_empty() {
         return Err(Error::Usage(format!("--samples {}..: there are {samples} samples", range.start)));
     }
-    Ok((0..args.repeat).flat_map(|_| chosen.clone()).collect())
+    Ok(repeated(chosen, args.repeat)?)
 }
 
 /// Refuses samples that use pruned channels; samples are numbered as in the input.
