@@ -20,14 +20,18 @@ class Error(Exception):
     """FILE:LINE:COLUMN, or FILE."""
     help: Optional[str]
     """What to change."""
+    reasons: list[dict[str, Any]]
+    """Every problem; where a network does not fit, the `reasons` of `nsim map --format json`."""
 
 class Warning(UserWarning):
     """What stands out in a run, such as a population that never spikes."""
 
 class Events:
-    """Spikes as rows (sample, step, channel)."""
+    """Spikes as rows (sample, step, channel), or one sample as records with the fields t, x, y and p."""
 
-    def __init__(self, events: Array, *, steps: int, samples: Optional[int] = None) -> None: ...
+    def __init__(
+        self, events: Array, *, steps: Optional[int] = None, samples: Optional[int] = None, unit: Optional[str] = None
+    ) -> None: ...
     def __len__(self) -> int: ...
 
 def load(model: Path) -> Network:

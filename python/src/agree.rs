@@ -20,7 +20,7 @@ use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::run::to_python;
 use crate::spikes::{Shown, sources};
-use crate::work::work;
+use crate::work::{detached, work};
 
 /// Where and why two networks disagree.
 #[pyclass(frozen, module = "nsim")]
@@ -34,10 +34,7 @@ pub const MOST_SAMPLES: usize = 100_000;
 
 /// A number from 1 to `most`.
 pub fn counted(keywords: &Keywords<'_>, name: &str, usual: usize, most: usize) -> PyResult<usize> {
-    match keywords.take(name)?.unwrap_or(usual) {
-        number if (1..=most).contains(&number) => Ok(number),
-        number => Err(usage(format!("{name} is from 1 to {most}, not {number}"))),
-    }
+    Ok(keywords.whole(name, 1..=most as u64)?.map_or(usual, |number| number as usize))
 }
 
 impl Agreement {
@@ -49,7 +46,7 @@ impl Agreement {
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        let (graph, written) = py.detach(|| real_and_integers(network)).map_err(|problem| raised(py, problem))?;
+        let (graph, written) = detached(py, || real_and_integers(network)).map_err(|problem| raised(py, problem))?;
         Form::require_written("agree", &written, 1).map_err(|problem| raised(py, problem))?;
         let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
         let against = match keywords.take::<String>("against")?.as_deref() {
@@ -57,18 +54,21 @@ impl Agreement {
             Some("srm") if graph.has_srm() => Counterpart::Srm,
             None | Some("cuba") => Counterpart::Cuba,
             Some("golden") => Counterpart::Golden,
-            Some("srm") => return Err(usage("against='srm': the network has no spike response neurons".into())),
-            Some(other) => return Err(usage(format!("against is one of srm, cuba, golden, not '{other}'"))),
+            Some("srm") => {
+                let message = "against='srm': the network has no spike response neurons".to_string();
+                return Err(usage(message, "compare it with against='cuba' or against='golden'"));
+            }
+            Some(other) => {
+                let message = format!("against is '{other}', which is not known");
+                return Err(usage(message, "against is one of srm, cuba, golden"));
+            }
         };
         let conversion = keywords.one_of("conversion", &Conversion::ALL, Conversion::name)?;
         let conversion = conversion.unwrap_or(Conversion::Search);
         let calibrate = sources(keywords.take("calibrate")?.as_ref())?;
         let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
         let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
-        let steps: Option<u32> = keywords.take("steps")?;
-        if steps == Some(0) {
-            return Err(usage("steps is at least 1".into()));
-        }
+        let steps = keywords.whole("steps", 1..=u32::MAX.into())?.map(|steps| steps as u32);
         let attributed = counted(keywords, "attribution_samples", 100, MOST_SAMPLES)?;
         let most = if keywords.take("attribution")?.unwrap_or(true) { attributed } else { 0 };
         let scene = network.file().scene.as_deref();

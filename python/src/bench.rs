@@ -16,6 +16,7 @@ use crate::keywords::{Keywords, usage};
 use crate::mapping::Shared;
 use crate::run::to_python;
 use crate::spikes::Shown;
+use crate::work::detached;
 
 /// The longest measurement.
 const MOST_SECONDS: f64 = 3600.0;
@@ -33,12 +34,15 @@ pub fn bench<'py>(
     let skip = keywords.take::<bool>("skip")?.unwrap_or(true);
     keywords.none_left()?;
     if !(seconds > 0.0 && seconds <= MOST_SECONDS) {
-        return Err(usage(format!("seconds is above 0 and at most {MOST_SECONDS}, not {seconds}")));
+        let message = format!("seconds is {seconds}, not above 0 and at most {MOST_SECONDS}");
+        return Err(usage(message, "one second measures most networks well: seconds=1.0"));
     }
-    let Some(sample) = shown.samples().into_iter().next() else { return Err(usage("there is no sample".into())) };
+    let Some(sample) = shown.samples().into_iter().next() else {
+        return Err(usage("there is no sample".into(), "give spikes, or None for the model's own scene"));
+    };
     let period = sample.copies(compiled.options.copies, compiled.one.channels());
     let division = Division { shards: 1, in_turn: true };
-    let timing = py.detach(|| {
+    let timing = detached(py, || {
         let own;
         let image = match mapping.image(division) {
             Some(image) => image,

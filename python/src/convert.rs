@@ -20,7 +20,7 @@ use crate::memory;
 use crate::network::Network;
 use crate::run::to_python;
 use crate::spikes::{Shown, sources};
-use crate::work::work;
+use crate::work::{detached, work};
 
 /// The greatest number of epochs of fine-tuning, as on the command line.
 const MOST_EPOCHS: u32 = 100_000;
@@ -44,18 +44,16 @@ impl Conversion {
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
         let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
-        let job = py.detach(|| Job::new(network, &target)).map_err(|problem| raised(py, problem))?;
+        let job = detached(py, || Job::new(network, &target)).map_err(|problem| raised(py, problem))?;
         let calibrate = sources(keywords.take("calibrate")?.as_ref())?;
         let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
         let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
-        let epochs = keywords.take::<u32>("fine_tune")?.unwrap_or(0);
-        if epochs > MOST_EPOCHS {
-            return Err(usage(format!("fine_tune is at most {MOST_EPOCHS} epochs, not {epochs}")));
-        }
+        let epochs = keywords.whole("fine_tune", 0..=MOST_EPOCHS.into())?.unwrap_or(0) as u32;
         let training = keywords.path("training")?;
         let train = sources(keywords.take("train")?.as_ref())?;
         if epochs == 0 && (training.is_some() || !train.is_empty()) {
-            return Err(usage("training and train are for fine_tune=EPOCHS".into()));
+            let message = "training= and train= are for fine-tuning, and fine_tune is 0".to_string();
+            return Err(usage(message, "give fine_tune=EPOCHS, or leave training= and train= out"));
         }
         let scene = network.file().scene.as_deref();
         let shown = Shown::new(&job.integers, scene, spikes, keywords)?;
@@ -119,7 +117,7 @@ impl Conversion {
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
-        py.detach(|| self.model.write(&path, force)).map_err(|problem| raised(py, problem))
+        detached(py, || self.model.write(&path, force)).map_err(|problem| raised(py, problem))
     }
 
     /// The stages as a data frame of pandas, or of polars where only that is installed.
@@ -152,7 +150,7 @@ impl Network {
     /// The network that a written model would give.
     pub fn built(py: Python<'_>, model: &ModelBuilder) -> PyResult<Self> {
         let place = PathBuf::from(memory::place(&model.name));
-        let network = py.detach(|| model.build(&place)).map_err(|problem| raised(py, problem))?;
+        let network = detached(py, || model.build(&place)).map_err(|problem| raised(py, problem))?;
         Network::checked(py, network, Vec::new())
     }
 }

@@ -18,13 +18,13 @@ use nsim::report::energy::table::EnergyReport;
 use nsim::report::page::{Origin, Provenance, html};
 use pyo3::prelude::*;
 
-use crate::error::{raised, warn};
+use crate::error::{Problem, raised, warn};
 use crate::html::{frame, table};
 use crate::keywords::Keywords;
 use crate::mapping::Mapping;
 use crate::run::{is_long, rule, to_python};
 use crate::spikes::Shown;
-use crate::work::work;
+use crate::work::{detached, work};
 
 /// The deployment that `deployment` names.
 pub fn plan(py: Python<'_>, model: &str, keywords: &Keywords<'_>, copies: Option<u32>) -> PyResult<Plan> {
@@ -67,7 +67,7 @@ fn priced<T: Send>(
     (mapping, plan): (&Mapping, &Plan),
     spikes: Option<&Bound<'_, PyAny>>,
     keywords: &Keywords<'_>,
-    then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, nsim::Error> + Send,
+    then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, Problem> + Send,
 ) -> PyResult<T> {
     let shared = mapping.shared();
     let compiled = shared.compiled();
@@ -120,7 +120,7 @@ pub fn report(
         let command = format!("report, nsim {} for Python", env!("CARGO_PKG_VERSION"));
         Ok(html(&title, &sections, &Provenance { command, origins }))
     })?;
-    py.detach(|| write::text(&path, force, &page)).map_err(|problem| raised(py, problem))?;
+    detached(py, || write::text(&path, force, &page)).map_err(|problem| raised(py, problem))?;
     Ok(path)
 }
 

@@ -3,14 +3,21 @@
 use std::ffi::CString;
 
 use nsim::base::diagnostic::{Diagnostic, Position};
+use nsim::compile::CompileError;
+use nsim::compile::reason::Reason;
+use nsim::report::map::reason_json;
 use pyo3::exceptions::{PyException, PyUserWarning};
 use pyo3::prelude::*;
+use serde_json::{Value, json};
+
+use crate::run::to_python;
 
 pyo3::create_exception!(
     nsim,
     Error,
     PyException,
-    "What nsim cannot do: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` says what to change or is None."
+    "What nsim cannot do: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` says what to change or is None; \
+     `reasons` has a dictionary for each problem."
 );
 
 pyo3::create_exception!(
@@ -20,6 +27,35 @@ pyo3::create_exception!(
     "What stands out in a run, such as a population that never spikes, and what would change it."
 );
 
+/// What ends a call.
+pub enum Problem {
+    /// An error of the library.
+    Error(nsim::Error),
+    /// All reasons why a network does not fit its target.
+    DoesNotFit(Vec<Reason>),
+}
+
+impl From<Diagnostic> for Problem {
+    fn from(problem: Diagnostic) -> Self {
+        Problem::Error(problem.into())
+    }
+}
+
+impl From<nsim::Error> for Problem {
+    fn from(error: nsim::Error) -> Self {
+        Problem::Error(error)
+    }
+}
+
+impl From<CompileError> for Problem {
+    fn from(error: CompileError) -> Self {
+        match error {
+            CompileError::DoesNotFit(reasons) => Problem::DoesNotFit(reasons),
+            other => Problem::Error(other.into()),
+        }
+    }
+}
+
 /// Warns of what stands out in a run.
 pub fn warn(py: Python<'_>, found: &[nsim::drive::warnings::Warning]) -> PyResult<()> {
     for warning in found {
@@ -27,27 +63,68 @@ pub fn warn(py: Python<'_>, found: &[nsim::drive::warnings::Warning]) -> PyResul
             Some(population) => format!("'{population}': {}", warning.message),
             None => warning.message.clone(),
         };
-        let message = CString::new(message.replace('\0', "")).unwrap_or_default();
-        PyErr::warn(py, &py.get_type::<Warning>(), &message, 1)?;
+        warn_of(py, &message)?;
     }
     Ok(())
 }
 
-/// The exception for an error.
-pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
-    let error = error.into();
-    let (code, place, help) = match &error {
-        nsim::Error::Input(diagnostic) => (diagnostic.code, place(diagnostic), diagnostic.help.clone()),
-        nsim::Error::Usage(_) => ("usage", None, None),
-        nsim::Error::Fault(_) => ("fault", None, None),
+/// Warns with a message.
+pub fn warn_of(py: Python<'_>, message: &str) -> PyResult<()> {
+    let message = CString::new(message.replace('\0', "")).unwrap_or_default();
+    PyErr::warn(py, &py.get_type::<Warning>(), &message, 1)
+}
+
+/// The exception for an error. Its text has every problem, and the help, which Python would not
+/// print.
+pub fn raised(py: Python<'_>, problem: impl Into<Problem>) -> PyErr {
+    let problem = problem.into();
+    let reasons = match &problem {
+        Problem::DoesNotFit(reasons) => reasons.iter().map(reason_json).collect(),
+        Problem::Error(nsim::Error::Input(first)) => {
+            std::iter::once(&**first).chain(first.others()).map(shown).collect()
+        }
+        Problem::Error(other) => {
+            vec![json!({ "code": code(other), "message": other.to_string(), "place": null, "help": null })]
+        }
     };
-    let raised = Error::new_err(error.to_string());
+    let error = match problem {
+        Problem::Error(error) => error,
+        Problem::DoesNotFit(reasons) => CompileError::DoesNotFit(reasons).into(),
+    };
+    let mut text = error.to_string();
+    let (place, help) = match &error {
+        nsim::Error::Input(first) => {
+            first.help.iter().for_each(|help| text += &format!("\n  help: {help}"));
+            first.others().iter().for_each(|other| text += &format!("\n{other}"));
+            (place(first), first.help.clone())
+        }
+        nsim::Error::Usage(_) | nsim::Error::Fault(_) => (None, None),
+    };
+    let raised = Error::new_err(text);
     let value = raised.value(py);
-    let set = value.setattr("code", code).and_then(|()| value.setattr("place", place));
-    match set.and_then(|()| value.setattr("help", help.as_deref())) {
+    let set = || {
+        value.setattr("code", code(&error))?;
+        value.setattr("place", place)?;
+        value.setattr("help", help.as_deref())?;
+        value.setattr("reasons", to_python(py, &Value::Array(reasons))?)
+    };
+    match set() {
         Ok(()) => raised,
         Err(other) => other,
     }
+}
+
+fn code(error: &nsim::Error) -> &'static str {
+    match error {
+        nsim::Error::Input(diagnostic) => diagnostic.code,
+        nsim::Error::Usage(_) => "usage",
+        nsim::Error::Fault(_) => "fault",
+    }
+}
+
+/// A problem as a dictionary.
+fn shown(problem: &Diagnostic) -> Value {
+    json!({ "code": problem.code, "message": problem.message, "place": place(problem), "help": problem.help })
 }
 
 fn place(diagnostic: &Diagnostic) -> Option<String> {

@@ -1,94 +1,240 @@
 //! Spikes as events.
 //!
-//! Input: rows (sample, step, channel), as `Run.spikes` gives them for outputs. Output: recordings of a population. Errors: `usage` for
-//! rows of another form, `input.shape` for an event outside its samples, steps or channels.
+//! Input: rows (sample, step, channel), as `Run.spikes` gives them for outputs, or records with the
+//! fields t, x, y and p, as tonic gives them, which are read as a file of events in text is.
+//! Output: recordings of a population. Errors: `usage` for rows of another form, `input.array` and
+//! `input.shape` for an event outside its samples, steps or channels, `input.*` of the reader of
+//! text.
+
+use std::fmt::Write;
 
 use nsim::base::diagnostic::Diagnostic;
-use nsim::io::budget::MOST_STEPS;
-use nsim::io::spikes::PopulationSpikes;
+use nsim::io::budget::{Budget, MOST_STEPS};
+use nsim::io::spikes::events::read::read_input;
+use nsim::io::spikes::events::text::is_header;
+use nsim::io::spikes::{EventFormat, EventOptions, Expected, PopulationSpikes, TimeUnit};
 use nsim::ir::quantised::Population;
-use numpy::{PyArray2, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use crate::error::raised;
-use crate::keywords::usage;
+use crate::arrays::{Array, Counted};
+use crate::error::{raised, warn_of};
+use crate::keywords::{usage, whole};
 
 /// The most samples of one array of events.
-const MOST_SAMPLES: u32 = 1 << 24;
+const MOST_SAMPLES: u64 = 1 << 24;
+/// The most events of one array: each takes 12 bytes as a row, some 60 as a record while it is
+/// read.
+const MOST_ROWS: usize = 1 << 26;
+const MOST_RECORDS: usize = 1 << 24;
 
 /// Spikes as rows (sample, step, channel), `[spikes, 3]`, in any order.
 ///
-/// `steps` are the timesteps of each sample, `samples` how many there are: by default as many as the events name. A channel is counted over
-/// all axes of the population's shape, in C order.
+/// `steps` are the timesteps of each sample, `samples` how many there are: by default as many as
+/// the events name. A channel is counted over all axes of the population's shape, in C order.
+///
+/// A structured array with the fields t, x, y and p (tonic's) is one sample: `unit` is that of its
+/// times ('us', 'ms', 's' or 'ns'), a timestep is the model's, and without `steps` the sample ends
+/// with its last event.
 #[pyclass(frozen, module = "nsim")]
-pub struct Events {
-    rows: Vec<[u32; 3]>,
-    samples: u32,
-    steps: u32,
-}
+pub struct Events(Given);
 
-fn outside(row: usize, what: &str, value: i64, limit: u32) -> Diagnostic {
-    let message = format!("event {row}: {what} {value} is not below {limit}");
-    Diagnostic::new("input.shape", message).help("rows are (sample, step, channel), counted from 0")
+enum Given {
+    Rows { rows: Vec<[u32; 3]>, samples: u32, steps: u32 },
+    Records(Records),
 }
 
 #[pymethods]
 impl Events {
     #[new]
-    #[pyo3(signature = (events, *, steps, samples=None))]
-    fn new(py: Python<'_>, events: &Bound<'_, PyAny>, steps: u32, samples: Option<u32>) -> PyResult<Self> {
-        let array = py.import("numpy")?.call_method1("ascontiguousarray", (events, "int64"))?;
-        let Some(array) = array.cast::<PyArray2<i64>>().ok().filter(|array| array.shape()[1] == 3) else {
-            return Err(usage("events are rows (sample, step, channel): an array [spikes, 3]".into()));
-        };
-        let numbers = array.to_vec()?;
-        let named = numbers.chunks(3).map(|row| row[0]).max().map_or(1, |sample| sample.saturating_add(1));
-        let samples = samples.unwrap_or(u32::try_from(named).unwrap_or(u32::MAX)).max(1);
-        if steps == 0 || steps > MOST_STEPS || samples > MOST_SAMPLES {
-            return Err(usage(format!("steps are 1 to {MOST_STEPS}, samples at most {MOST_SAMPLES}")));
-        }
-        let row = |(number, row): (usize, &[i64])| {
-            let within = |what, value: i64, limit: u32| match u32::try_from(value) {
-                Ok(value) if value < limit => Ok(value),
-                _ => Err(outside(number, what, value, limit)),
+    #[pyo3(signature = (events, *, steps=None, samples=None, unit=None))]
+    fn new(
+        events: &Bound<'_, PyAny>,
+        steps: Option<&Bound<'_, PyAny>>,
+        samples: Option<&Bound<'_, PyAny>>,
+        unit: Option<&str>,
+    ) -> PyResult<Self> {
+        let steps =
+            steps.map(|steps| whole("steps", steps, 1..=MOST_STEPS.into())).transpose()?.map(|steps| steps as u32);
+        let samples = samples.map(|samples| whole("samples", samples, 1..=MOST_SAMPLES)).transpose()?;
+        if let Some(mut records) = Records::new(events, "events")? {
+            if samples.is_some() {
+                return Err(usage(
+                    "records are one sample".into(),
+                    "leave samples= out, or give rows (sample, step, channel)",
+                ));
+            }
+            records.options.steps = steps;
+            records.options.unit = match unit.map(|unit| (unit, TimeUnit::from_name(unit))) {
+                Some((unit, None)) => {
+                    return Err(usage(format!("unit is '{unit}', which is not known"), "unit is one of us, ms, s, ns"));
+                }
+                known => known.and_then(|(_, unit)| unit),
             };
-            Ok([
-                within("sample", row[0], samples)?,
-                within("step", row[1], steps)?,
-                within("channel", row[2], u32::MAX)?,
-            ])
+            return Ok(Events(Given::Records(records)));
+        }
+        let form = "rows are (sample, step, channel), counted from 0: an array [spikes, 3], with steps=T";
+        let (Some(steps), None) = (steps, unit) else {
+            let message = if unit.is_some() { "unit= is for records with a time" } else { "steps= is missing" };
+            return Err(usage(format!("rows of events count timesteps: {message}"), form));
         };
-        let rows: Result<Vec<[u32; 3]>, Diagnostic> = numbers.chunks(3).enumerate().map(row).collect();
-        Ok(Events { rows: rows.map_err(|problem| raised(py, problem))?, samples, steps })
+        rows(&Array::new(events, "events")?, steps, samples, form).map(Events)
     }
 
     fn __len__(&self) -> usize {
-        self.rows.len()
+        match &self.0 {
+            Given::Rows { rows, .. } => rows.len(),
+            Given::Records(records) => records.count,
+        }
     }
 
     fn __repr__(&self) -> String {
-        format!("<nsim.Events {} in {} samples of {} timesteps>", self.rows.len(), self.samples, self.steps)
+        match &self.0 {
+            Given::Rows { rows, samples, steps } => {
+                format!("<nsim.Events {} in {samples} samples of {steps} timesteps>", rows.len())
+            }
+            Given::Records(records) => format!("<nsim.Events {} records of one sample>", records.count),
+        }
     }
 }
 
+fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyResult<Given> {
+    let count = match *array.shape() {
+        [count, 3] if count <= MOST_ROWS => count,
+        // An empty list has one axis.
+        [0] => 0,
+        [count, 3] => {
+            return Err(usage(
+                format!("there are {count} events, more than {MOST_ROWS}"),
+                "give some samples at a time",
+            ));
+        }
+        ref shape => return Err(usage(format!("events have shape {shape:?}, not [spikes, 3]"), form)),
+    };
+    let mut rows = vec![[0u32; 3]; count];
+    let mut last = 0;
+    let help = "rows are (sample, step, channel), counted from 0; steps= and samples= say how many there are";
+    let [sample, step, channel] =
+        [("sample", samples.unwrap_or(MOST_SAMPLES)), ("step", steps.into()), ("channel", 1 << 32)]
+            .map(|(what, limit)| Counted { what, limit, help, code: "input.shape" });
+    array.each(|index, value| {
+        let number = array.counted(index, value, [sample, step, channel][index % 3])?;
+        rows[index / 3][index % 3] = number;
+        if index % 3 == 0 {
+            last = last.max(number);
+        }
+        Ok(())
+    })?;
+    let samples = samples.unwrap_or(u64::from(last) + 1);
+    // A sample without a spike takes memory too.
+    let bytes = size_of_val(rows.as_slice()) as u64 * 2;
+    if Budget::for_file(bytes, 0, 0).samples(samples, steps.into()).is_err() {
+        let message = format!("{samples} samples of {steps} timesteps are too many for {count} events");
+        return Err(usage(message, "number samples from 0 without gaps, and give some of them at a time"));
+    }
+    Ok(Given::Rows { rows, samples: samples as u32, steps })
+}
+
 impl Events {
-    /// The samples for a population.
-    pub fn recordings(&self, population: &Population) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    /// The samples for a population; a timestep has `dt_ms` milliseconds.
+    pub fn recordings(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<Vec<PopulationSpikes>> {
+        let (rows, samples, steps) = match &self.0 {
+            Given::Rows { rows, samples, steps } => (rows, *samples, *steps),
+            Given::Records(records) => return Ok(vec![records.recording(py, population, dt_ms)?]),
+        };
         let units = population.shape.len();
         let silent = PopulationSpikes {
             units: Some(units.into()),
-            steps: self.steps,
+            steps,
             label: None,
             events: Vec::new(),
             name: "events".to_string(),
         };
-        let mut recordings = vec![silent; self.samples as usize];
-        for (number, &[sample, step, channel]) in self.rows.iter().enumerate() {
+        let mut recordings = vec![silent; samples as usize];
+        for (number, &[sample, step, channel]) in rows.iter().enumerate() {
             if channel >= units {
-                return Err(outside(number, "channel", channel.into(), units));
+                let message = format!("event {number}: channel {channel} is not below {units}");
+                let problem = Diagnostic::new("input.shape", message);
+                return Err(raised(py, problem.help("rows are (sample, step, channel), counted from 0")));
             }
             recordings[sample as usize].events.push((step, channel));
         }
         Ok(recordings)
+    }
+}
+
+/// Events of one sample, as text with a header.
+pub struct Records {
+    name: String,
+    text: String,
+    count: usize,
+    options: EventOptions,
+}
+
+impl Records {
+    /// The records of a structured array; none for anything else.
+    pub fn new(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Option<Self>> {
+        let Ok(array) = value.cast::<PyUntypedArray>() else { return Ok(None) };
+        let dtype = array.dtype();
+        let Some(names) = dtype.names().filter(|names| is_header(&names.join(","))) else { return Ok(None) };
+        let [count] = *array.shape() else {
+            let message = format!("{name} has shape {:?}, and one sample of records has one axis", array.shape());
+            return Err(usage(
+                message,
+                "give a list with an array for each sample, or array.reshape(-1) for one sample",
+            ));
+        };
+        let mut columns = Vec::with_capacity(names.len());
+        // Another name is no field of an event.
+        let known = |field: &&String| field.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+        for field in names.iter().filter(known) {
+            let column = Array::new(&value.get_item(field)?, format!("{name}['{field}']"))?;
+            if column.shape() != [count] {
+                let message = format!("{} has several numbers for each event", column.name());
+                return Err(usage(message, "events have the fields t, x, y and p, a number each"));
+            }
+            columns.push(column.numbers(MOST_RECORDS, "give a part of the events at a time: array[:N]")?);
+        }
+        let header: Vec<&str> = names.iter().filter(known).map(String::as_str).collect();
+        let mut text = header.join(",") + "\n";
+        for event in 0..count {
+            for (place, column) in columns.iter().enumerate() {
+                let _ = write!(text, "{}{}", if place > 0 { "," } else { "" }, column[event]);
+            }
+            text.push('\n');
+        }
+        Ok(Some(Records { name: name.to_string(), text, count, options: EventOptions::default() }))
+    }
+
+    /// The sample for a population; warns of events that it has no channel or step for.
+    pub fn recording(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<PopulationSpikes> {
+        let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms };
+        let read = read_input(&mut self.text.as_bytes(), "events", EventFormat::Text, &expected, &self.options);
+        let (spikes, counts) = read.map_err(|mut problem| {
+            // The first row is the header.
+            let row = problem.message.strip_prefix("row ").and_then(|text| text.split_once(": "));
+            let record = row.and_then(|(row, what)| Some((row.parse::<usize>().ok()?.checked_sub(2)?, what)));
+            problem.message = match record {
+                Some((record, what)) => format!("{}[{record}]: {what}", self.name),
+                None => format!("{}: {}", self.name, problem.message),
+            };
+            // What helps a file is said as Python says it.
+            problem = match problem.code {
+                "input.unit" => problem.help("say it: nsim.Events(records, unit='ms') (or us, s, ns)"),
+                "input.empty" => problem.help("say how long silence is: nsim.Events(records, steps=N)"),
+                _ if problem.help.is_none() => {
+                    problem.help("events have x and y from 0, p of 0 and 1 or -1 and 1, and a time t")
+                }
+                _ => problem,
+            };
+            raised(py, problem)
+        })?;
+        if counts.dropped > 0 {
+            let (name, dropped, events) = (&population.name, counts.dropped, counts.events);
+            let message =
+                format!("'{name}': {dropped} of {events} events have no channel or no timestep, and were left out");
+            warn_of(py, &message)?;
+        }
+        Ok(spikes)
     }
 }

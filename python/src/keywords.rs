@@ -1,11 +1,16 @@
 //! Keyword arguments, each taken once by name; one that is left over is an error, as in Python.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
+use nsim::base::diagnostic::Diagnostic;
 use pyo3::conversion::FromPyObjectOwned;
-use pyo3::exceptions::PyTypeError;
+use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+
+/// Characters of a value that messages show.
+const SHOWN: usize = 40;
 
 /// Keyword arguments that are still to be taken.
 pub struct Keywords<'py>(Option<Bound<'py, PyDict>>);
@@ -24,7 +29,12 @@ impl<'py> Keywords<'py> {
         if value.is_none() {
             return Ok(None);
         }
-        value.extract().map(Some).map_err(Into::into)
+        value.extract().map(Some).map_err(|error: T::Error| wrong(name, &value, error.into()))
+    }
+
+    /// A whole number within bounds.
+    pub fn whole(&self, name: &str, bounds: RangeInclusive<u64>) -> PyResult<Option<u64>> {
+        self.take::<Bound<'_, PyAny>>(name)?.map(|value| whole(name, &value, bounds)).transpose()
     }
 
     /// A path or a name, as text.
@@ -39,7 +49,9 @@ impl<'py> Keywords<'py> {
         let known = || all.iter().map(|&value| name_of(value)).collect::<Vec<_>>().join(", ");
         match found {
             Some(value) => Ok(Some(value)),
-            None => Err(usage(format!("{name} is one of {}, not '{given}'", known()))),
+            None => {
+                Err(usage(format!("{name} is '{given}', which is not known"), &format!("{name} is one of {}", known())))
+            }
         }
     }
 
@@ -52,7 +64,44 @@ impl<'py> Keywords<'py> {
     }
 }
 
-/// The exception for an argument that makes no sense.
-pub fn usage(message: String) -> PyErr {
-    Python::attach(|py| crate::error::raised(py, nsim::Error::Usage(message)))
+/// A whole number within bounds.
+pub fn whole(name: &str, value: &Bound<'_, PyAny>, bounds: RangeInclusive<u64>) -> PyResult<u64> {
+    let number = value.extract::<u64>();
+    match number {
+        Ok(number) if bounds.contains(&number) => Ok(number),
+        Err(error) if !error.is_instance_of::<PyOverflowError>(value.py()) => Err(wrong(name, value, error)),
+        _ => {
+            let (least, most) = bounds.into_inner();
+            let message = format!("{name} is {}, outside of {least} to {most}", shown(value));
+            Err(usage(message, &format!("give {name} a whole number from {least} to {most}")))
+        }
+    }
+}
+
+/// The exception for an argument that cannot be taken: out of its range, or of another type.
+fn wrong(name: &str, value: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
+    let (py, said) = (value.py(), error.value(value.py()));
+    if error.is_instance_of::<PyOverflowError>(py) || error.is_instance_of::<PyValueError>(py) {
+        let value = shown(value);
+        let help = match value.contains('-') {
+            true => format!("give {name} a number that is not negative"),
+            false => format!("give {name} a smaller number, or as many numbers as it takes"),
+        };
+        return usage(format!("{name} is {value}, which is not taken: {said}"), &help);
+    }
+    match error.is_instance_of::<PyTypeError>(py) {
+        true => PyTypeError::new_err(format!("{name}: {said}")),
+        false => error,
+    }
+}
+
+/// The beginning of a value as Python writes it.
+fn shown(value: &Bound<'_, PyAny>) -> String {
+    let text = value.repr().map_or_else(|_| "a number of many digits".to_string(), |text| text.to_string());
+    if text.chars().count() <= SHOWN { text } else { text.chars().take(SHOWN).chain(" ..".chars()).collect() }
+}
+
+/// The exception for an argument that makes no sense, and what to give instead.
+pub fn usage(message: String, help: &str) -> PyErr {
+    Python::attach(|py| crate::error::raised(py, Diagnostic::new("usage", message).help(help)))
 }

@@ -5,6 +5,7 @@
 //! interpreter's lock.
 
 mod agree;
+mod arrays;
 mod bench;
 mod convert;
 mod energy;
@@ -26,6 +27,7 @@ use pyo3::prelude::*;
 
 #[pymodule]
 fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    work::loaded();
     module.add("Error", module.py().get_type::<error::Error>())?;
     module.add("Warning", module.py().get_type::<error::Warning>())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;

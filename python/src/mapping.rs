@@ -25,11 +25,12 @@ use self_cell::self_cell;
 
 use crate::bench::bench;
 use crate::energy::{self, Energy};
-use crate::error::raised;
+use crate::error::{Problem, raised};
 use crate::keywords::Keywords;
 use crate::projections;
 use crate::run::Run;
 use crate::spikes::Shown;
+use crate::work::detached;
 
 /// The target when none is named.
 pub const TARGET: &str = "nahuku-32";
@@ -49,7 +50,7 @@ impl MappingRequest {
     pub fn new(target: Option<PathBuf>, keywords: &Keywords<'_>) -> PyResult<Self> {
         let usual = Options::default();
         let file: Option<PathBuf> = keywords.take("mapping")?;
-        let copies = keywords.take::<u32>("copies")?.unwrap_or(usual.copies);
+        let copies = keywords.whole("copies", 1..=u32::MAX.into())?.map_or(usual.copies, |copies| copies as u32);
         let strategy = keywords.one_of("strategy", &Strategy::ALL, Strategy::name)?.unwrap_or(usual.strategy);
         let objective = keywords.one_of("objective", &Objective::ALL, Objective::name)?.unwrap_or(usual.objective);
         let seed = keywords.take("seed")?.unwrap_or(usual.seed);
@@ -59,10 +60,7 @@ impl MappingRequest {
         Ok(MappingRequest { target, file, copies, options: Options { placement, strategy, objective, seed, ..usual } })
     }
 
-    fn compiled(&self, network: &Network) -> Result<(Compiled, Target), nsim::Error> {
-        if self.copies == 0 {
-            return Err(nsim::Error::Usage("a mapping has at least one copy".to_string()));
-        }
+    fn compiled(&self, network: &Network) -> Result<(Compiled, Target), Problem> {
         let target = nsim::load_target(&self.target)?;
         let file = self.file.as_deref().map(|path| load_mapping(path).map(|file| (path, file))).transpose()?;
         let copies = file.as_ref().map_or(self.copies, |(_, file)| file.copies);
@@ -142,7 +140,7 @@ pub struct Mapping(Arc<Shared>);
 impl Mapping {
     /// Maps a network.
     pub fn new(py: Python<'_>, model: &str, network: &Arc<Network>, request: &MappingRequest) -> PyResult<Self> {
-        let made = py.detach(|| {
+        let made = detached(py, || {
             let (compiled, target) = request.compiled(network)?;
             let division = Division::new(&compiled.program, 2);
             let ready = Ready::new(compiled, |compiled| match division.shards {
@@ -151,7 +149,7 @@ impl Mapping {
             });
             Ok((ready, target))
         });
-        let (ready, target) = made.map_err(|error: nsim::Error| raised(py, error))?;
+        let (ready, target) = made.map_err(|problem: Problem| raised(py, problem))?;
         let scene = network.file().scene.clone();
         let shared = Shared {
             model: model.to_string(),

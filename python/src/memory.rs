@@ -12,28 +12,37 @@ use nsim::desc::network::{Network, ThresholdTest};
 use nsim::desc::neurons::NeuronKind;
 use nsim::io::foreign::{self, Options, ResetMode};
 use nsim::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
-use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use nsim::ir::graph::MOST_UNITS;
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::arrays::{Array, Counted};
 use crate::error::raised;
-use crate::keywords::{Keywords, usage};
+use crate::keywords::{Keywords, usage, whole};
+use crate::work::detached;
+
+/// The most numbers of an array of weights or parameters, 8 bytes each.
+const MOST_NUMBERS: usize = 1 << 27;
+/// Axes of a shape that are read: one more than any shape has.
+const MOST_AXES: usize = 4;
+const TOO_MANY: &str = "describe a large projection in a model file: nsim.load(FILE)";
 
 /// What messages call a network that has no file.
 pub fn place(name: &str) -> String {
     format!("{name} (in memory)")
 }
 
-/// An array of any type of numbers as real ones, with its shape.
-fn reals(value: &Bound<'_, PyAny>) -> PyResult<(Vec<usize>, Vec<f64>)> {
-    let array = value.py().import("numpy")?.call_method1("ascontiguousarray", (value, "float64"))?;
-    let array = array.cast::<PyArrayDyn<f64>>()?;
-    Ok((array.shape().to_vec(), array.to_vec()?))
+/// An array of any type of numbers as real ones, with its shape; `name` is what messages call it.
+fn reals(value: &Bound<'_, PyAny>, name: String) -> PyResult<(Vec<usize>, Vec<f64>)> {
+    let array = Array::new(value, name)?;
+    Ok((array.shape().to_vec(), array.numbers(MOST_NUMBERS, TOO_MANY)?))
 }
 
 fn required<'py, T: FromPyObjectOwned<'py>>(keywords: &Keywords<'py>, key: &str, whose: &str) -> PyResult<T> {
-    keywords.take(key)?.ok_or_else(|| usage(format!("{whose}: '{key}' is missing")))
+    keywords
+        .take(key)?
+        .ok_or_else(|| usage(format!("{whose}: '{key}' is missing"), &format!("give it the key '{key}'")))
 }
 
 fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
@@ -41,9 +50,10 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
     let name: String = required(&keywords, "name", "a population")?;
     let whose = format!("population '{name}'");
     let shape: Bound<'_, PyAny> = required(&keywords, "shape", &whose)?;
-    let shape: Vec<u64> = match shape.extract::<u64>() {
-        Ok(units) => vec![units],
-        Err(_) => shape.extract()?,
+    let axis = |axis: &Bound<'_, PyAny>| whole(&format!("{whose}: shape"), axis, 1..=MOST_UNITS);
+    let shape: Vec<u64> = match shape.try_iter() {
+        Ok(axes) => axes.take(MOST_AXES).map(|one| axis(&one?)).collect::<PyResult<_>>()?,
+        Err(_) => vec![axis(&shape)?],
     };
     let built = PopulationBuilder::input(&name, shape);
     let kind: String = keywords.take("kind")?.unwrap_or_else(|| "Loihi".to_string());
@@ -60,19 +70,25 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
     let found = NeuronKind::ALL.into_iter().find(|known| known.name() == kind);
     let Some(kind) = found else {
         let known: Vec<&str> = ["Input", "Srm"].into_iter().chain(NeuronKind::ALL.map(NeuronKind::name)).collect();
-        return Err(usage(format!("{whose}: kind is one of {}, not '{kind}'", known.join(", "))));
+        let message = format!("{whose}: kind is '{kind}', which is not known");
+        return Err(usage(message, &format!("kind is one of {}", known.join(", "))));
     };
     let mut parameters = Vec::new();
     for key in kind.parameter_names() {
         if let Some(value) = keywords.take::<Bound<'_, PyAny>>(key)? {
-            let (shape, numbers) = reals(&value)?;
-            // NumPy makes a list of one of a number.
-            let same = value.extract::<f64>().ok().filter(|_| numbers.len() == 1);
-            let units = built.units() as usize;
-            if same.is_none() && numbers.len() != units {
-                return Err(usage(format!("{whose}: {key} has shape {shape:?}, the population has {units} neurons")));
-            }
-            parameters.push((key, same.map_or(Parameter::Each(numbers), Parameter::Same)));
+            let (shape, numbers) = reals(&value, format!("{whose}: {key}"))?;
+            let units = built.units();
+            parameters.push((
+                key,
+                match (shape.as_slice(), numbers.as_slice()) {
+                    ([], &[same]) => Parameter::Same(same),
+                    _ if numbers.len() as u64 == units => Parameter::Each(numbers),
+                    _ => {
+                        let message = format!("{whose}: {key} has shape {shape:?}, the population has {units} neurons");
+                        return Err(usage(message, "give one number for all neurons, or an array with one for each"));
+                    }
+                },
+            ));
         }
     }
     let start_step = keywords.take("start_step")?.unwrap_or(0);
@@ -80,16 +96,63 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
     Ok(PopulationBuilder { kind, start_step, loihi: Some(parameters), ..built })
 }
 
-/// Dense weights `[target, source]`, a kernel `[C', C / groups, kh, kw]`, or a sparse array.
-fn kind(weights: &Bound<'_, PyAny>, keywords: &Keywords<'_>, whose: &str) -> PyResult<ProjectionKind> {
-    if weights.hasattr("tocoo")? {
-        let coordinates = weights.call_method0("tocoo")?;
-        let indices = |name: &str| Ok::<_, PyErr>(reals(&coordinates.getattr(name)?)?.1);
-        let (targets, sources, weights) = (indices("row")?, indices("col")?, indices("data")?);
-        let synapses = sources.into_iter().zip(targets).zip(weights);
-        return Ok(ProjectionKind::Sparse(synapses.map(|((s, t), weight)| (s as u64, t as u64, weight)).collect()));
+/// The synapses of a SciPy sparse array `[target, source]`, whose shape is that of the populations.
+fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> PyResult<ProjectionKind> {
+    let coordinates = weights.call_method0("tocoo")?;
+    let shape: Vec<u64> = coordinates.getattr("shape")?.extract()?;
+    let &[targets, sources] = shape.as_slice() else {
+        let message = format!("{whose}: the sparse weights have {} axes, not 2", shape.len());
+        return Err(usage(message, "sparse weights are [target, source]"));
+    };
+    // A population that is not known is refused with the others' names.
+    if let [Some(to), Some(from)] = units
+        && [to, from] != [targets, sources]
+    {
+        let message =
+            format!("{whose}: weights have shape [{targets}, {sources}], and the projection is [{to}, {from}]");
+        let help = match [from, to] == [targets, sources] {
+            true => "weights are [target, source]: give weights.T",
+            false => "weights are [target, source]",
+        };
+        return Err(usage(message, help));
     }
-    let (shape, numbers) = reals(weights)?;
+    let count = coordinates.getattr("data")?.len()?;
+    let part = |name: &str| {
+        let array = Array::new(&coordinates.getattr(name)?, format!("{whose}: weights.{name}"))?;
+        if array.shape() != [count] {
+            let message = format!("{} has shape {:?}, and there are {count} weights", array.name(), array.shape());
+            let help = "make the sparse array anew: scipy.sparse.coo_array((data, (row, col)), shape=SHAPE)";
+            return Err(usage(message, help));
+        }
+        Ok(array)
+    };
+    let numbers = part("data")?.numbers(MOST_NUMBERS, TOO_MANY)?;
+    let indices = |name: &str, limit: u64| {
+        let (array, mut indices) = (part(name)?, Vec::with_capacity(count));
+        let help = "rows are targets and columns are sources, counted from 0";
+        let unit = Counted { what: "unit", limit, help, code: "input.array" };
+        array.each(|index, value| {
+            indices.push(array.counted(index, value, unit)?.into());
+            Ok(())
+        })?;
+        Ok::<Vec<u64>, PyErr>(indices)
+    };
+    let (rows, columns) = (indices("row", targets)?, indices("col", sources)?);
+    let synapses = columns.into_iter().zip(rows).zip(numbers);
+    Ok(ProjectionKind::Sparse(synapses.map(|((source, target), weight)| (source, target, weight)).collect()))
+}
+
+/// Dense weights `[target, source]`, a kernel `[C', C / groups, kh, kw]`, or a sparse array.
+fn kind(
+    weights: &Bound<'_, PyAny>,
+    keywords: &Keywords<'_>,
+    whose: &str,
+    units: [Option<u64>; 2],
+) -> PyResult<ProjectionKind> {
+    if weights.hasattr("tocoo")? {
+        return sparse(weights, whose, units);
+    }
+    let (shape, numbers) = reals(weights, format!("{whose}: weights"))?;
     let axes = shape.len();
     let weights = tensor(shape, numbers);
     match axes {
@@ -102,12 +165,13 @@ fn kind(weights: &Bound<'_, PyAny>, keywords: &Keywords<'_>, whose: &str) -> PyR
             Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups })
         }
         _ => {
-            Err(usage(format!("{whose}: weights are [target, source] or [C', C / groups, kh, kw], not of {axes} axes")))
+            let message = format!("{whose}: weights have {axes} axes");
+            Err(usage(message, "weights are [target, source] or a kernel [C', C / groups, kh, kw]"))
         }
     }
 }
 
-fn projection(given: &Bound<'_, PyDict>) -> PyResult<ProjectionBuilder> {
+fn projection(given: &Bound<'_, PyDict>, populations: &[PopulationBuilder]) -> PyResult<ProjectionBuilder> {
     let keywords = Keywords::new(Some(given))?;
     let from: Bound<'_, PyAny> = required(&keywords, "from", "a projection")?;
     let from: Vec<String> = match from.extract::<String>() {
@@ -117,7 +181,9 @@ fn projection(given: &Bound<'_, PyDict>) -> PyResult<ProjectionBuilder> {
     let to: String = required(&keywords, "to", "a projection")?;
     let whose = format!("projection {} -> {to}", from.join("+"));
     let weights: Bound<'_, PyAny> = required(&keywords, "weights", &whose)?;
-    let kind = kind(&weights, &keywords, &whose)?;
+    let units_of = |name: &String| Some(populations.iter().find(|known| known.name == *name)?.units());
+    let sources = from.iter().map(units_of).try_fold(0u64, |sum, units| sum.checked_add(units?));
+    let kind = kind(&weights, &keywords, &whose, [units_of(&to), sources])?;
     let usual = ProjectionBuilder::new("", &to, kind);
     let signs = [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory];
     let sign_name = |sign: SignMode| match sign {
@@ -149,7 +215,8 @@ pub fn built(
 ) -> PyResult<ModelBuilder> {
     let mut model = ModelBuilder::new(name, timestep_ms);
     model.populations = populations.iter().map(population).collect::<PyResult<_>>()?;
-    model.projections = projections.iter().map(projection).collect::<PyResult<_>>()?;
+    model.projections =
+        projections.iter().map(|given| projection(given, &model.populations)).collect::<PyResult<_>>()?;
     model.output = output.to_string();
     model.classes = classes;
     Ok(model)
@@ -179,7 +246,7 @@ pub fn imported(
         ..Options::default()
     };
     keywords.none_left()?;
-    let read = py.detach(|| {
+    let read = detached(py, || {
         let imported = foreign::from_bytes(Path::new(name), bytes, &options)?;
         let network = imported.model.build(Path::new(&place(name)))?;
         Ok((network, imported.notes))

@@ -14,9 +14,10 @@ use crate::agree::Agreement;
 use crate::convert::Conversion;
 use crate::energy::{self, Energy};
 use crate::error::raised;
-use crate::keywords::Keywords;
+use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
+use crate::work::detached;
 
 /// Loads a model.
 ///
@@ -25,7 +26,7 @@ use crate::memory;
 #[pyo3(text_signature = "(model)")]
 pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
     let model = model.to_string_lossy().into_owned();
-    let loaded = py.detach(|| {
+    let loaded = detached(py, || {
         let network = nsim::load_model(&model)?;
         real_and_integers(&network)?;
         Ok(network)
@@ -61,9 +62,11 @@ impl Network {
         &self,
         py: Python<'_>,
         target: Option<PathBuf>,
-        copies: Option<u32>,
+        copies: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<(Mapping, Plan)> {
+        let copies = copies.map(|copies| whole("copies", copies, 1..=u32::MAX.into())).transpose()?;
+        let copies = copies.map(|copies| copies as u32);
         let plan = energy::plan(py, &self.model, keywords, copies)?;
         let mut request = MappingRequest::new(target, &Keywords::new(None)?)?;
         request.copies = plan.mapped_copies().unwrap_or(1);
@@ -73,7 +76,7 @@ impl Network {
 
     /// A network that has no file.
     pub fn checked(py: Python<'_>, network: nsim::desc::network::Network, notes: Vec<String>) -> PyResult<Self> {
-        py.detach(|| real_and_integers(&network)).map_err(|problem| raised(py, problem))?;
+        detached(py, || real_and_integers(&network)).map_err(|problem| raised(py, problem))?;
         Ok(Network { model: memory::place(&network.file().name), network: Arc::new(network), notes })
     }
 }
@@ -98,7 +101,7 @@ impl Network {
         classes: Vec<String>,
     ) -> PyResult<Self> {
         let model = memory::built(name, &populations, &projections, output, timestep_ms, classes)?;
-        let network = py.detach(|| model.build(Path::new(&memory::place(name))));
+        let network = detached(py, || model.build(Path::new(&memory::place(name))));
         Network::checked(py, network.map_err(|problem| raised(py, problem))?, Vec::new())
     }
 
@@ -170,7 +173,7 @@ impl Network {
         py: Python<'_>,
         spikes: Option<&Bound<'_, PyAny>>,
         target: Option<PathBuf>,
-        copies: Option<u32>,
+        copies: Option<&Bound<'_, PyAny>>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Energy> {
         let keywords = Keywords::new(options)?;
@@ -191,7 +194,7 @@ impl Network {
         path: PathBuf,
         spikes: Option<&Bound<'_, PyAny>>,
         target: Option<PathBuf>,
-        copies: Option<u32>,
+        copies: Option<&Bound<'_, PyAny>>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<PathBuf> {
         let keywords = Keywords::new(options)?;
@@ -248,7 +251,7 @@ impl Network {
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
-        let written = py.detach(|| ModelBuilder::from_network(&self.network)?.write(&path, force));
+        let written = detached(py, || ModelBuilder::from_network(&self.network)?.write(&path, force));
         written.map_err(|problem: nsim::base::diagnostic::Diagnostic| raised(py, problem))
     }
 

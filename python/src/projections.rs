@@ -51,10 +51,9 @@ fn dictionary<'py>(py: Python<'py>, network: &Quantised, projection: &Projection
             let shape = [target.shape.len() as usize, source.shape.len() as usize];
             if shape[0].saturating_mul(shape[1]) > MOST_ENTRIES {
                 let name = &projection.name;
-                return Err(usage(format!(
-                    "{name} is a matrix of {} by {} entries; at most {MOST_ENTRIES} are shown as one",
-                    shape[0], shape[1]
-                )));
+                let message =
+                    format!("{name} is a matrix of {} by {} entries, more than {MOST_ENTRIES}", shape[0], shape[1]);
+                return Err(usage(message, "network.save(PATH) writes it as a model file"));
             }
             let mut matrix = vec![0i64; shape[0] * shape[1]];
             for from in 0..source.shape.len() {

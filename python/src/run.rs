@@ -23,7 +23,10 @@ use crate::html::{frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::mapping::Shared;
 use crate::spikes::Shown;
-use crate::work::work;
+use crate::work::{detached, on_own_threads, work};
+
+/// The most numbers that probes record, 4 bytes each.
+const MOST_PROBED: u64 = 1 << 28;
 
 /// Updates of compartments that take longer than a signal may wait.
 const LONG: u64 = 20_000_000;
@@ -47,8 +50,16 @@ fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
         let found = network.population_named(population).map(|id| &network.populations()[id]);
         match (quantity, found.and_then(|found| Some((found.first_compartment()?, found.shape.len())))) {
             (Some(&(quantity, _)), Some((first, count))) => Ok(Probe { first, count, quantity }),
-            (None, _) => Err(usage(format!("probe '{name}': a probe ends in .spikes, .u, .v or .v_register"))),
-            (_, None) => Err(usage(format!("probe '{name}': there is no population of compartments '{population}'"))),
+            (None, _) => {
+                let message = format!("probe '{name}': nothing is called '{what}'");
+                Err(usage(message, "a probe ends in .spikes, .u, .v or .v_register"))
+            }
+            (_, None) => {
+                let message = format!("probe '{name}': there is no population of compartments '{population}'");
+                let known = network.populations().iter().filter(|known| known.first_compartment().is_some());
+                let known: Vec<&str> = known.map(|known| known.name.as_str()).collect();
+                Err(usage(message, &format!("populations of compartments are: {}", known.join(", "))))
+            }
         }
     };
     names.iter().map(probe).collect()
@@ -57,7 +68,12 @@ fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
 /// By which rule samples end, from `early_exit`: 'certain' or a number of spikes.
 pub fn rule(keywords: &Keywords<'_>) -> PyResult<Option<Rule>> {
     let Some(given) = keywords.take::<Bound<'_, PyAny>>("early_exit")? else { return Ok(None) };
-    given.str()?.to_string().parse().map(Some).map_err(|problem| usage(format!("early_exit: {problem}")))
+    given
+        .str()?
+        .to_string()
+        .parse()
+        .map(Some)
+        .map_err(|problem| usage(format!("early_exit: {problem}"), "it is 'certain' or a margin in spikes, such as 3"))
 }
 
 /// Whether samples are long work.
@@ -98,9 +114,15 @@ impl Run {
         let (network, program) = (&mapping.compiled().one, &mapping.compiled().program);
         let probes = probes(network, &names)?;
         if early_exit.is_some() && !names.is_empty() {
-            return Err(usage(
-                "probe records every step of a sample, early_exit leaves some off: use one of them".into(),
-            ));
+            let message = "probe records every step of a sample, early_exit leaves some off".to_string();
+            return Err(usage(message, "leave probe= or early_exit= out"));
+        }
+        let steps: u64 = shown.samples().iter().map(|sample| u64::from(sample.steps())).sum();
+        let probed: u64 = probes.iter().map(|probe| u64::from(probe.count)).sum();
+        if probed.saturating_mul(steps) > MOST_PROBED {
+            let message =
+                format!("probe would record {probed} compartments over {steps} steps, more than {MOST_PROBED} numbers");
+            return Err(usage(message, "run some of the samples: samples=(FIRST, END), or record fewer populations"));
         }
         let run = work(py, is_long(mapping, &shown), |progress| {
             let early_exit = early_exit.map(|rule| EarlyExit::new(rule, network));
@@ -109,7 +131,7 @@ impl Run {
         })?;
         let run = Run { mapping: mapping.clone(), shown, run, early_exit, probes: names };
         if mapping.warns() {
-            warn(py, &py.detach(|| run.detail().warnings))?;
+            warn(py, &detached(py, || run.detail().warnings))?;
         }
         Ok(run)
     }
@@ -120,7 +142,9 @@ impl Run {
         let sums = ByPopulation::new(network, &self.run.counts);
         let samples = self.shown.samples();
         let ran = Ran::Program(program);
-        let found = warnings(Finished { network, ran, sums: &sums, samples: &samples, outcomes: &self.run.outcomes });
+        let finished = Finished { network, ran, sums: &sums, samples: &samples, outcomes: &self.run.outcomes };
+        // A silent population is shown samples once more.
+        let found = on_own_threads(|| warnings(finished));
         Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found, ranks: Vec::new() }
     }
 
@@ -203,12 +227,14 @@ impl Run {
     fn probe<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let Some(index) = self.probes.iter().position(|known| known == name) else {
             let known = self.probes.join(", ");
-            return Err(usage(format!("'{name}' was not recorded; run(probe=[..]) recorded {known:?}")));
+            let message = format!("'{name}' was not recorded; the run recorded '{known}'");
+            return Err(usage(message, &format!("run once more with probe=['{name}']")));
         };
         let outcomes = &self.run.outcomes;
         let steps = outcomes.first().map_or(0, |outcome| outcome.steps as usize);
         if outcomes.iter().any(|outcome| outcome.steps as usize != steps) {
-            return Err(usage("samples of several lengths are not one array: run them apart".into()));
+            let message = "samples of several lengths are not one array".to_string();
+            return Err(usage(message, "run samples of one length at a time: samples=(FIRST, END)"));
         }
         let numbers: Vec<i32> = outcomes.iter().flat_map(|outcome| outcome.probes[index].iter().copied()).collect();
         let compartments = numbers.len().checked_div(outcomes.len() * steps).unwrap_or(0);
@@ -218,7 +244,7 @@ impl Run {
     /// The metrics of NeuroBench's harness, as `nsim run --neurobench` gives them; the samples run once more.
     fn neurobench<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         if self.early_exit.is_some() {
-            return Err(usage("NeuroBench counts whole samples: run without early_exit".into()));
+            return Err(usage("NeuroBench counts whole samples".into(), "run without early_exit="));
         }
         let mapping = &self.mapping;
         let metrics = work(py, is_long(mapping, &self.shown), |progress| {
@@ -240,7 +266,7 @@ impl Run {
     /// What stands out in the run, a dictionary each: `code`, `population`, `message`.
     #[getter]
     fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let found = py.detach(|| self.detail().warnings);
+        let found = detached(py, || self.detail().warnings);
         to_python(py, &serde_json::json!(found))
     }
 
@@ -257,7 +283,7 @@ impl Run {
 
     /// The object that `nsim run --format json` prints.
     fn json<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let object = py.detach(|| self.with_report(&self.detail(), |report| report.json()));
+        let object = detached(py, || self.with_report(&self.detail(), |report| report.json()));
         to_python(py, &object)
     }
 

@@ -2,25 +2,27 @@
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a dictionary from populations to arrays,
 //! text, or nothing. A number other than zero is a spike. Output: samples and the order in which they run. Contiguous arrays of `uint8`
-//! and `bool` are read in place. Errors: `input.*`.
+//! and `bool` are read in place. Invariant: what samples take is bounded before they are made. Errors: `input.*`, `usage`.
 
 use nsim::base::diagnostic::Diagnostic;
-use nsim::drive::inputs::{drained, joined, stimulus};
-use nsim::io::budget::MOST_STEPS;
+use nsim::drive::inputs::{MOST_REPEATS, drained, joined, repeated, stimulus};
+use nsim::io::budget::{Budget, MOST_STEPS};
 use nsim::io::spikes::PopulationSpikes;
 use nsim::ir::quantised::{Population, Quantised};
 use nsim::ir::spikes::{Sample, Stimulus};
-use numpy::ndarray::ArrayViewD;
-use numpy::{PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
-use crate::error::raised;
-use crate::events::Events;
+use crate::arrays::{Array, Counted};
+use crate::error::{raised, warn_of};
+use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
+use crate::work::detached;
 
-/// Numbers of an array that are looked at together.
-const TOGETHER: usize = 32;
+/// The most numbers of an array: some seconds of reading.
+const MOST_NUMBERS: usize = 1 << 34;
+/// The most spikes of an array, 8 bytes each.
+const MOST_SPIKES: usize = 1 << 26;
 
 /// What a network is shown.
 pub struct Shown {
@@ -40,10 +42,14 @@ impl Shown {
     ) -> PyResult<Self> {
         let seed: Option<u64> = keywords.take("seed")?;
         let time_first = keywords.take("time_first")?.unwrap_or(false);
-        let labels: Option<Vec<u32>> = keywords.take("labels")?;
+        let labels: Option<Bound<'_, PyAny>> = keywords.take("labels")?;
         let mut shown = match spikes {
             None => named(network, &[], scene, seed)?,
             Some(spikes) => match texts(spikes)? {
+                Some(sources) if sources.is_empty() => {
+                    let message = "spikes is an empty list".to_string();
+                    return Err(usage(message, "give a source or an array, or None for the model's own scene"));
+                }
                 Some(sources) => named(network, &sources, scene, seed)?,
                 None => Stimulus {
                     samples: arrays(network, spikes, time_first)?,
@@ -53,23 +59,39 @@ impl Shown {
             },
         };
         if let Some(labels) = labels {
-            if labels.len() != shown.samples.len() {
-                return Err(usage(format!("there are {} labels and {} samples", labels.len(), shown.samples.len())));
+            let labels = Array::new(&labels, "labels")?;
+            if labels.shape() != [shown.samples.len()] {
+                let message =
+                    format!("labels have shape {:?}, and there are {} samples", labels.shape(), shown.samples.len());
+                return Err(usage(
+                    message,
+                    "give a class for each sample; of one-hot rows, labels.argmax(axis=1) has them",
+                ));
             }
-            for (sample, label) in shown.samples.iter_mut().zip(labels) {
+            let class = Counted {
+                what: "class",
+                limit: 1 << 32,
+                help: "labels are classes, counted from 0",
+                code: "input.labels",
+            };
+            labels.each(|index, value| {
+                let label = labels.counted(index, value, class)?;
+                let sample = &mut shown.samples[index];
                 *sample = sample.clone().with_label(Some(label));
-            }
+                Ok(())
+            })?;
         }
         let range = match keywords.take::<(usize, usize)>("samples")? {
             None => 0..shown.samples.len(),
             Some((first, end)) if first < end && end <= shown.samples.len() => first..end,
             Some((first, end)) => {
                 let count = shown.samples.len();
-                return Err(usage(format!("samples=({first}, {end}): there are {count} samples")));
+                let message = format!("samples=({first}, {end}): there are {count} samples");
+                return Err(usage(message, &format!("the first and the end, such as samples=(0, {})", count.max(1))));
             }
         };
-        let repeat: usize = keywords.take("repeat")?.unwrap_or(1);
-        let order = (0..repeat).flat_map(|_| range.clone()).collect();
+        let repeat = keywords.whole("repeat", 1..=MOST_REPEATS.into())?.unwrap_or(1);
+        let order = repeated(range, repeat as u32).map_err(|problem| Python::attach(|py| raised(py, problem)))?;
         Ok(Shown { stimulus: shown, order })
     }
 
@@ -80,7 +102,7 @@ impl Shown {
 }
 
 fn named(network: &Quantised, sources: &[String], scene: Option<&str>, seed: Option<u64>) -> PyResult<Stimulus> {
-    stimulus(network, sources, scene, seed).map_err(|error| Python::attach(|py| raised(py, error)))
+    Python::attach(|py| detached(py, || stimulus(network, sources, scene, seed)).map_err(|error| raised(py, error)))
 }
 
 /// Sources as `--input` takes them: one, a list of them, or none.
@@ -88,7 +110,10 @@ pub fn sources(given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<String>> {
     let Some(given) = given else { return Ok(Vec::new()) };
     match texts(given)? {
         Some(sources) => Ok(sources),
-        None => Err(usage("samples are named by a source or a list of sources".into())),
+        None => {
+            let message = "arrays are not taken here".to_string();
+            Err(usage(message, "name samples by a source or a list of sources, such as 'recording.npy'"))
+        }
     }
 }
 
@@ -104,76 +129,103 @@ fn texts(spikes: &Bound<'_, PyAny>) -> PyResult<Option<Vec<String>>> {
 /// The samples of an array or of a dictionary of arrays.
 fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> PyResult<Vec<Sample>> {
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
+    let read_as = (network.parts().timestep_ms, time_first);
     let names = || inputs.iter().map(|population| population.name.as_str()).collect::<Vec<_>>().join(", ");
     let sources = match spikes.cast::<PyDict>() {
         Ok(by_name) => {
             if by_name.len() != inputs.len() {
-                return Err(usage(format!("spikes has {} arrays; input populations are: {}", by_name.len(), names())));
+                let message =
+                    format!("spikes has {} arrays, and there are {} input populations", by_name.len(), inputs.len());
+                return Err(usage(message, &format!("give an array for each of: {}", names())));
             }
             let mut sources = Vec::with_capacity(inputs.len());
             for population in &inputs {
                 let Some(array) = by_name.get_item(&population.name)? else {
-                    return Err(usage(format!("spikes has no array for '{}'", population.name)));
+                    let message = format!("spikes has no array for '{}'", population.name);
+                    return Err(usage(message, &format!("give an array for each of: {}", names())));
                 };
-                sources.push(recordings(&array, population, time_first)?);
+                let name = format!("spikes['{}']", population.name);
+                sources.push(recordings(&array, &name, population, read_as)?);
             }
             sources
         }
-        Err(_) if inputs.len() == 1 => vec![recordings(spikes, inputs[0], time_first)?],
-        Err(_) => return Err(usage(format!("spikes must be a dictionary with an array for each of: {}", names()))),
+        Err(_) if inputs.len() == 1 => vec![recordings(spikes, "spikes", inputs[0], read_as)?],
+        Err(_) => {
+            let message = format!("spikes is one array, and there are {} input populations", inputs.len());
+            return Err(usage(message, &format!("give a dictionary with an array for each of: {}", names())));
+        }
     };
     let samples = joined(&inputs, sources).and_then(|samples| Ok(drained(network, samples)?));
     samples.map_err(|error| raised(spikes.py(), error))
 }
 
-/// The samples of an array, or of events, for a population.
-fn recordings(array: &Bound<'_, PyAny>, population: &Population, time_first: bool) -> PyResult<Vec<PopulationSpikes>> {
-    if let Ok(events) = array.cast::<Events>() {
-        return events.get().recordings(population).map_err(|problem| raised(array.py(), problem));
+/// The samples of an array, or of events, for a population; a timestep has `dt_ms` milliseconds.
+fn recordings(
+    given: &Bound<'_, PyAny>,
+    name: &str,
+    population: &Population,
+    (dt_ms, time_first): (f64, bool),
+) -> PyResult<Vec<PopulationSpikes>> {
+    let py = given.py();
+    if let Ok(events) = given.cast::<Events>() {
+        return events.get().recordings(py, population, dt_ms);
     }
-    let read = match array.cast::<PyArrayDyn<u8>>() {
-        Ok(array) => read(array.readonly().as_array(), |number| number != 0, population, time_first),
-        Err(_) => {
-            let other;
-            let flags = match array.cast::<PyArrayDyn<bool>>() {
-                Ok(flags) => flags,
-                Err(_) => {
-                    other = array.py().import("numpy")?.call_method1("not_equal", (array, 0))?;
-                    other.cast::<PyArrayDyn<bool>>()?
-                }
-            };
-            read(flags.readonly().as_array(), |flag| flag, population, time_first)
+    if let Some(records) = Records::new(given, name)? {
+        return Ok(vec![records.recording(py, population, dt_ms)?]);
+    }
+    // A list of records is a list of samples.
+    if let Ok(list) = given.cast::<PyList>() {
+        let records = list.iter().enumerate().map(|(sample, item)| Records::new(&item, &format!("{name}[{sample}]")));
+        if let Some(records) =
+            records.collect::<PyResult<Option<Vec<Records>>>>()?.filter(|records| !records.is_empty())
+        {
+            return records.iter().map(|records| records.recording(py, population, dt_ms)).collect();
         }
-    };
-    read.map_err(|problem| raised(array.py(), problem))
+    }
+    read(py, &Array::new(given, name)?, population, time_first)
 }
 
-fn read<T: Copy>(
-    array: ArrayViewD<'_, T>,
-    is_spike: impl Fn(T) -> bool,
+fn read(
+    py: Python<'_>,
+    array: &Array<'_>,
     population: &Population,
     time_first: bool,
-) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+) -> PyResult<Vec<PopulationSpikes>> {
     let units = population.shape.len() as usize;
-    let shape = array.shape().to_vec();
-    let holds = |axes: &[usize]| axes.iter().product::<usize>() == units;
-    let found = match (time_first, shape.as_slice()) {
+    let (shape, name) = (array.shape(), array.name());
+    let holds =
+        |axes: &[usize]| axes.iter().try_fold(1usize, |product, &axis| product.checked_mul(axis)) == Some(units);
+    let fits = |time_first| match (time_first, shape) {
         (false, [channels @ .., steps]) if holds(channels) => Some((1, *steps)),
         (false, [samples, channels @ .., steps]) if holds(channels) => Some((*samples, *steps)),
         (true, [steps, channels @ ..]) if holds(channels) => Some((1, *steps)),
         (true, [samples, steps, channels @ ..]) if holds(channels) => Some((*samples, *steps)),
         _ => None,
     };
-    let Some((samples, steps)) = found.filter(|&(samples, steps)| samples > 0 && steps > 0) else {
-        let name = &population.name;
-        let message = format!("shape {shape:?} does not fit population '{name}' of {units} channels");
-        let order = if time_first { "[samples, T, channels..]" } else { "[samples, channels.., T]" };
-        return Err(
-            Diagnostic::new("input.shape", message).help(format!("an array is {order}, samples may be left out"))
+    let Some((samples, steps)) = fits(time_first).filter(|&(samples, steps)| samples > 0 && steps > 0) else {
+        let message = format!(
+            "{name} has shape {shape:?}, which does not fit population '{}' of {units} channels",
+            population.name
         );
+        let other = fits(!time_first).is_some();
+        let help = match (time_first, other) {
+            (false, true) => "time comes before the channels: give time_first=True",
+            (true, true) => "time comes after the channels: leave time_first= out",
+            (false, false) => "an array is [samples, channels.., T], samples may be left out",
+            (true, false) => "an array is [samples, T, channels..], samples may be left out",
+        };
+        return Err(raised(py, Diagnostic::new("input.shape", message).help(help)));
     };
+    let too_long = |message: String, help: &str| raised(py, Diagnostic::new("input.too-long", message).help(help));
     if steps > MOST_STEPS as usize {
-        return Err(Diagnostic::new("input.too-long", format!("{steps} timesteps are more than {MOST_STEPS}")));
+        let message = format!("{name} has {steps} timesteps, more than {MOST_STEPS}");
+        return Err(too_long(message, "cut it into samples, or make a timestep longer"));
+    }
+    let numbers = (samples * steps).saturating_mul(units);
+    let budget = Budget::for_file(array.stored_bytes(), 0, 0).samples(samples as u64, steps as u64);
+    if numbers > MOST_NUMBERS || budget.is_err() {
+        let message = format!("{name} has {samples} samples of {steps} timesteps, too many for one call");
+        return Err(too_long(message, "give some samples at a time: array[FIRST:END]"));
     }
     let silent = PopulationSpikes {
         units: Some(units as u64),
@@ -185,25 +237,28 @@ fn read<T: Copy>(
     let mut recordings = vec![silent; samples];
     // Rows of an array: the steps of a channel, or the channels of a step.
     let (width, rows) = if time_first { (units, steps) } else { (steps, units) };
-    let numbers = array.as_standard_layout();
-    let numbers = numbers.as_slice().unwrap_or_default();
-    for (numbers, recording) in numbers.chunks(width * rows).zip(&mut recordings) {
-        for (row, numbers) in numbers.chunks(width).enumerate() {
-            spikes_of_row(numbers, &is_spike, |column| {
-                let (step, channel) = if time_first { (row, column) } else { (column, row) };
-                recording.events.push((step as u32, channel as u32));
-            });
+    let (mut spikes, mut sample, mut row, mut begin) = (0, 0, 0, 0);
+    let fraction = array.each_non_zero(|index| {
+        while index - begin >= width {
+            begin += width;
+            row += 1;
+            if row == rows {
+                (sample, row) = (sample + 1, 0);
+            }
         }
+        if spikes == MOST_SPIKES {
+            let problem = Diagnostic::new("input.too-many", format!("{name} has more than {MOST_SPIKES} spikes"));
+            return Err(problem.help("give some samples at a time: array[FIRST:END]").into());
+        }
+        spikes += 1;
+        let column = index - begin;
+        let (step, channel) = if time_first { (row, column) } else { (column, row) };
+        recordings[sample].events.push((step as u32, channel as u32));
+        Ok(())
+    })?;
+    if let Some((index, value)) = fraction {
+        let problem = array.wrong(index, value, "and every number other than zero is one spike");
+        warn_of(py, &format!("{}; array != 0 says that this is meant", problem.message))?;
     }
     Ok(recordings)
-}
-
-/// Finds the spikes of a row. Most numbers are zero, and many of them are looked at in one instruction.
-fn spikes_of_row<T: Copy>(row: &[T], is_spike: impl Fn(T) -> bool, mut add: impl FnMut(usize)) {
-    for (part, numbers) in row.chunks(TOGETHER).enumerate() {
-        if numbers.iter().fold(false, |any, &number| any | is_spike(number)) {
-            let spikes = numbers.iter().enumerate().filter(|(_, number)| is_spike(**number));
-            spikes.for_each(|(index, _)| add(part * TOGETHER + index));
-        }
-    }
 }

@@ -12,8 +12,11 @@ use nsim::sweep::work as variants;
 use pyo3::prelude::*;
 
 use crate::error::raised;
-use crate::keywords::usage;
-use crate::work::work;
+use crate::keywords::{usage, whole};
+use crate::work::{detached, work};
+
+/// The most threads, as on the command line.
+const MOST_THREADS: u64 = 1024;
 
 fn parsed(py: Python<'_>, path: PathBuf, text: String) -> PyResult<Sweep> {
     Sweep::parse(&SourceText::new(path, text)).map_err(|problem| raised(py, problem))
@@ -33,10 +36,11 @@ pub fn sweep_part(
     text: String,
     number: u64,
     parts: u64,
-    threads: usize,
+    threads: &Bound<'_, PyAny>,
 ) -> PyResult<String> {
+    let threads = whole("threads", threads, 1..=MOST_THREADS)? as usize;
     if number >= parts {
-        return Err(usage(format!("part {number} of {parts} parts counted from 0")));
+        return Err(usage(format!("part {number} of {parts} parts"), "parts are counted from 0"));
     }
     let sweep = parsed(py, path, text)?;
     work(py, true, |progress| {
@@ -47,7 +51,7 @@ pub fn sweep_part(
             progress();
             Ok(())
         })?;
-        table.csv(None).map_err(|error| nsim::Error::Fault(error.to_string()))
+        Ok(table.csv(None).map_err(|error| nsim::Error::Fault(error.to_string()))?)
     })
 }
 
@@ -55,7 +59,7 @@ pub fn sweep_part(
 #[pyfunction]
 pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<String>) -> PyResult<String> {
     let sweep = parsed(py, path, text)?;
-    let merged = py.detach(|| {
+    let merged = detached(py, || {
         let mut whole = Table::new(&sweep);
         tables.iter().try_for_each(|table| whole.add_csv(table).map(drop))?;
         whole.check_whole()?;

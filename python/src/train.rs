@@ -16,12 +16,12 @@ use serde_json::{Value, json};
 
 use crate::error::raised;
 use crate::html::{columns, frame, table};
-use crate::keywords::{Keywords, usage};
+use crate::keywords::Keywords;
 use crate::memory;
 use crate::network::Network;
 use crate::run::to_python;
 use crate::spikes::{Shown, sources};
-use crate::work::work;
+use crate::work::{detached, work};
 
 /// Bounds of the command line.
 const MOST_EPOCHS: u32 = 1_000_000;
@@ -54,20 +54,15 @@ fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_fir
     let options = PyDict::new(py);
     options.set_item("labels", pair.get_item(1)?)?;
     options.set_item("time_first", time_first)?;
-    let network = job.inputs().map_err(|problem| raised(py, problem))?;
+    let network = detached(py, || job.inputs()).map_err(|problem| raised(py, problem))?;
     let shown = Shown::new(&network, None, Some(&pair.get_item(0)?), &Keywords::new(Some(&options))?)?;
     let what = if key == "test" { "test" } else { "training" };
-    let examples = job.examples(&network, &shown.stimulus.samples, what);
+    let examples = detached(py, || job.examples(&network, &shown.stimulus.samples, what));
     examples.map(Given::Arrays).map_err(|problem| raised(py, problem))
 }
 
 fn bounded(keywords: &Keywords<'_>, name: &str, least: u32, most: u32) -> PyResult<Option<u32>> {
-    match keywords.take::<u32>(name)? {
-        Some(number) if !(least..=most).contains(&number) => {
-            Err(usage(format!("{name} is from {least} to {most}, not {number}")))
-        }
-        number => Ok(number),
-    }
+    Ok(keywords.whole(name, least.into()..=most.into())?.map(|number| number as u32))
 }
 
 /// Trains a network with SLAYER: `nsim train`.
@@ -101,7 +96,7 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
     let folds = bounded(&keywords, "folds", 2, MOST_FOLDS)?;
     let checkpoint: Option<PathBuf> = keywords.take("checkpoint")?;
     let time_first = keywords.take("time_first")?.unwrap_or(false);
-    let job = with_fields(&source, &changes).and_then(|source| Job::new(source, seed, epochs));
+    let job = detached(py, || with_fields(&source, &changes).and_then(|source| Job::new(source, seed, epochs)));
     let job = job.map_err(|problem| raised(py, problem))?;
     let (train, test) =
         (given(py, &job, &keywords, "train", time_first)?, given(py, &job, &keywords, "test", time_first)?);
@@ -200,7 +195,7 @@ impl Training {
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<[PathBuf; 2]> {
         let (comment, provenance) = (self.report().provenance(&self.changed), self.report().summary());
         let weights = self.job.plan.result(&self.trained.state);
-        let written = py.detach(|| self.job.write((&path, force), weights, &comment, &provenance));
+        let written = detached(py, || self.job.write((&path, force), weights, &comment, &provenance));
         written.map_err(|problem| raised(py, problem))
     }
 

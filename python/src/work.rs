@@ -1,18 +1,24 @@
 //! Work without the interpreter's lock, which Ctrl-C ends.
 //!
-//! Python's signal handlers run in the main thread alone. Long work therefore has a thread of its own, while the calling thread looks for
-//! signals; after one, the work ends with the sample that it is at. Short work stays in the calling thread: starting another would take
-//! longer than the work.
+//! Python's signal handlers run in the main thread alone. Long work therefore has a thread of its
+//! own, while the calling thread looks for signals; after one, the work ends with the sample that
+//! it is at. Short work stays in the calling thread: starting another would take longer than the
+//! work.
+//!
+//! A process that was forked has none of its parent's threads, and work that is left to them would
+//! never end: a child has threads of its own.
 
 use std::panic::resume_unwind;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, AtomicPtr, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
 use nsim::drive::samples::Progress;
 use pyo3::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::error::raised;
+use crate::error::{Problem, raised};
 
 /// How often signals are looked for.
 const LOOK: Duration = Duration::from_millis(50);
@@ -20,22 +26,62 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Unwinds work that a signal ends.
 struct Interrupted;
 
+/// The process that loaded the module, whose threads are rayon's global ones.
+static FIRST: OnceLock<u32> = OnceLock::new();
+/// The threads of a forked process. Those of its parent are never dropped, since they cannot be
+/// joined.
+static OWN: AtomicPtr<(u32, ThreadPool)> = AtomicPtr::new(std::ptr::null_mut());
+
+/// Notes which process this is, when the module is loaded.
+pub fn loaded() {
+    FIRST.get_or_init(std::process::id);
+}
+
+/// Runs a job on threads of this process. No lock is taken: a fork may have left any lock closed.
+pub fn on_own_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
+    let process = std::process::id();
+    if FIRST.get() == Some(&process) {
+        return job();
+    }
+    // SAFETY: what is stored came from `Box::into_raw` and is never freed.
+    let known = unsafe { OWN.load(Ordering::Acquire).as_ref() };
+    if let Some((_, pool)) = known.filter(|(owner, _)| *owner == process) {
+        return pool.install(job);
+    }
+    match ThreadPoolBuilder::new().build() {
+        Ok(pool) => {
+            let made = Box::into_raw(Box::new((process, pool)));
+            OWN.store(made, Ordering::Release);
+            // SAFETY: as above.
+            unsafe { &(*made).1 }.install(job)
+        }
+        // Where the system allows no thread, the calling one does it all.
+        Err(_) => match ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() {
+            Ok(pool) => pool.install(job),
+            Err(_) => job(),
+        },
+    }
+}
+
+/// Does short work of the library without the interpreter's lock.
+pub fn detached<T: Send>(py: Python<'_>, job: impl FnOnce() -> T + Send) -> T {
+    py.detach(|| on_own_threads(job))
+}
+
 /// Does the work; `long` says whether it may take more than the blink of an eye.
 pub fn work<T: Send>(
     py: Python<'_>,
     long: bool,
-    job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send,
+    job: impl FnOnce(Progress<'_>) -> Result<T, Problem> + Send,
 ) -> PyResult<T> {
     if !long {
-        return py.detach(|| job(&|| ())).map_err(|error| raised(py, error));
+        return detached(py, || job(&|| ())).map_err(|error| raised(py, error));
     }
     let done = py.detach(|| watched(job))?;
     done.map_err(|error| raised(py, error))
 }
 
-fn watched<T: Send>(
-    job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send,
-) -> PyResult<Result<T, nsim::Error>> {
+fn watched<T: Send>(job: impl FnOnce(Progress<'_>) -> Result<T, Problem> + Send) -> PyResult<Result<T, Problem>> {
     let stop = AtomicBool::new(false);
     let after_sample = || {
         if stop.load(Ordering::Relaxed) {
@@ -48,7 +94,7 @@ fn watched<T: Send>(
         let after_sample = &after_sample;
         let worker = scope.spawn(move || {
             let _open = open;
-            job(after_sample)
+            on_own_threads(|| job(after_sample))
         });
         let mut signal = None;
         while let Err(RecvTimeoutError::Timeout) = closed.recv_timeout(LOOK) {

@@ -1,0 +1,262 @@
+//! Arrays of numbers that Python passes: one conversion for spikes, events, weights, parameters and
+//! labels.
+//!
+//! Input: what NumPy makes an array of, and what messages call it. Output: its shape and its
+//! numbers in C order, whatever its layout, byte order and type. Invariants: every number that is
+//! passed on is finite and stands in the array; a `bool` is 0 or 1, whatever its byte. Errors:
+//! `input.array` with the argument, the index, the value and a remedy.
+//!
+//! Numbers are read in parts of bounded size by `numpy.nditer`, and a converted copy of the whole
+//! array is never made: an array may claim more numbers than it stores (`numpy.broadcast_to`).
+
+use nsim::base::diagnostic::Diagnostic;
+use numpy::{Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::exceptions::PyException;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList, PyTuple};
+
+use crate::error::{Problem, raised};
+
+/// Numbers of an array that are compared together.
+const TOGETHER: usize = 32;
+/// Numbers of a part that is converted.
+const PART: usize = 1 << 16;
+/// The deepest list of lists that is searched for masked arrays; NumPy's arrays have at most 64
+/// axes.
+const DEEPEST: usize = 64;
+
+/// An array of integers, real numbers or truth values.
+pub struct Array<'py> {
+    name: String,
+    array: Bound<'py, PyUntypedArray>,
+    /// Whether its numbers are truth values, whose bytes need not be 0 and 1.
+    is_truth: bool,
+}
+
+impl<'py> Array<'py> {
+    /// From anything that NumPy makes an array of; `name` is the argument.
+    pub fn new(value: &Bound<'py, PyAny>, name: impl Into<String>) -> PyResult<Self> {
+        let (py, name) = (value.py(), name.into());
+        let numpy = py.import("numpy")?;
+        if is_masked(value, &numpy.getattr("ma")?.getattr("MaskedArray")?, 0)? {
+            let help = "say what stands where it is masked: array.filled(0)";
+            return Err(refused(py, format!("{name} is a masked array, whose mask would be lost"), help));
+        }
+        let array =
+            numpy.call_method1("asarray", (value,)).map_err(|error| match error.is_instance_of::<PyException>(py) {
+                true => refused(
+                    py,
+                    format!("{name} is no array of numbers: {}", error.value(py)),
+                    "rows of one length make an array; of a tensor, tensor.detach().cpu().numpy() is one",
+                ),
+                false => error,
+            })?;
+        let array = array.cast_into::<PyUntypedArray>()?;
+        let dtype = array.dtype();
+        let (what, help) = match (dtype.kind(), dtype.itemsize()) {
+            (b'b', _) => {
+                let array = array.call_method1("view", ("u1",))?.cast_into()?;
+                return Ok(Array { name, array, is_truth: true });
+            }
+            (b'i' | b'u', _) | (b'f', ..=8) => return Ok(Array { name, array, is_truth: false }),
+            (b'f', _) => ("long floating-point numbers", "array.astype(numpy.float64) has numbers of 8 bytes"),
+            (b'c', _) => ("complex numbers", "take one part of them: array.real, array.imag or numpy.abs(array)"),
+            (b'O', _) => (
+                "Python objects",
+                "rows of one length, of numbers of at most 64 bits and without None, make an array; a sparse array has array.toarray()",
+            ),
+            (b'V', _) if dtype.has_fields() => (
+                "records of several fields",
+                "take one field, such as array[array.dtype.names[0]]; events with the fields t, x, y and p are spikes",
+            ),
+            (b'V', _) => ("raw bytes", "array.view(DTYPE) has the numbers that were stored as bytes"),
+            (b'M' | b'm', _) => ("dates or durations", "array.astype('int64') counts their units"),
+            _ => ("text", "array.astype(float) has the numbers that text spells"),
+        };
+        Err(refused(py, format!("{name} has dtype {dtype}: it holds {what}, which are not read"), help))
+    }
+
+    /// What messages call it.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The axes.
+    pub fn shape(&self) -> &[usize] {
+        self.array.shape()
+    }
+
+    /// Bytes from its first number to its last: an array that repeats its numbers claims more.
+    pub fn stored_bytes(&self) -> u64 {
+        let axes = self.shape().iter().zip(self.array.strides());
+        let ahead = axes.fold(0u64, |sum, (&length, &stride)| {
+            sum.saturating_add((length.saturating_sub(1) as u64).saturating_mul(stride.unsigned_abs() as u64))
+        });
+        ahead.saturating_add(self.array.dtype().itemsize() as u64)
+    }
+
+    /// A problem with the number at an index in C order.
+    pub fn wrong(&self, index: usize, value: f64, why: &str) -> Diagnostic {
+        let mut left = index;
+        let mut indices: Vec<String> = Vec::with_capacity(self.shape().len());
+        for &axis in self.shape().iter().rev() {
+            indices.push((left % axis.max(1)).to_string());
+            left /= axis.max(1);
+        }
+        indices.reverse();
+        // Debug writes great numbers with an exponent.
+        let value = if value.abs() < 1e15 { format!("{value}") } else { format!("{value:?}") };
+        Diagnostic::new("input.array", format!("{}[{}] is {value}, {why}", self.name, indices.join(", ")))
+    }
+
+    fn not_finite(&self, index: usize, value: f64) -> Diagnostic {
+        self.wrong(index, value, "not a finite number").help("numpy.nan_to_num(array, posinf=0, neginf=0) makes it 0")
+    }
+
+    /// Calls `read` with the index in C order and the value of every number.
+    pub fn each(&self, mut read: impl FnMut(usize, f64) -> Result<(), Problem>) -> PyResult<()> {
+        let mut index = 0;
+        parts(&self.array, "f8", |part: &[f64]| {
+            for &number in part {
+                if !number.is_finite() {
+                    return Err(self.not_finite(index, number).into());
+                }
+                read(index, if self.is_truth { f64::from(number != 0.0) } else { number })?;
+                index += 1;
+            }
+            Ok(())
+        })
+    }
+
+    /// All numbers, at most `most`; `help` says what to do with more.
+    pub fn numbers(&self, most: usize, help: &str) -> PyResult<Vec<f64>> {
+        let count = self.array.len();
+        if count > most {
+            let message = format!("{} has {count} numbers, more than {most}", self.name);
+            return Err(refused(self.array.py(), message, help));
+        }
+        let mut numbers = Vec::with_capacity(count);
+        self.each(|_, number| {
+            numbers.push(number);
+            Ok(())
+        })?;
+        Ok(numbers)
+    }
+
+    /// Calls `add` with the index in C order of every number that is not zero; returns the first
+    /// that is not whole.
+    ///
+    /// Most numbers of recordings are zero, so many are compared at a time.
+    pub fn each_non_zero(&self, mut add: impl FnMut(usize) -> Result<(), Problem>) -> PyResult<Option<(usize, f64)>> {
+        let (mut index, mut fraction) = (0, None);
+        if self.array.dtype().itemsize() == 1 {
+            let bytes = self.array.call_method1("view", ("u1",))?.cast_into::<PyUntypedArray>()?;
+            let mut read = |part: &[u8]| {
+                for numbers in part.chunks(TOGETHER) {
+                    if numbers.iter().fold(0, |any, &number| any | number) != 0 {
+                        let spikes = numbers.iter().enumerate().filter(|(_, number)| **number != 0);
+                        spikes.map(|(place, _)| index + place).try_for_each(&mut add)?;
+                    }
+                    index += numbers.len();
+                }
+                Ok(())
+            };
+            // Bytes that lie in order are read in place.
+            match bytes.is_c_contiguous() {
+                true => read(bytes.cast::<PyArrayDyn<u8>>()?.readonly().as_slice()?)
+                    .map_err(|problem| raised(bytes.py(), problem))?,
+                false => parts(&bytes, "u1", read)?,
+            }
+            return Ok(None);
+        }
+        parts(&self.array, "f8", |part: &[f64]| {
+            for numbers in part.chunks(TOGETHER) {
+                if numbers.iter().fold(false, |any, &number| any | (number != 0.0)) {
+                    for (place, &number) in numbers.iter().enumerate().filter(|(_, number)| **number != 0.0) {
+                        if !number.is_finite() {
+                            return Err(self.not_finite(index + place, number).into());
+                        }
+                        if number.fract() != 0.0 {
+                            fraction.get_or_insert((index + place, number));
+                        }
+                        add(index + place)?;
+                    }
+                }
+                index += numbers.len();
+            }
+            Ok(())
+        })?;
+        Ok(fraction)
+    }
+}
+
+/// Calls `read` with contiguous parts of an array, in C order, as numbers of the type that `dtype`
+/// names.
+fn parts<T: Element>(
+    array: &Bound<'_, PyUntypedArray>,
+    dtype: &str,
+    mut read: impl FnMut(&[T]) -> Result<(), Problem>,
+) -> PyResult<()> {
+    let py = array.py();
+    if array.is_empty() {
+        return Ok(());
+    }
+    let options = PyDict::new(py);
+    options.set_item("flags", ["external_loop", "buffered"])?;
+    options.set_item("op_flags", [["readonly", "nbo", "aligned", "contig"]])?;
+    options.set_item("op_dtypes", [dtype])?;
+    options.set_item("order", "C")?;
+    options.set_item("casting", "same_kind")?;
+    options.set_item("buffersize", PART)?;
+    for part in py.import("numpy")?.getattr("nditer")?.call((array,), Some(&options))?.try_iter()? {
+        let part = part?.cast_into::<PyArrayDyn<T>>()?;
+        read(part.readonly().as_slice()?).map_err(|problem| raised(py, problem))?;
+    }
+    Ok(())
+}
+
+/// Whether a value is a masked array, or a list that has one, whose mask NumPy would drop.
+fn is_masked(value: &Bound<'_, PyAny>, masked: &Bound<'_, PyAny>, depth: usize) -> PyResult<bool> {
+    if value.is_instance(masked)? {
+        return Ok(true);
+    }
+    if depth == DEEPEST || !(value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>()) {
+        return Ok(false);
+    }
+    for item in value.try_iter()? {
+        if is_masked(&item?, masked, depth + 1)? {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// What the entries of an array count.
+#[derive(Clone, Copy)]
+pub struct Counted {
+    /// What one is, in the singular.
+    pub what: &'static str,
+    /// Of how many, at most 2^32.
+    pub limit: u64,
+    /// What the array holds.
+    pub help: &'static str,
+    /// Of an entry that counts none of them.
+    pub code: &'static str,
+}
+
+impl Array<'_> {
+    /// The value of an entry that counts something from 0.
+    pub fn counted(&self, index: usize, value: f64, of: Counted) -> Result<u32, Problem> {
+        if value >= 0.0 && value < of.limit as f64 && value.fract() == 0.0 {
+            return Ok(value as u32);
+        }
+        let last = of.limit.saturating_sub(1);
+        let mut problem = self.wrong(index, value, &format!("not a {}: a whole number from 0 to {last}", of.what));
+        problem.code = of.code;
+        Err(problem.help(of.help).into())
+    }
+}
+
+fn refused(py: Python<'_>, message: String, help: &str) -> PyErr {
+    raised(py, Diagnostic::new("input.array", message).help(help))
+}
