@@ -245,6 +245,16 @@ pub struct Counted {
 }
 
 impl Array<'_> {
+    /// Refuses truth values, which count nothing.
+    pub fn check_counts(&self, help: &str) -> PyResult<()> {
+        match self.is_truth {
+            true => {
+                Err(refused(self.array.py(), format!("{} holds truth values, which count nothing", self.name), help))
+            }
+            false => Ok(()),
+        }
+    }
+
     /// The value of an entry that counts something from 0.
     pub fn counted(&self, index: usize, value: f64, of: Counted) -> Result<u32, Problem> {
         if value >= 0.0 && value < of.limit as f64 && value.fract() == 0.0 {

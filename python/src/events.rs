@@ -111,6 +111,7 @@ fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyRe
         }
         ref shape => return Err(usage(format!("events have shape {shape:?}, not [spikes, 3]"), form)),
     };
+    array.check_counts(form)?;
     let mut rows = vec![[0u32; 3]; count];
     let mut last = 0;
     let help = "rows are (sample, step, channel), counted from 0; steps= and samples= say how many there are";

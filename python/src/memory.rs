@@ -14,6 +14,7 @@ use nsim::io::foreign::{self, Options, ResetMode};
 use nsim::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use nsim::ir::graph::MOST_UNITS;
 use pyo3::conversion::FromPyObjectOwned;
+use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -98,7 +99,13 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
 
 /// The synapses of a SciPy sparse array `[target, source]`, whose shape is that of the populations.
 fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> PyResult<ProjectionKind> {
-    let coordinates = weights.call_method0("tocoo")?;
+    let coordinates = weights.call_method0("tocoo").map_err(|error| {
+        let message = format!("{whose}: the sparse weights are damaged: {}", error.value(weights.py()));
+        match error.is_instance_of::<PyException>(weights.py()) {
+            true => usage(message, "make the sparse array anew, with indices within its shape"),
+            false => error,
+        }
+    })?;
     let shape: Vec<u64> = coordinates.getattr("shape")?.extract()?;
     let &[targets, sources] = shape.as_slice() else {
         let message = format!("{whose}: the sparse weights have {} axes, not 2", shape.len());
@@ -130,6 +137,7 @@ fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> P
     let indices = |name: &str, limit: u64| {
         let (array, mut indices) = (part(name)?, Vec::with_capacity(count));
         let help = "rows are targets and columns are sources, counted from 0";
+        array.check_counts(help)?;
         let unit = Counted { what: "unit", limit, help, code: "input.array" };
         array.each(|index, value| {
             indices.push(array.counted(index, value, unit)?.into());

@@ -220,7 +220,7 @@ class EventRows(Case):
             self.refused(lambda: nsim.Events(rows, steps=40), f"events[1, {column}]", what, code=code)
         for rows in [
             np.array([[0, 0, 2**64 - 1]], "u8"), np.array([[0, 2**64 - 1, 0]], "u8"), good.astype("c8"), good.astype("O"),
-            good.astype("U2"), np.ma.array(good, mask=good > 2), [[0, 1], [0]], [[0, 0, None]], good[:, :2], good[0], 7, None,
+            good.astype("U2"), good.astype(bool), np.ma.array(good, mask=good > 2), [[0, 1], [0]], [[0, 0, None]], good[:, :2], good[0], 7, None,
         ]:
             self.refused(lambda: nsim.Events(rows, steps=40))
         events = nsim.Events([[0, 0, CHANNELS]], steps=40)
@@ -352,6 +352,12 @@ class Weights(Case):
         ]:
             self.refused(lambda: network(made(row, col)), word, code="input.array")
         self.refused(lambda: network(made([0, 1, 1], [0, 1])))
+        self.refused(lambda: network(made(np.broadcast_to(0, 2**40), [0, 1])))
+        self.refused(lambda: network(made(np.array([False, True]), [0, 1])), "weights.row")
+        for index in [-1, 4]:
+            rows = sparse.csr_matrix(np.ones((2, CHANNELS)))
+            rows.indices[3] = index
+            self.refused(lambda: network(rows), "in -> out")
         for data in [[4, np.nan], [4, np.inf], [4, 1j], [4, None]]:
             self.refused(lambda: network(made([0, 1], [0, 1], data)), "weights.data")
         error = self.refused(lambda: network(sparse.coo_array(np.ones((CHANNELS, 2)))), "[4, 2]")

@@ -64,6 +64,9 @@ fn repeats_count_and_remember_nothing() {
     let counts = |run: &Value| run["output_counts"].as_array().unwrap().clone();
     assert_eq!(counts(&run)[2..4], counts(&once)[..]);
     assert_eq!(run["activity"]["spikes"].as_u64(), once["activity"]["spikes"].as_u64().map(|spikes| 3 * spikes));
+    // Refused before any result has memory.
+    let (_, _, error) = said(&["run", "--samples", "0..5", "--repeat", "1000000"]);
+    assert!(error.contains("5000000 runs, more than 4194304"), "{error}");
 }
 
 #[test]
