@@ -222,9 +222,11 @@ impl Records {
             // What helps a file is said as Python says it.
             problem = match problem.code {
                 "input.unit" => problem.help("say it: nsim.Events(records, unit='ms') (or us, s, ns)"),
-                "input.empty" => problem.help("say how long silence is: nsim.Events(records, steps=N)"),
-                _ if problem.help.is_none() => {
-                    problem.help("events have x and y from 0, p of 0 and 1 or -1 and 1, and a time t")
+                "input.empty" | "input.too-long" => {
+                    problem.help("say how long the sample is: nsim.Events(records, steps=N)")
+                }
+                "input.events" => {
+                    problem.help("a recording has x and y from 0, p of 0 and 1 or -1 and 1, and one time t")
                 }
                 _ => problem,
             };
