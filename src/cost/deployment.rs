@@ -72,6 +72,13 @@ pub struct Deployment {
     pub sent: Words,
 }
 
+/// What the chip that has most cores in use holds.
+struct FullestChip {
+    cores: u64,
+    tiles: u64,
+    copies: u64,
+}
+
 /// Hops of a barrier between chips in use: across the board's own rectangle where it is full, else
 /// across the nearest square.
 #[must_use]
@@ -103,29 +110,11 @@ impl Deployment {
         let most_cores = chips.values().map(|(cores, _)| *cores).max().unwrap_or(0);
         let tiles_used = chips.values().map(|(_, tiles)| tiles.len() as u64).max().unwrap_or(0);
         let (cores_used, chips_used) = (placement.len() as u64, chips.len() as u64);
-        let each = u64::from(target.chip().x86_cores_in_use);
-        let x86_cores = chips_used * if work.host == Host::None { 0 } else { each };
         // Copies are on a chip in proportion to its cores.
         let on_fullest = (most_cores * u64::from(copies)).div_ceil(cores_used.max(1)).max(1);
-        Deployment {
-            name: name.into(),
-            copies,
-            cores_used,
-            tiles_used,
-            chips_used,
-            chip_hops: chip_hops(chips_used, (target.chips_x(), target.chips() / target.chips_x())),
-            board_chips: target.chips().into(),
-            host: work.host,
-            x86_cores,
-            x86_chips: if x86_cores > 0 { chips_used } else { 0 },
-            x86_working: x86_cores,
-            streams: if work.streams == Streams::One { 1 } else { on_fullest },
-            reset: Words {
-                count: if x86_cores > 0 { work.reset_words * most_cores } else { 0 },
-                steps: work.steps_per_sample,
-            },
-            sent: Words::NONE,
-        }
+        let x86_cores = chips_used * u64::from(target.chip().x86_cores_in_use);
+        let fullest = FullestChip { cores: most_cores, tiles: tiles_used, copies: on_fullest };
+        Deployment::new(name, DeployedCores { cores_used, chips_used, x86_cores }, fullest, target, copies, work)
     }
 
     /// The numbers of a published job.
@@ -149,16 +138,30 @@ impl Deployment {
         copies: u32,
         work: HostWork,
     ) -> Self {
+        let most_cores = cores.cores_used.div_ceil(cores.chips_used.max(1));
+        let fullest = FullestChip {
+            cores: most_cores,
+            tiles: most_cores.div_ceil(target.chip().cores_per_tile.into()),
+            copies: u64::from(copies).div_ceil(cores.chips_used.max(1)),
+        };
+        Deployment::new(name, cores, fullest, target, copies, work)
+    }
+
+    fn new(
+        name: impl Into<String>,
+        cores: DeployedCores,
+        fullest: FullestChip,
+        target: &Target,
+        copies: u32,
+        work: HostWork,
+    ) -> Self {
         let DeployedCores { cores_used, chips_used, x86_cores } = cores;
-        let chip = target.chip();
-        let on_fullest = cores_used.div_ceil(chips_used.max(1));
         let x86_cores = if work.host == Host::None { 0 } else { x86_cores };
-        let streams = u64::from(copies).div_ceil(chips_used.max(1));
         Deployment {
             name: name.into(),
             copies,
             cores_used,
-            tiles_used: on_fullest.div_ceil(chip.cores_per_tile.into()),
+            tiles_used: fullest.tiles,
             chips_used,
             chip_hops: chip_hops(chips_used, (target.chips_x(), target.chips() / target.chips_x())),
             board_chips: target.chips().into(),
@@ -166,9 +169,9 @@ impl Deployment {
             x86_cores,
             x86_chips: x86_cores.min(chips_used),
             x86_working: x86_cores,
-            streams: if work.streams == Streams::One { 1 } else { streams },
+            streams: if work.streams == Streams::One { 1 } else { fullest.copies },
             reset: Words {
-                count: if x86_cores > 0 { work.reset_words * on_fullest } else { 0 },
+                count: if x86_cores > 0 { work.reset_words * fullest.cores } else { 0 },
                 steps: work.steps_per_sample,
             },
             sent: Words::NONE,
