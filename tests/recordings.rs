@@ -10,7 +10,7 @@ use std::path::Path;
 
 use nsim::desc::tensor::Numbers;
 use nsim::io::foreign::hdf5;
-use nsim::io::kind::FileKind;
+use nsim::io::kind::{EventFormat, FileKind};
 use nsim::io::npy;
 use nsim::io::spikes::events::event::Counts;
 use nsim::io::spikes::events::nir_data;
@@ -320,6 +320,29 @@ fn formats() -> Vec<Format> {
         ],
     );
 
+    let array = |descr: &str, order: &str, shape: &str, at: usize| {
+        let header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
+        let mut file = b"\x93NUMPY\x01\0".to_vec();
+        file.extend((header.len() as u16).to_le_bytes());
+        file.extend(header.bytes());
+        file.extend((0..512 * 4).map(|i| u8::from(i == 5 || i == at)));
+        file
+    };
+    let usual = array("|u1", "False", "(512, 4)", 99);
+    add(
+        "spikes as npy",
+        "npy",
+        &usual,
+        "",
+        vec![
+            ("version", with(&usual, 6, &[9])),
+            ("descr", array("<u2", "False", "(512, 4)", 99)),
+            ("fortran_order", array("|u1", "True ", "(512, 4)", 99)),
+            ("shape", array("|u1", "False", "(4, 512)", 99)),
+            ("values", array("|u1", "False", "(512, 4)", 98)),
+        ],
+    );
+
     let nir_data = |kind: &str, numbers: &[(&str, f64)], arrays: &[(&str, hdf5::Numbers)]| {
         let mut group = hdf5::Group::default();
         for (name, array) in arrays {
@@ -461,6 +484,14 @@ fn a_recording_that_is_cut_off_is_read_to_the_last_whole_record() {
     }
     let (events, counts) = read_bytes("a.csv", b"t_us,x,y\n10,1,1\n2000,2", "").unwrap();
     assert_eq!((events.len(), counts.cut_bytes), (1, Some(6)));
+    let tact = |text: &str| {
+        let expected = Expected { units: 156, volume: None, dt_ms: 1.0 };
+        read_input(&mut text.as_bytes(), "a.tact", EventFormat::Tact, &expected, &EventOptions::default())
+    };
+    let (_, counts) = tact("1 2 0.001\n0 3 0.003\n1 2").unwrap();
+    assert_eq!((counts.events, counts.cut_bytes), (2, Some(3)));
+    let error = tact("1 2 0.001\n0 3\n1 2 0.003\n").unwrap_err();
+    assert!(error.message.contains("row 2"), "{error}");
 }
 
 #[test]
@@ -478,6 +509,17 @@ fn clocks_step_back_and_turn_as_their_formats_say() {
     assert_eq!(steps(&evt3(&[0x8001, 0x6400, 1, 0x2801, 0x63fb, 0x2802])), (vec![5, 5], 0, 1));
     assert_eq!(steps(&evt3(&[0x8001, 0x6fff, 1, 0x2801, 0x6000, 0x2802])), (vec![8, 8], 1, 0));
     assert_eq!(steps(&evt3(&[0x8fff, 0x6fff, 0x8000, 0x6000, 1, 0x2802])), (vec![16_777], 1, 0));
+    // A step back over a turn is undone: 4 ms back and forth, and no second turn.
+    let over = [0x8fff, 0x6ff8, 1, 0x2801, 0x8000, 0x2802, 0x8fff, 0x6ffa, 0x2803, 0x8000, 0x6001, 0x2804];
+    let (events, counts) = read_bytes("a.raw", &evt3(&over), "size=16,16&start_ms=0&bin_ms=10000").unwrap();
+    assert_eq!(events.iter().map(|event| event.0).collect::<BTreeSet<_>>(), [1].into());
+    assert_eq!(counts.span_us, Some((0xff_fff8, 0x100_0001)));
+    let dat = |times: &[u32]| {
+        let events = times.iter().flat_map(|t| [t.to_le_bytes(), [1, 0, 0, 0]].concat()).collect::<Vec<_>>();
+        [b"% Data file containing CD events\n\x0c\x08", events.as_slice()].concat()
+    };
+    let (_, counts) = read_bytes("a.dat", &dat(&[u32::MAX - 5, 3, u32::MAX - 1, 9]), "bin_ms=1000").unwrap();
+    assert_eq!(counts.span_us, Some((i64::from(u32::MAX) - 5, (1 << 32) + 9)));
     let (_, counts) = read_bytes("a.raw", &evt3(&[1, 0x2801, 0x8001, 0x2801]), "").unwrap();
     assert_eq!((counts.events, counts.dropped), (2, 1), "before any time");
     // Data may begin as a header line does, but for the space.

@@ -145,6 +145,9 @@ pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         if before > u32::MAX / 4 * 3 && time < u32::MAX / 4 {
             turns += 1;
             sink.remark(Remark::ClockTurn);
+        } else if before < u32::MAX / 4 && time > u32::MAX / 4 * 3 && turns > 0 {
+            // A step back over the turn.
+            turns -= 1;
         }
         before = time;
         if word >> 28 > 1 {

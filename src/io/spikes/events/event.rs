@@ -108,6 +108,49 @@ pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("io.read", format!("cannot be read: {error}"))
 }
 
+/// Passes each row of a text that is neither empty nor a comment, without spaces around it. A last
+/// row that cannot be read is one that the end cuts off, which is reported.
+///
+/// # Errors
+/// `io.read`; those of a row, with its number.
+pub(super) fn rows(
+    input: &mut dyn BufRead,
+    longest: usize,
+    sink: &mut dyn Sink,
+    mut row: impl FnMut(&str, &mut dyn Sink) -> Result<()>,
+) -> Result<()> {
+    let (mut number, mut line, mut any) = (0u64, Vec::new(), false);
+    loop {
+        line.clear();
+        let read = std::io::Read::take(&mut *input, longest as u64 + 1).read_until(b'\n', &mut line);
+        if read.map_err(|error| unreadable(&error))? == 0 {
+            return Ok(());
+        }
+        number += 1;
+        let outcome = match std::str::from_utf8(&line) {
+            _ if line.len() > longest => Err(wrong(format!("it is longer than {longest} bytes"))),
+            Err(_) => Err(wrong("it is no text")),
+            Ok(text) => match text.trim_start_matches('\u{feff}').trim() {
+                text if text.is_empty() || text.starts_with('#') => continue,
+                text => row(text, sink),
+            },
+        };
+        match outcome {
+            Err(problem) if problem.code == "input.events" && any && line.last() != Some(&b'\n') => {
+                sink.remark(Remark::Cut(line.len() as u64));
+                return Ok(());
+            }
+            Err(mut problem) => {
+                if matches!(problem.code, "input.events" | "input.unit") {
+                    problem.message = format!("row {number}: {}", problem.message);
+                }
+                return Err(problem);
+            }
+            Ok(()) => any = true,
+        }
+    }
+}
+
 /// Fills a buffer with the next record; false at the end of the input. A record that the end cuts
 /// off is reported.
 ///

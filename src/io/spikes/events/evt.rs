@@ -90,9 +90,14 @@ fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
             }
             8 => {
                 let new = i64::from(word & 0xfff_ffff);
-                if high.is_some_and(|high| high - new > 1 << 27) {
-                    turns += 1;
-                    sink.remark(Remark::ClockTurn);
+                match new - high.unwrap_or(new) {
+                    fall if fall < -(1 << 27) => {
+                        turns += 1;
+                        sink.remark(Remark::ClockTurn);
+                    }
+                    // A step back over the turn.
+                    rise if rise > 1 << 27 && turns > 0 => turns -= 1,
+                    _ => {}
                 }
                 high = Some(new);
             }
@@ -153,6 +158,9 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
                 if timed && high - new > 1 << 11 {
                     turns += 1;
                     sink.remark(Remark::ClockTurn);
+                } else if new - high > 1 << 11 && turns > 0 {
+                    // A step back over the turn.
+                    turns -= 1;
                 }
                 // The low half begins anew with the high one.
                 if new != high {

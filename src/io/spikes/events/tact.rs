@@ -6,7 +6,7 @@
 
 use std::io::BufRead;
 
-use super::event::{Event, Sink, unreadable, wrong};
+use super::event::{Event, Sink, rows, wrong};
 use crate::base::diagnostic::Result;
 
 /// Columns that an event's x may have: a taxel and its polarity.
@@ -19,47 +19,28 @@ const MOST_ROW: usize = 256;
 /// # Errors
 /// `input.events` with the row.
 pub fn tact(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
-    let mut row = 0u64;
-    let mut line = Vec::new();
-    loop {
-        line.clear();
-        let read = std::io::Read::take(&mut *input, MOST_ROW as u64 + 1).read_until(b'\n', &mut line);
-        if read.map_err(|error| unreadable(&error))? == 0 {
-            return Ok(());
-        }
-        row += 1;
-        let bad = |what: &str| {
-            wrong(format!("row {row}: {what}")).help("a row is: polarity (0 or 1), cell (1 to 80), seconds")
-        };
-        if line.len() > MOST_ROW {
-            return Err(bad("it is longer than 256 bytes"));
-        }
-        let text = std::str::from_utf8(&line).map_err(|_| bad("it is no text"))?.trim();
-        if text.is_empty() || text.starts_with('#') {
-            continue;
-        }
+    rows(input, MOST_ROW, sink, |text, sink| {
+        let bad = |what: String| wrong(what).help("a row is: polarity (0 or 1), cell (1 to 80), seconds");
         let fields: Vec<f64> = text.split_whitespace().map_while(|field| field.parse().ok()).collect();
         let seconds = match (fields.len() == text.split_whitespace().count(), fields.as_slice()) {
             (true, &[_, _, seconds]) => seconds,
             (true, &[_, _, seconds, nanoseconds]) => seconds + nanoseconds * 1e-9,
             _ => {
-                return Err(bad(&format!(
-                    "'{}' is not three or four numbers",
-                    text.chars().take(40).collect::<String>()
-                )));
+                let shown: String = text.chars().take(40).collect();
+                return Err(bad(format!("'{shown}' is not three or four numbers")));
             }
         };
         let (polarity, cell) = (fields[0], fields[1]);
         if !(polarity == 0.0 || polarity == 1.0) || !(1.0..=80.0).contains(&cell) || cell.fract() != 0.0 {
-            return Err(bad(&format!("polarity {polarity}, cell {cell}")));
+            return Err(bad(format!("polarity {polarity}, cell {cell}")));
         }
         if !(seconds.is_finite() && seconds.abs() < 1e12) {
-            return Err(bad(&format!("a time of {seconds} s")));
+            return Err(bad(format!("a time of {seconds} s")));
         }
         let x = match cell as u32 {
-            17 | 49 => continue,
+            17 | 49 => return Ok(()),
             cell => cell - 1 - u32::from(cell > 17) - u32::from(cell > 49),
         };
-        sink.event(Event { t_us: (seconds * 1e6).round() as i64, x, y: 0, on: polarity == 1.0 })?;
-    }
+        sink.event(Event { t_us: (seconds * 1e6).round() as i64, x, y: 0, on: polarity == 1.0 })
+    })
 }

@@ -8,7 +8,7 @@
 
 use std::io::BufRead;
 
-use super::event::{Event, Remark, Sink, unreadable, wrong};
+use super::event::{Event, Remark, Sink, rows, wrong};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::spikes::options::TimeUnit;
 
@@ -119,53 +119,27 @@ pub fn is_header(line: &str) -> bool {
 /// `input.events` with the row; `input.unit` for times that are hardly microseconds and of which
 /// nothing says the unit; `input.option` for another unit than the file's own.
 pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
-    let (mut row, mut line) = (0u64, Vec::new());
     let mut columns: Option<Columns> = None;
-    loop {
-        line.clear();
-        let read = std::io::Read::take(&mut *input, MOST_ROW as u64 + 1).read_until(b'\n', &mut line);
-        if read.map_err(|error| unreadable(&error))? == 0 {
-            return Ok(());
+    rows(input, MOST_ROW, sink, |text, sink| {
+        if let Some(columns) = &columns {
+            return sink.event(columns.event(text)?);
         }
-        row += 1;
-        let bad = |what: &str| wrong(format!("row {row}: {what}"));
-        if line.len() > MOST_ROW {
-            return Err(bad(&format!("it is longer than {MOST_ROW} bytes")));
+        let help = "a header names t_us, x, y and p in any order; y and p may be absent";
+        let mut named = Columns::from_header(text).ok_or_else(|| wrong("it is no header of events").help(help))?;
+        if let Some(why) = &named.refused {
+            return Err(wrong(why).help("write a file for each recording, with the columns t_us, x, y and p"));
         }
-        let text = std::str::from_utf8(&line).map_err(|_| bad("it is no text"))?.trim();
-        let text = if row == 1 { text.trim_start_matches('\u{feff}') } else { text };
-        if text.is_empty() || text.starts_with('#') {
-            continue;
+        if named.unit.is_some_and(|unit| said.is_some_and(|said| said != unit)) {
+            let message = "unit= contradicts the unit in the name of the times";
+            return Err(Diagnostic::new("input.option", message).help("leave unit= out"));
         }
-        let Some(columns) = &columns else {
-            let help = "a header names t_us, x, y and p in any order; y and p may be absent";
-            let mut named = Columns::from_header(text).ok_or_else(|| bad("it is no header of events").help(help))?;
-            if let Some(why) = &named.refused {
-                return Err(bad(why).help("write a file for each recording, with the columns t_us, x, y and p"));
-            }
-            if named.unit.is_some_and(|unit| said.is_some_and(|said| said != unit)) {
-                let message = "unit= contradicts the unit in the name of the times";
-                return Err(Diagnostic::new("input.option", message).help("leave unit= out"));
-            }
-            named.unit = named.unit.or(said);
-            if named.unit.is_none() {
-                sink.remark(Remark::AssumedMicroseconds);
-            }
-            columns = Some(named);
-            continue;
-        };
-        match columns.event(text) {
-            Ok(event) => sink.event(event)?,
-            // The last row may be cut off.
-            Err(problem) if problem.code == "input.events" && line.last() != Some(&b'\n') => {
-                sink.remark(Remark::Cut(line.len() as u64));
-            }
-            Err(mut problem) => {
-                problem.message = format!("row {row}: {}", problem.message);
-                return Err(problem);
-            }
+        named.unit = named.unit.or(said);
+        if named.unit.is_none() {
+            sink.remark(Remark::AssumedMicroseconds);
         }
-    }
+        columns = Some(named);
+        Ok(())
+    })
 }
 
 #[cfg(test)]
