@@ -383,6 +383,39 @@ fn another_hdf5_reader_finds_the_same_arrays() {
     assert!(compared >= 8, "{compared} files");
 }
 
+/// Files that `tests/layouts/make.py` wrote.
+#[test]
+fn layouts_and_links_of_hdf5_are_read_or_refused_by_their_names() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/layouts");
+    let read = |name: &str| {
+        let bytes = std::fs::read(folder.join(name)).unwrap();
+        foreign::from_bytes(Path::new(name), bytes, &Options { dt_ms: Some(1.0), ..Options::default() })
+    };
+    let weights = |name: &str| match &read(name).unwrap().model.projections[0].kind {
+        ProjectionKind::Dense(weights) => weights.reals().collect::<Vec<_>>(),
+        _ => panic!("{name}"),
+    };
+    for name in ["nir_float16", "nir_float16_big_endian", "nir_bfloat16"] {
+        assert_eq!(weights(name), [0.5, -0.25, 1.5, 3.0], "{name}");
+    }
+    for name in ["chunks_implicit", "chunks_extensible"] {
+        assert_eq!(weights(name), [2.0, 4.0, 6.0, 8.0], "{name}");
+    }
+    for (name, code, says) in [
+        ("layout_5", "hdf5.format", "weight: HDF5 format error: invalid data layout version: 5"),
+        ("chunks_b_tree_2", "hdf5.format", "a version 2 B-tree chunk index"),
+        ("virtual", "hdf5.format", "virtual (VDS) data layout"),
+        ("soft_weight", "hdf5.link", "a soft link"),
+        ("soft_bias", "hdf5.link", "'bias' is a soft link to '/elsewhere'"),
+        ("external_bias", "hdf5.link", "'bias' is a link to '/bias' of another file, 'other.h5'"),
+        ("external_bias_latest", "hdf5.link", "'bias' is a link to '/bias' of another file, 'other.h5'"),
+    ] {
+        let error = read(name).unwrap_err();
+        assert!(error.code == code && error.message.contains(says), "{name}: {error}");
+        assert!(error.help.unwrap().contains("python3 -c"), "{name}");
+    }
+}
+
 #[test]
 fn what_is_known_and_not_imported_is_named() {
     let folder = tempfile::tempdir().unwrap();

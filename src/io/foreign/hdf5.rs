@@ -3,8 +3,8 @@
 //! Input: the bytes of a file, or a tree. Output: a [`Group`] with all groups and data sets below it, or the bytes of a
 //! file. Numbers keep the bytes of their own type, in little-endian order.
 //!
-//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded (`Budget`), links to other
-//! files are not followed, and what the crate refuses becomes a diagnostic. Attributes are read for NIR's data files only.
+//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded (`Budget`), links that
+//! name a path are refused ([`super::hdf5_links`]), and what the crate refuses becomes a diagnostic. Attributes are read for NIR's data files only.
 //! Compound types, references and numbers of unusual layouts become [`Item::Other`].
 
 use std::collections::BTreeMap;
@@ -15,6 +15,7 @@ use hdf5_pure::{
     FileBuilder, FinishedGroup, FixedPointLayout, FloatingPointLayout, GroupBuilder, VlenStringReadOptions,
 };
 
+use super::hdf5_links;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::{Budget, Exceeded};
 use crate::io::element::Element;
@@ -254,24 +255,32 @@ impl Reading<'_> {
         if what.len() > 300 {
             what = what.chars().take(300).collect();
         }
-        let layout = what.contains("data layout version") || what.contains("chunk index");
+        let layout = ["data layout", "chunk index", "external files", "filter"].iter().any(|part| what.contains(part));
         let mut problem = Diagnostic::new("hdf5.format", format!("the HDF5 file cannot be read: {what}"));
         if layout {
-            problem = problem.help(
-                "it has a layout of HDF5's newest versions: `h5repack FILE NEW` writes an older one, and for NIR so does \
-                 nir.write(NEW, nir.read(FILE))",
-            );
+            problem = problem.help(format!("h5py writes its arrays in the oldest layout, which is read: {REWRITTEN}"));
         }
         problem.in_file(self.path)
     }
 }
 
+/// Copies FILE to NEW: its arrays as they read, wherever links lead, in the layout that h5py writes
+/// unless it is asked for another.
+const REWRITTEN: &str = "python3 -c \"import h5py; copy = lambda old, new: [copy(old[k], new.create_group(k)) if \
+                         hasattr(old[k], 'keys') else new.create_dataset(k, data=old[k][()]) for k in old]; \
+                         copy(h5py.File('FILE'), h5py.File('NEW', 'w'))\"";
+
 /// Reads a whole file.
 ///
 /// # Errors
-/// `hdf5.format`, `hdf5.too-large`.
+/// `hdf5.format`, `hdf5.link`, `hdf5.too-large`.
 pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     let mut budget = Reading { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
+    if let Some(link) = hdf5_links::find(&bytes) {
+        return Err(Diagnostic::new("hdf5.link", format!("the HDF5 file has links that are not followed: {link}"))
+            .help(format!("write what they lead to in their place: {REWRITTEN}"))
+            .in_file(path));
+    }
     let options = FileAccessProperties::new().with_chunk_cache(ChunkCacheConfig::disabled());
     let file = File::from_bytes_with_options(bytes, options).map_err(|error| budget.wrong(&error))?;
     refuse_events(&file.root()).map_err(|problem| problem.in_file(path))?;

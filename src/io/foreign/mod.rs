@@ -7,6 +7,7 @@
 
 pub mod encode;
 pub mod hdf5;
+mod hdf5_links;
 pub mod imported;
 pub mod netx;
 pub mod nir;
