@@ -4,6 +4,9 @@
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
+#[path = "common/torch.rs"]
+mod torch;
+
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -12,6 +15,7 @@ use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
 use nsim::io::foreign::{self, Options};
 use nsim::io::model_builder::ModelBuilder;
 use serde_json::Value;
+use torch::{Entry, checkpoint};
 
 /// A row: what the field is of, its name, the other value.
 struct Row {
@@ -45,6 +49,9 @@ fn item(text: &str) -> Item {
         }
     }
     let Ok(value) = serde_json::from_str::<Value>(text) else { return text.into() };
+    if let Ok(pairs) = serde_json::from_str::<Vec<[String; 2]>>(text) {
+        return Item::Texts(vec![pairs.len(), 2], pairs.into_iter().flatten().collect());
+    }
     let (mut shape, mut numbers) = (Vec::new(), Vec::new());
     flat(&value, 0, &mut shape, &mut numbers);
     if numbers.iter().all(|x| x.fract() == 0.0) {
@@ -122,10 +129,23 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
             ]);
             line(vec![("i", image()), ("x", conv), ("n", any()), ("o", end())])
         }
-        "SumPool2d" => {
-            let pool =
-                group(&[("type", "SumPool2d"), ("kernel_size", "[2, 2]"), ("stride", "[2, 2]"), ("padding", "[0, 0]")]);
+        "SumPool2d" | "AvgPool2d" => {
+            let pool = group(&[("type", kind), ("kernel_size", "[2, 2]"), ("stride", "[2, 2]"), ("padding", "[0, 0]")]);
             line(vec![("i", image()), ("x", pool), ("n", any()), ("o", end())])
+        }
+        "Conv1d" => {
+            let conv = group(&[
+                ("type", "Conv1d"),
+                ("weight", "[[[1, 2]], [[3, 4]]]"),
+                ("bias", "[1, 0]"),
+                ("stride", "1"),
+                ("padding", "0"),
+                ("dilation", "1"),
+                ("groups", "1"),
+                ("input_shape", "4"),
+            ]);
+            let image = group(&[("type", "Input"), ("shape", "[1, 4]")]);
+            line(vec![("i", image), ("x", conv), ("n", any()), ("o", end())])
         }
         "Flatten" => {
             let flatten = group(&[("type", "Flatten"), ("start_dim", "0"), ("end_dim", "-1")]);
@@ -147,6 +167,15 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
         "LI" => {
             neuron(&[("type", "LI"), ("tau", "[0.008, 0.008, 0.008]"), ("r", "[8, 8, 8]"), ("v_leak", "[0, 0, 0]")])
         }
+        "CubaLI" => neuron(&[
+            ("type", "CubaLI"),
+            ("tau_syn", "[0.004, 0.004, 0.004]"),
+            ("tau_mem", "[0.008, 0.008, 0.008]"),
+            ("w_in", "[4, 4, 4]"),
+            ("r", "[8, 8, 8]"),
+            ("v_leak", "[0, 0, 0]"),
+        ]),
+        "NIRGraph" | "file" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
         "I" => neuron(&[("type", "I"), ("r", "[1, 1, 1]")]),
         other => panic!("no graph with a node {other}"),
     };
@@ -160,7 +189,11 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
     }
     let edges = Item::Texts(vec![edges.len() / 2, 2], edges);
     let graph = Group::default().with("type", "NIRGraph").with("nodes", all).with("edges", edges);
-    Group::default().with("node", graph)
+    match change {
+        Some((field, value)) if kind == "NIRGraph" => Group::default().with("node", graph.with(field, value.clone())),
+        Some((field, value)) if kind == "file" => Group::default().with("node", graph).with(field, value.clone()),
+        _ => Group::default().with("node", graph),
+    }
 }
 
 /// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the
@@ -182,7 +215,10 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
         }
         changed(neuron, "neuron")
     };
-    let input = group(&[("type", "input"), ("shape", "[1, 3, 3]")]);
+    let mut input = group(&[("type", "input"), ("shape", "[1, 3, 3]")]);
+    if owner == "input" {
+        input = input.with("weight", item("36")).with("bias", item("34")).with("neuron", neuron());
+    }
     let conv = group(&[
         ("type", "conv"),
         ("shape", "[1, 2, 2]"),
@@ -196,29 +232,81 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
         ("inChannels", "1"),
         ("outChannels", "1"),
     ]);
-    let dense = group(&[
-        ("type", "dense"),
-        ("shape", "[2]"),
-        ("weight", "[[2, 4, 6, 8], [4, 6, 8, 10]]"),
-        ("bias", "[2, 2]"),
-        ("inFeatures", "4"),
-        ("outFeatures", "2"),
-    ]);
-    let layers = Group::default()
-        .with("0", input)
-        .with("1", changed(conv, "conv").with("neuron", neuron()))
-        .with("2", changed(dense, "dense").with("neuron", neuron()));
-    Group::default().with("layer", layers)
+    let (first, kind) = match owner {
+        "pool" => (
+            group(&[
+                ("type", "pool"),
+                ("shape", "[1, 2, 2]"),
+                ("weight", "[[[[64, 64], [64, 64]]]]"),
+                ("bias", "[2]"),
+                ("kernelSize", "[2, 2]"),
+                ("stride", "[1, 1]"),
+                ("padding", "[0, 0]"),
+                ("dilation", "[1, 1]"),
+            ]),
+            "pool",
+        ),
+        "convT" => (conv.with("type", "convT").with("shape", item("[1, 4, 4]")), "convT"),
+        "unpool" => (
+            group(&[
+                ("type", "unpool"),
+                ("shape", "[1, 6, 6]"),
+                ("weight", "[[[[64, 64], [64, 64]]]]"),
+                ("bias", "[2]"),
+                ("kernelSize", "[2, 2]"),
+                ("stride", "[2, 2]"),
+                ("padding", "[0, 0]"),
+                ("dilation", "[1, 1]"),
+            ]),
+            "unpool",
+        ),
+        _ => (conv, "conv"),
+    };
+    let features = first.numbers("shape").unwrap().reals().product::<f64>() as usize;
+    let mut dense = group(&[("type", "dense"), ("shape", "[2]"), ("bias", "[2, 2]"), ("outFeatures", "2")]);
+    let weights: Vec<i64> = (0..2 * features as i64).map(|i| 2 * (i % 50 + 1)).collect();
+    dense = dense
+        .with("weight", Numbers::i64(&[2, features], &weights))
+        .with("inFeatures", Numbers::i64(&[], &[features as i64]));
+    if owner == "dense_rec" {
+        dense = dense.with("type", "dense_rec").with("weight_rec", item("[[2, 4], [6, 8]]"));
+    }
+    let flatten = group(&[("type", "flatten"), ("shape", &format!("[{features}]"))]);
+    let average = group(&[("type", "average"), ("shape", "[1]")]);
+    let dense = changed(changed(dense, "dense"), "dense_rec");
+    let mut layers = Group::default()
+        .with("0", changed(input, "input"))
+        .with("1", changed(first, kind).with("neuron", neuron()))
+        .with("2", changed(flatten, "flatten"))
+        .with("3", dense.with("neuron", neuron()));
+    if owner == "average" {
+        layers = layers.with("4", changed(average, "average"));
+    }
+    let simulation = changed(group(&[("Ts", "1")]), "simulation");
+    Group::default().with("layer", layers).with("simulation", simulation)
+}
+
+/// A 3 x 3 image of 32-bit reals.
+fn npy_image() -> Vec<u8> {
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }";
+    let mut file = b"\x93NUMPY\x01\0".to_vec();
+    file.extend((header.len() as u16 + 1).to_le_bytes());
+    file.extend(header.bytes());
+    file.push(b'\n');
+    file.extend((0..9u8).flat_map(|i| (f32::from(i) / 9.0).to_le_bytes()));
+    file
 }
 
 /// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a
 /// neuron of this text.
 fn described(kind: &str, change: Option<(&str, &str)>) -> Option<ModelBuilder> {
     let mut fields: Vec<(&str, &str)> = match kind {
+        "simulation" => vec![("Ts", "1"), ("tSample", "9")],
         "LOIHI" => vec![("vThMant", "80"), ("vDecay", "128"), ("iDecay", "1024"), ("refDelay", "1"), ("wgtExp", "0")],
         "SRMALPHA" => vec![("theta", "10"), ("tauSr", "10"), ("tauRef", "1"), ("scaleRef", "2")],
         "CUBA" => vec![("threshold", "1.25"), ("current_decay", "0.25"), ("voltage_decay", "0.03")],
         "Synaptic" => vec![("alpha", "0.5"), ("beta", "0.5"), ("threshold", "1")],
+        "Leaky" => vec![("beta", "0.5"), ("threshold", "1")],
         "LIF" => vec![("tau_syn_inv", "200"), ("tau_mem_inv", "50")],
         other => panic!("no neuron {other}"),
     };
@@ -229,10 +317,80 @@ fn described(kind: &str, change: Option<(&str, &str)>) -> Option<ModelBuilder> {
     let fields: String = fields.iter().map(|(key, value)| format!(", {key}: {value}")).collect();
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("neuron.yml");
-    std::fs::write(&config, format!("neuron: {{type: {kind}{fields}}}\n")).unwrap();
+    let text = match kind {
+        "simulation" => format!("simulation: {{{}}}\nneuron: {{type: Leaky, beta: 0.5}}\n", &fields[2..]),
+        _ => format!("neuron: {{type: {kind}{fields}}}\n"),
+    };
+    std::fs::write(&config, text).unwrap();
     let bytes = std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus/checkpoint/zip")).unwrap();
-    let options = Options { neuron: Some(config), dt_ms: Some(1.0), ..Options::default() };
+    let options = Options { neuron: Some(config), ..Options::default() };
     let mut model = foreign::from_bytes(Path::new("net.pt"), bytes, &options).ok()?.model;
+    lower(&model.build(Path::new("net.pt")).ok()?).ok()?;
+    model.provenance = None;
+    Some(model)
+}
+
+/// A state dict of one recurrent layer of a tool, with a tensor of this name changed.
+fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<ModelBuilder> {
+    let number = |name, x: f32| -> Entry { (name, vec![], vec![x]) };
+    let weights: Entry = ("weight", vec![2, 3], vec![0.5, 1.0, 1.5, -0.5, 0.75, 1.25]);
+    let named = |name, entry: &Entry| (name, entry.1.clone(), entry.2.clone());
+    let own = |name| -> Entry { (name, vec![2, 2], vec![0.5, 0.25, -0.5, 1.0]) };
+    let (mut entries, yaml): (Vec<Entry>, &str) = match tool {
+        "snnTorch" | "snnTorch one to one" => (
+            vec![
+                named("f.weight", &weights),
+                ("f.bias", vec![2], vec![0.0, 0.5]),
+                number("l.beta", 0.5),
+                number("l.alpha", 0.25),
+                number("l.threshold", 1.0),
+                number("l.reset_mechanism_val", 0.0),
+                number("l.graded_spikes_factor", 1.0),
+                match tool {
+                    "snnTorch" => own("l.recurrent.weight"),
+                    _ => ("l.recurrent.V", vec![2], vec![0.5, 0.25]),
+                },
+                ("l.mem", vec![2], vec![0.0; 2]),
+            ],
+            "",
+        ),
+        "Norse" => (
+            vec![named("l.input_weights", &weights), own("l.recurrent_weights")],
+            "neuron: {type: LIF, tau_syn_inv: 200, tau_mem_inv: 50}",
+        ),
+        "lava-dl" => (
+            vec![
+                named("blocks.0.synapse.weight", &weights),
+                own("blocks.0.recurrent_synapse.weight"),
+                number("blocks.0.neuron.current_decay", 1024.0),
+                number("blocks.0.neuron.voltage_decay", 128.0),
+            ],
+            "neuron: {type: CUBA, threshold: 1.25}",
+        ),
+        "weight norm" => (
+            vec![
+                ("f.weight_g", vec![2, 1], vec![64.0, 80.0]),
+                named("f.weight_v", &weights),
+                number("l.srmKernel", 1.0),
+            ],
+            "neuron: {type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024}",
+        ),
+        other => panic!("no state dict of {other}"),
+    };
+    if let Some((field, value)) = change {
+        let Item::Numbers(numbers) = item(value) else { panic!() };
+        let entry = (field, numbers.shape().to_vec(), numbers.reals().map(|x| x as f32).collect());
+        match entries.iter_mut().find(|(name, ..)| *name == field) {
+            Some(old) => *old = entry,
+            None => entries.push(entry),
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("neuron.yml");
+    std::fs::write(&config, yaml).unwrap();
+    let neuron = (!yaml.is_empty()).then_some(config);
+    let options = Options { neuron, ..Options::default() };
+    let mut model = foreign::from_bytes(Path::new("net.pt"), checkpoint(&entries), &options).ok()?.model;
     lower(&model.build(Path::new("net.pt")).ok()?).ok()?;
     model.provenance = None;
     Some(model)
@@ -245,6 +403,9 @@ fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
     let unique: BTreeSet<(&str, &str)> = rows.iter().map(|row| (row.owner.as_str(), row.field.as_str())).collect();
     assert_eq!(unique.len(), rows.len());
     let options = Options { dt_ms: Some(1.0), ..Options::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let image = folder.path().join("image.npy");
+    std::fs::write(&image, npy_image()).unwrap();
     for Row { owner, field, other } in &rows {
         let (format, kind) = owner.split_once(' ').unwrap();
         let value = if other == "-" { "7" } else { other };
@@ -255,7 +416,14 @@ fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
             }
             "netx" => {
                 let change = (field.as_str(), item(value));
+                // The timestep is the file's, and an image drives an input layer with neurons.
+                let image = (kind == "input").then(|| image.clone());
+                let options = Options { image, ..Options::default() };
                 (model(&netx(kind, None), &options), model(&netx(kind, Some(&change)), &options))
+            }
+            "torch" => {
+                let field: &'static str = field.clone().leak();
+                (tensors(kind, None), tensors(kind, Some((field, value))))
             }
             "YAML" => (described(kind, None), described(kind, Some((field, value)))),
             other => panic!("no format {other}"),

@@ -106,13 +106,13 @@ impl Reader<'_> {
             (after(1, kernel.0, stride.0, padding.0, dilation.0), after(2, kernel.1, stride.1, padding.1, dilation.1));
         let (count, channels) = (layer.numbers("weight")?.len() as u64, shape[0]);
         let places = kernel.0 * kernel.1;
+        if count != places && Some(count) != places.checked_mul(channels) {
+            return Err(layer.wrong(format!("{count} weights for a window of {places}")));
+        }
         self.project(layer, &source, &name, "weight", |weights| {
             let first = weights.first().copied().unwrap_or(0.0);
             if weights.iter().all(|&weight| weight == first) && !weights.is_empty() && dilation == (1, 1) {
                 return Ok(ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight: first });
-            }
-            if count != places && Some(count) != places.checked_mul(channels) {
-                return Err(layer.wrong(format!("{count} weights for a window of {places}")));
             }
             let expanded: Vec<f64> = weights.iter().copied().cycle().take((places * channels) as usize).collect();
             let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
@@ -152,6 +152,17 @@ impl Reader<'_> {
         }
         if channels % groups != 0 || per_group.checked_mul(groups) != Some(shape[0]) {
             return Err(layer.wrong(format!("{groups} groups do not lead from {channels} channels to {}", shape[0])));
+        }
+        let axes = [
+            (height, shape[1], kh, geometry.stride.0, geometry.dilation.0, geometry.padding.0),
+            (width, shape[2], kw, geometry.stride.1, geometry.dilation.1, geometry.padding.1),
+        ];
+        for (from, to, size, stride, dilation, padding) in axes {
+            // torch's `output_padding` adds less than a step.
+            let least = ((from - 1) * stride + dilation * size.saturating_sub(1) + 1).saturating_sub(2 * padding);
+            if !(least..least + stride.max(dilation)).contains(&to) {
+                return Err(layer.wrong(format!("the window makes {least} of {from}, the shape {shape:?} has {to}")));
+            }
         }
         let many = [channels, height, width, per_group, kh, kw].iter().try_fold(1u64, |n, &axis| n.checked_mul(axis));
         if many.is_none_or(|many| many > MOST_LISTED as u64) {

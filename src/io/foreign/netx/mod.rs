@@ -24,7 +24,7 @@ use crate::io::model_builder::ModelBuilder;
 use crate::io::npy;
 use layer::Layer;
 use neuron::set_bias;
-use reader::{Reader, wrong};
+use reader::{Reader, units, wrong};
 
 /// Reads the tree of a file.
 ///
@@ -77,12 +77,15 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
 /// that is not imported.
 fn fields(kind: &str) -> &'static [&'static str] {
     match kind {
-        "flatten" | "average" => &["type", "shape", "neuron", "bias", "delay"],
+        "flatten" | "average" => &["type", "shape"],
         "input" => &["type", "shape", "neuron", "weight", "bias"],
         "dense" | "dense_rec" => {
             &["type", "shape", "neuron", "weight", "weight_rec", "bias", "delay", "inFeatures", "outFeatures"]
         }
-        "conv" | "pool" | "convT" | "unpool" => &[
+        "pool" | "unpool" => {
+            &["type", "shape", "neuron", "weight", "bias", "delay", "kernelSize", "stride", "padding", "dilation"]
+        }
+        "conv" | "convT" => &[
             "type",
             "shape",
             "neuron",
@@ -219,9 +222,12 @@ impl Reader<'_> {
 
     fn flatten(&mut self, layer: &Layer<'_>) -> Result<()> {
         // Populations are flattened in the order C, H, W by whatever dense layer follows.
-        match &self.last {
-            Some(_) => Ok(()),
-            None => Err(layer.wrong("there is nothing before it")),
+        let Some(last) = &self.last else { return Err(layer.wrong("there is nothing before it")) };
+        match layer.group.get("shape") {
+            Some(_) if units(&layer.shape()?) != Some(last.units()) => {
+                Err(layer.wrong(format!("its shape is {:?}, {} units arrive", layer.shape()?, last.units())))
+            }
+            _ => Ok(()),
         }
     }
 
