@@ -154,7 +154,9 @@ impl Export<'_> {
         for image in self.program().cores() {
             for compartment in image.compartments.iter() {
                 if compartment.start_step > 0 {
-                    return Err(refused("that a population is held at zero before a step (start_step)"));
+                    let help = "a layer that nothing reaches before its start does not need one: \
+                                --set populations.NAME.start_step=0 for each";
+                    return Err(refused("that a population is held at zero before a step (start_step)").help(help));
                 }
                 if leads && compartment.neuron.bias_mant.get() != 0 {
                     let message = "that a biased compartment waits for the inputs of step 0";
