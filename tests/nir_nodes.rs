@@ -12,9 +12,12 @@ use std::path::Path;
 use nsim::base::diagnostic::Diagnostic;
 use nsim::base::rng;
 use nsim::compile::frontend::lower::lower;
+use nsim::desc::network::ThresholdTest;
+use nsim::io::changes::{self, Change};
 use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
-use nsim::io::foreign::{self, Imported, Options, ResetMode, nir_export};
-use nsim::io::model_builder::{ModelBuilder, ProjectionKind};
+use nsim::io::foreign::{self, DecayRule, Imported, Options, ResetMode, nir_export};
+use nsim::io::model::load_model;
+use nsim::io::model_builder::{ModelBuilder, Parameter, ProjectionKind};
 use real::{STEPS, input, spikes, total};
 
 fn typed(kind: &str) -> Group {
@@ -413,4 +416,110 @@ fn a_pool_of_slayer_has_silent_rows_behind_where_the_file_says_so() {
     assert_eq!(after(layer([1, 3, 3]).unwrap()), (0, 0));
     let beyond = layer([1, 3, 5]).unwrap_err();
     assert!(beyond.code == "model.window" && beyond.help.unwrap().contains("padding_after"));
+}
+
+#[test]
+fn a_bias_reaches_a_current_from_the_first_step_on_and_layers_wait_for_it() {
+    let (w, b) = (noise(3 * 4, 51), [0.25, 0.5, -0.125]);
+    let affine = typed("Affine").with("weight", Numbers::f64(&[3, 4], &w)).with("bias", reals(&b));
+    let second = typed("Linear").with("weight", weights(&[2, 3], 52));
+    let more = typed("Linear").with("weight", weights(&[2, 4], 53));
+    // The second layer hears the input, too.
+    let nodes =
+        [("i", source(&[4])), ("w", affine), ("n", cuba(&[3])), ("x", second), ("m", lif(&[2])), ("o", output())];
+    let mut root = file(&nodes, &[("i", "s"), ("s", "m")]);
+    let Some(Item::Group(graph)) = root.items.get_mut("node") else { panic!() };
+    let Some(Item::Group(all)) = graph.items.get_mut("nodes") else { panic!() };
+    all.items.insert("s".to_string(), more.into());
+    let model = import(&root);
+    let (mut current, mut v) = ([0.0; 3], [0.0; 3]);
+    let right: Vec<Vec<bool>> = (0..STEPS)
+        .map(|t| {
+            (0..3)
+                .map(|i| {
+                    let arrives: f64 = (0..4).filter(|&s| input(t, s)).map(|s| w[i * 4 + s]).sum();
+                    current[i] = 0.75 * current[i] + arrives + b[i];
+                    v[i] = 0.875 * v[i] + current[i];
+                    let spike = v[i] > 1.0;
+                    v[i] = if spike { 0.0 } else { v[i] };
+                    spike
+                })
+                .collect()
+        })
+        .collect();
+    assert!(total(&right) > 20);
+    assert_eq!((model.population("n").unwrap().start_step, model.drain), (1, 2));
+    assert_eq!(spikes(&model, "n", 4)[1..], right[..STEPS - 1]);
+    // Waits are the import's: a file that another tool rewrites does not have them twice.
+    assert_eq!(bare(&model).projections.iter().map(|p| p.delay).max(), model.projections.iter().map(|p| p.delay).max());
+    assert_eq!(spikes(&bare(&model), "m", 4), spikes(&model, "m", 4));
+}
+
+#[test]
+fn delays_that_are_no_whole_steps_are_rounded_with_a_note() {
+    let notes = |delays: &[f64]| {
+        let delay = typed("Delay").with("delay", reals(delays));
+        let nodes = [("i", source(&[2])), ("w", linear(2, 2, 5)), ("d", delay), ("n", lif(&[2])), ("o", output())];
+        let imported = read(&file(&nodes, &[]), &step()).unwrap();
+        imported.notes.iter().filter(|note| note.contains("no whole number of steps")).cloned().collect::<Vec<_>>()
+    };
+    assert!(notes(&[0.003, 0.0]).is_empty());
+    let [note] = &notes(&[0.003, 0.0024])[..] else { panic!() };
+    assert!(note.contains("1 of its 2 delays") && note.contains("from 2.400 to 2"), "{note}");
+}
+
+#[test]
+fn options_are_used_or_refused() {
+    let nodes = [("i", source(&[4])), ("w", linear(3, 4, 61)), ("n", lif(&[3])), ("o", output())];
+    let root = file(&nodes, &[]);
+    for (options, name) in [
+        (Options { neuron: Some("n.yml".into()), ..step() }, "--neuron"),
+        (Options { image: Some("i.npy".into()), ..step() }, "--image"),
+        (Options { first_step: Some(1), ..step() }, "--first-step"),
+        (Options { reset_interval: Some(9), ..step() }, "--reset-interval"),
+        (Options { input_shape: Some(vec![1, 2, 2]), ..step() }, "--input-shape"),
+    ] {
+        let error = read(&root, &options).unwrap_err();
+        assert!(error.code == "import.option" && error.message.contains(name), "{error}");
+    }
+    let inclusive = read(&root, &Options { threshold: Some(ThresholdTest::Inclusive), ..step() }).unwrap().model;
+    assert_eq!(inclusive.threshold, ThresholdTest::Inclusive);
+    // A time constant shorter than a step has a meaning where states decay exponentially.
+    let exponential = Options { decay: Some(DecayRule::Exponential), dt_ms: Some(16.0), ..Options::default() };
+    assert!(read(&root, &Options { decay: Some(DecayRule::Euler), ..exponential.clone() }).is_err());
+    let model = read(&root, &exponential).unwrap().model;
+    let Some(Parameter::Same(tau)) = model.population("n").unwrap().parameter("tau_v_ms").cloned() else { panic!() };
+    assert!((tau - 8.0).abs() < 1e-9, "{tau}");
+}
+
+#[test]
+fn changes_reach_the_model_of_an_imported_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net.nir");
+    let nodes = [("i", source(&[4])), ("w", linear(3, 4, 61)), ("n", lif(&[3])), ("o", output())];
+    std::fs::write(&path, hdf5::write(&file(&nodes, &[])).unwrap()).unwrap();
+    let text = |change: &str| {
+        let change = Change::parse(change).unwrap();
+        changes::within(&[change], || load_model(path.to_str().unwrap()))
+            .map(|network| network.source().text().to_string())
+    };
+    assert!(text("populations.n.start_step=5").unwrap().contains("start_step: 5"));
+    assert_eq!(text("populations.m.start_step=5").unwrap_err().code, "set.path");
+}
+
+#[test]
+fn a_threshold_of_zero_is_a_mantissa_of_zero() {
+    let root = |thresholds: &[f64]| {
+        let neuron = lif(&[3]).with("v_threshold", reals(thresholds));
+        let weights = typed("Linear").with("weight", Numbers::f64(&[3, 2], &[2.0, -4.0, 6.0, 8.0, -10.0, 12.0]));
+        file(&[("i", source(&[2])), ("w", weights), ("n", neuron), ("o", output())], &[])
+    };
+    let model = import(&root(&[0.0; 3]));
+    assert_eq!(model.population("n").unwrap().parameter("vth_mant"), Some(&Parameter::Same(0.0)));
+    assert!(total(&spikes(&model, "n", 2)) > 20);
+    let again = bare(&model);
+    assert_eq!(spikes(&again, "n", 2), spikes(&model, "n", 2));
+    assert_eq!(again.projections[0].weight_scale.unwrap_or(1.0), 1.0, "mantissas stay as they are");
+    let mixed = read(&root(&[0.0, 1.0, 1.0]), &step()).unwrap_err();
+    assert!(mixed.message.contains("one of 0 beside others"), "{mixed}");
 }

@@ -9,9 +9,10 @@
 
 #[path = "common/real.rs"]
 mod real;
+#[path = "common/torch.rs"]
+mod torch;
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use nsim::base::diagnostic::Diagnostic;
@@ -21,50 +22,7 @@ use nsim::desc::tensor::Tensor;
 use nsim::io::foreign::{self, Imported, Options, ResetMode};
 use nsim::io::model_builder::{Parameter, ProjectionKind};
 use real::{STEPS, input, spikes, total};
-
-/// A tensor of a file.
-type Entry = (&'static str, Vec<usize>, Vec<f32>);
-
-/// A checkpoint in torch's zip container.
-fn checkpoint(entries: &[Entry]) -> Vec<u8> {
-    let text = |out: &mut Vec<u8>, text: &str| {
-        out.push(b'X');
-        out.extend((text.len() as u32).to_le_bytes());
-        out.extend(text.bytes());
-    };
-    let number = |out: &mut Vec<u8>, number: usize| {
-        out.push(b'J');
-        out.extend((number as u32).to_le_bytes());
-    };
-    let mut pickle = b"\x80\x02}".to_vec();
-    for (key, (name, shape, numbers)) in entries.iter().enumerate() {
-        assert_eq!(shape.iter().product::<usize>(), numbers.len(), "{name}");
-        text(&mut pickle, name);
-        pickle.extend(b"ctorch._utils\n_rebuild_tensor_v2\n((");
-        text(&mut pickle, "storage");
-        pickle.extend(b"ctorch\nFloatStorage\n");
-        text(&mut pickle, &key.to_string());
-        text(&mut pickle, "cpu");
-        number(&mut pickle, numbers.len());
-        pickle.extend(b"tQ");
-        number(&mut pickle, 0);
-        pickle.push(b'(');
-        shape.iter().for_each(|&side| number(&mut pickle, side));
-        pickle.extend(b"t(");
-        (0..shape.len()).for_each(|axis| number(&mut pickle, shape[axis + 1..].iter().product()));
-        pickle.extend(b"t\x89ccollections\nOrderedDict\n)RtRs");
-    }
-    pickle.push(b'.');
-    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
-    archive.start_file("a/data.pkl", options).unwrap();
-    archive.write_all(&pickle).unwrap();
-    for (key, (_, _, numbers)) in entries.iter().enumerate() {
-        archive.start_file(format!("a/data/{key}"), options).unwrap();
-        archive.write_all(&numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>()).unwrap();
-    }
-    archive.finish().unwrap().into_inner()
-}
+use torch::{Entry, checkpoint};
 
 /// Numbers from -0.5 to 1.5 in steps of 1/64, so that sums of them are exact.
 fn noise(count: usize, seed: u64) -> Vec<f32> {
@@ -113,7 +71,9 @@ impl Snn {
                 syn[i] = self.alpha * syn[i] + current[i] + back[i];
                 mem[i] = match self.subtracts {
                     true => self.beta * mem[i] + syn[i] - reset * self.threshold,
-                    false => self.beta * mem[i] * (1.0 - reset) + syn[i],
+                    // snnTorch 1.0.0: `_base_zero` of Leaky, and that of the other neurons.
+                    false if self.alpha == 0.0 && self.own.is_empty() => self.beta * mem[i] * (1.0 - reset) + syn[i],
+                    false => (self.beta * mem[i] + syn[i]) * (1.0 - reset),
                 };
                 spikes[i] = mem[i] > self.threshold;
             });
@@ -176,16 +136,25 @@ fn snntorch_gives_what_its_rules_give_with_both_resets_and_biases() {
 #[test]
 fn snntorch_with_a_current_and_with_recurrent_weights_gives_what_its_rules_give() {
     let (weights, own) = (noise(4 * 5, 11), noise(16, 12));
-    let mut entries: Vec<Entry> = vec![("net.0.weight", vec![4, 5], weights.clone())];
     let named = ["net.1.threshold", "net.1.graded_spikes_factor", "net.1.reset_mechanism_val", "net.1.beta"];
-    entries.extend(leaky(named, 0.75, 1.5, 0.0));
-    entries.push(("net.1.alpha", vec![1], vec![0.5]));
-    entries.push(("net.1.recurrent.weight", vec![4, 4], own.clone()));
-    let imported = import(&entries, &Options::default()).unwrap();
-    let layer = Snn { units: 4, alpha: 0.5, beta: 0.75, threshold: 1.5, subtracts: true, own };
-    let right = layer.run(&currents(&weights, &[], &given(5)));
-    assert!(total(&right) > 20);
-    assert_eq!(spikes(&imported.model, "net_1", 5), right);
+    for (alpha, recurrent, subtracts) in
+        [(0.5, true, true), (0.5, true, false), (0.5, false, false), (0.0, true, false), (0.0, true, true)]
+    {
+        let mut entries: Vec<Entry> = vec![("net.0.weight", vec![4, 5], weights.clone())];
+        entries.extend(leaky(named, 0.75, 1.5, f32::from(u8::from(!subtracts))));
+        if alpha > 0.0 {
+            entries.push(("net.1.alpha", vec![1], vec![alpha]));
+        }
+        let own = if recurrent { own.clone() } else { Vec::new() };
+        if recurrent {
+            entries.push(("net.1.recurrent.weight", vec![4, 4], own.clone()));
+        }
+        let imported = import(&entries, &Options::default()).unwrap();
+        let layer = Snn { units: 4, alpha: alpha.into(), beta: 0.75, threshold: 1.5, subtracts, own };
+        let right = layer.run(&currents(&weights, &[], &given(5)));
+        assert!(total(&right) > 20);
+        assert_eq!(spikes(&imported.model, "net_1", 5), right, "alpha {alpha}, {recurrent}, {subtracts}");
+    }
 }
 
 #[test]
@@ -217,21 +186,43 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
     let imported = import(&entries, &options).unwrap();
     let (mut v, mut current, mut z) = (vec![0.0f64; 5], vec![0.0f64; 5], vec![false; 5]);
     let mut right = Vec::new();
-    for step in 0..=STEPS {
+    // Norse 1.1.0, `lif_step`.
+    for step in 0..STEPS {
         let (arrives, back) = (times(&weights, &(0..5).map(|c| input(step, c)).collect::<Vec<_>>()), times(&own, &z));
         (0..5).for_each(|i| {
-            let decayed = v[i] + 0.125 * ((0.125 - v[i]) + current[i]);
+            let jump = current[i] + arrives[i] + back[i];
+            let decayed = v[i] + 0.125 * ((0.125 - v[i]) + jump);
             z[i] = decayed > 0.25;
             v[i] = if z[i] { 0.0 } else { decayed };
-            current[i] = 0.75 * current[i] + arrives[i] + back[i];
+            current[i] = 0.75 * jump;
         });
         right.push(z.clone());
     }
     assert!(total(&right) > 20, "{}", total(&right));
-    // The voltage takes up the current of the step before: everything is one step later than here,
-    // where v leaks from step 0.
-    let ours = spikes(&imported.model, "l", 5);
-    assert_eq!(ours[..STEPS - 1], right[1..STEPS]);
+    assert_eq!(spikes(&imported.model, "l", 5), right);
+    assert!(imported.notes.iter().any(|note| note.contains("v_leak")), "{:?}", imported.notes);
+    // A neuron that rests where it resets is one that rests at 0.
+    let shifted =
+        neuron(&folder, "type: LIF, tau_syn_inv: 250, tau_mem_inv: 125, v_th: -50, v_leak: -65, v_reset: -65");
+    let plain = neuron(&folder, "type: LIF, tau_syn_inv: 250, tau_mem_inv: 125, v_th: 15");
+    let [shifted, plain] = [shifted, plain].map(|options| import(&entries, &options).unwrap().model.populations);
+    assert_eq!(shifted, plain);
+}
+
+/// `NSIM_PEERS` names a Python with the tools (`tests/check_peers.py` says which); without one this
+/// is skipped.
+#[test]
+fn the_tools_themselves_give_the_same_spikes_and_classes() {
+    let Some(python) = std::env::var_os("NSIM_PEERS") else {
+        eprintln!("skipped: NSIM_PEERS names no Python with snntorch, norse and sinabs");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/check_peers.py");
+    let command = [script, env!("CARGO_BIN_EXE_nsim")];
+    let output = std::process::Command::new(python).args(command).arg(folder.path()).output().unwrap();
+    println!("{}", String::from_utf8_lossy(&output.stdout));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]

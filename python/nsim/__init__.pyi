@@ -43,8 +43,8 @@ def from_nir(
     name: str = "network",
     dt_ms: Optional[float] = None,
     reset: Optional[str] = None,
+    decay: Optional[str] = None,
     threshold: Optional[str] = None,
-    input_shape: Optional[Sequence[int]] = None,
 ) -> Network:
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file; `dt_ms` is the timestep in ms."""
 

@@ -9,19 +9,31 @@ import io
 from . import _nsim
 
 
-def from_nir(graph, *, name="network", dt_ms=None, reset=None, threshold=None, input_shape=None):
+def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, threshold=None):
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file.
 
-    `dt_ms` is the timestep in ms, `reset` 'zero', 'subtract' or 'subtract-later', `threshold` 'strict' or 'inclusive', `input_shape`
-    (channels, height, width). `Network.notes` says by which conventions it was read. snnTorch
+    `dt_ms` is the timestep in ms, `reset` 'zero', 'subtract' or 'subtract-later', `decay` 'euler' or 'exponential' (sinabs), `threshold`
+    'strict' or 'inclusive'. `Network.notes` says by which conventions it was read. snnTorch
     (`snntorch.export_nir.export_to_nir`) and Norse (`norse.torch.to_nir`) make such graphs of their networks.
     """
     import nir
 
     file = io.BytesIO()
     nir.write(file, graph)
-    options = {"dt_ms": dt_ms, "reset": reset, "threshold": threshold, "input_shape": input_shape}
-    return _nsim.from_bytes(name, file.getvalue(), **options)
+    return _nsim.from_bytes(name, file.getvalue(), dt_ms=dt_ms, reset=reset, decay=decay, threshold=threshold)
+
+
+class _Subtracting:
+    """A graph whose neurons subtract, though the exporter wrote v_reset: `nir.write` then leaves the field out."""
+
+    def __init__(self, graph):
+        self.graph = graph
+
+    def to_dict(self):
+        def without(node):
+            return {key: without(value) for key, value in node.items() if key != "v_reset"} if isinstance(node, dict) else node
+
+        return without(self.graph.to_dict())
 
 
 def from_torch(module, sample, *, export=None, **options):
@@ -76,4 +88,8 @@ def _of_snntorch(module, sample):
                 delattr(layer, name)
                 layer.register_buffer(name, value.detach().reshape(1).repeat(shapes[layer].numel()).reshape(shapes[layer]))
     reset(module)
-    return export_to_nir(module, sample, ignore_dims=[0]), {"dt_ms": 0.1, "reset": resets.pop()}
+    graph, how = export_to_nir(module, sample, ignore_dims=[0]), resets.pop()
+    if how == "zero":
+        return graph, {"dt_ms": 0.1, "reset": how}
+    later = all(getattr(layer, "reset_delay", True) for layer in layers)
+    return _Subtracting(graph), {"dt_ms": 0.1, "reset": "subtract-later" if later else "subtract"}

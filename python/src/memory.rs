@@ -10,7 +10,7 @@ use std::path::Path;
 use nsim::base::fixed::SignMode;
 use nsim::desc::network::{Network, ThresholdTest};
 use nsim::desc::neurons::NeuronKind;
-use nsim::io::foreign::{self, Options, ResetMode};
+use nsim::io::foreign::{self, DecayRule, Options, ResetMode};
 use nsim::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use nsim::ir::graph::MOST_UNITS;
 use pyo3::conversion::FromPyObjectOwned;
@@ -242,6 +242,10 @@ pub fn imported(
         ResetMode::Subtract => "subtract",
         ResetMode::SubtractLater => "subtract-later",
     };
+    let decays = |decay: DecayRule| match decay {
+        DecayRule::Euler => "euler",
+        DecayRule::Exponential => "exponential",
+    };
     let tests = |test: ThresholdTest| match test {
         ThresholdTest::Strict => "strict",
         ThresholdTest::Inclusive => "inclusive",
@@ -249,6 +253,7 @@ pub fn imported(
     let options = Options {
         dt_ms: keywords.take("dt_ms")?,
         reset: keywords.one_of("reset", &[ResetMode::Zero, ResetMode::Subtract, ResetMode::SubtractLater], resets)?,
+        decay: keywords.one_of("decay", &[DecayRule::Euler, DecayRule::Exponential], decays)?,
         threshold: keywords.one_of("threshold", &[ThresholdTest::Strict, ThresholdTest::Inclusive], tests)?,
         input_shape: keywords.take("input_shape")?,
         ..Options::default()

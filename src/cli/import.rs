@@ -14,7 +14,8 @@ use crate::cli::output;
 use crate::compile::frontend;
 use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::error::Error;
-use crate::io::foreign::{self, Imported, Options, ResetMode};
+use crate::io::changes;
+use crate::io::foreign::{self, DecayRule, Imported, Options, ResetMode};
 use crate::io::model_builder::{ModelBuilder, ProjectionKind};
 use crate::report::inspect::{Findings, FindingsTable};
 
@@ -48,6 +49,11 @@ pub struct Args {
     /// which only some targets can do
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&RESETS))]
     reset: Option<ResetMode>,
+    /// What a step leaves of a state, where the file has time constants (NIR): 1 - dt / tau, as
+    /// snnTorch and Norse (euler), or exp(-dt / tau), as sinabs and Rockpool (exponential)
+    /// [default: euler]
+    #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("euler", DecayRule::Euler), ("exponential", DecayRule::Exponential)]))]
+    decay: Option<DecayRule>,
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)]))]
     threshold: Option<ThresholdTest>,
@@ -92,6 +98,7 @@ impl Args {
             dt_ms: self.dt,
             neuron: self.neuron.clone(),
             reset: self.reset,
+            decay: self.decay,
             threshold: self.threshold,
             decision: self.decision,
             image: self.image.clone(),
@@ -108,6 +115,10 @@ impl Args {
 /// # Errors
 /// When the file cannot be read, is of no kind that is imported, or holds what nsim has no counterpart for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    if changes::of_process().iter().any(|change| !change.is_of_target()) {
+        let message = "import writes what the file says: give --set to the command that uses the model";
+        return Err(Error::Usage(message.to_string()));
+    }
     let taken = output::check_files(&args.output, None, context)?;
     let imported = foreign::read(&args.file, &args.options()?)?;
     let shown = args.output.as_deref().unwrap_or(&args.file);

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use crate::base::diagnostic::SourceText;
 use crate::desc::network::ThresholdTest;
-use crate::io::foreign::{Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
+use crate::io::foreign::{DecayRule, Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
 use crate::io::spikes::events::{nir_data, read};
 use crate::io::spikes::{EventFormat, EventOptions, Expected};
 
@@ -15,6 +15,8 @@ use crate::io::spikes::{EventFormat, EventOptions, Expected};
 fn import(path: &str, data: &[u8]) {
     let options = [
         Options::default(),
+        // What NIR takes, and what netx takes.
+        Options { dt_ms: Some(1.0), decay: Some(DecayRule::Exponential), ..Options::default() },
         Options {
             dt_ms: Some(1.0),
             threshold: Some(ThresholdTest::Inclusive),

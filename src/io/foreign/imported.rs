@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use crate::base::diagnostic::{Diagnostic, Result};
 use crate::base::fixed::{Delay, ThresholdMantissa};
 use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::io::model_builder::{ModelBuilder, Parameter};
@@ -21,6 +22,8 @@ pub struct Options {
     pub neuron: Option<PathBuf>,
     /// What a neuron does to its voltage when it spikes (NIR).
     pub reset: Option<ResetMode>,
+    /// What a step leaves of a state with a time constant (NIR), if not as Euler's rule has it.
+    pub decay: Option<DecayRule>,
     /// When a compartment spikes, if not strictly above its threshold.
     pub threshold: Option<ThresholdTest>,
     /// What of the output decides, if not what suits its neurons.
@@ -35,6 +38,36 @@ pub struct Options {
     pub reset_offset: u32,
     /// Channels, height, width of the input of a network that begins with a convolution.
     pub input_shape: Option<Vec<u64>>,
+}
+
+impl Options {
+    /// Refuses the options that a kind of file has no use for: all that are given but these.
+    pub(super) fn refuse_unused(&self, file: &str, used: &[&str]) -> Result<()> {
+        let given = [
+            ("--neuron", self.neuron.is_some()),
+            ("--reset", self.reset.is_some()),
+            ("--decay", self.decay.is_some()),
+            ("--image", self.image.is_some()),
+            ("--first-step", self.first_step.is_some()),
+            ("--reset-interval", self.reset_interval.is_some()),
+            ("--input-shape", self.input_shape.is_some()),
+        ];
+        match given.into_iter().find(|(name, given)| *given && !used.contains(name)) {
+            None => Ok(()),
+            Some((name, _)) => {
+                Err(Diagnostic::new("import.option", format!("{name} says nothing of {file}")).help("leave it out"))
+            }
+        }
+    }
+}
+
+/// What a step of dt leaves of a state with the time constant tau.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DecayRule {
+    /// 1 - dt / tau (snnTorch, Norse).
+    Euler,
+    /// exp(-dt / tau) (sinabs, Rockpool).
+    Exponential,
 }
 
 /// What a neuron does to its voltage when it spikes.

@@ -21,7 +21,7 @@ pub mod window;
 use std::path::Path;
 
 use self::imported::listed;
-pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
+pub use self::imported::{DecayRule, Imported, LayerWeights, Options, ResetMode};
 use super::budget::MOST_ARRAY;
 use super::kind::FileKind;
 use super::text::read_bytes;
@@ -69,8 +69,11 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
             .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
     }
     if root.group("layer").is_some() {
+        let used = ["--image", "--first-step", "--reset-interval", "--input-shape"];
+        options.refuse_unused("a network of lava-dl's netx", &used)?;
         netx::read(&root, &name, options)
     } else if root.group("node").is_some() {
+        options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
         nir::read(&root, &name, options)
     } else {
         let members: Vec<&str> = root.items.keys().take(8).map(String::as_str).collect();

@@ -152,10 +152,15 @@ impl Graph {
             && model.projections.iter().all(|projection| projection.to != population.name);
         let mut sums: BTreeMap<String, Vec<f64>> = BTreeMap::new();
         for projection in model.projections.iter().filter(|projection| projection.from.contains(&population.name)) {
+            let undelayed = |other: &ProjectionBuilder| {
+                let target = model.population(&other.to);
+                let mut sources = other.from.iter().filter_map(|from| model.population(from));
+                target.is_some_and(|target| sources.all(|source| written_delay(other, source, target) == 0))
+            };
             let other = model
                 .projections
                 .iter()
-                .find(|other| other.to == projection.to && !other.from.contains(&population.name) && other.delay == 0);
+                .find(|other| other.to == projection.to && !other.from.contains(&population.name) && undelayed(other));
             let (ProjectionKind::Dense(weights), 1, 0, Some(other)) =
                 (&projection.kind, projection.from.len(), projection.delay, other)
             else {
@@ -288,7 +293,8 @@ impl Graph {
         let mut first = 0;
         for (part, source) in sources.iter().enumerate() {
             let name = self.free(&format!("w{index}_{part}"));
-            let bias = if projection.delay == 0 { self.bias_for(projection, target) } else { None };
+            let undelayed = written_delay(projection, source, target) == 0;
+            let bias = if undelayed { self.bias_for(projection, target) } else { None };
             let chain = self.weights(projection, (source, target), (first, together), unit, bias)?;
             first += source.units();
             let mut last = source.name.clone();
@@ -402,9 +408,10 @@ impl Graph {
                 chain.push(node("Scale").with("scale", Numbers::f64(&axes, &scale)));
             }
         }
+        let delay = written_delay(projection, source, target);
         // The target's own shape, where weights make a line of it.
-        if projection.delay > 0 {
-            let seconds = vec![f64::from(projection.delay) * self.dt; rows as usize];
+        if delay > 0 {
+            let seconds = vec![f64::from(delay) * self.dt; rows as usize];
             let line = [rows as usize];
             let volume: Vec<usize> = target.shape.iter().map(|&axis| axis as usize).collect();
             let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
@@ -542,6 +549,15 @@ fn counts(model: &ModelBuilder, projection: &ProjectionBuilder) -> f64 {
         (true, _) => 1.0,
         (false, scale) => scale.unwrap_or(1.0) * (projection.weight_exp as f64).exp2(),
     }
+}
+
+/// The delay of a projection without the wait for a layer that starts later, which import adds.
+fn written_delay(projection: &ProjectionBuilder, source: &PopulationBuilder, target: &PopulationBuilder) -> u32 {
+    let wait = match &source.loihi {
+        None => target.start_step,
+        Some(_) => target.start_step.saturating_sub(source.start_step).saturating_sub(1),
+    };
+    projection.delay.saturating_sub(wait)
 }
 
 /// One bias a channel, where all units of a channel have the same.

@@ -212,11 +212,18 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
             let tau_syn_inv = need("tau_syn_inv", taken("tau_syn_inv")?)?;
             let tau_mem_inv = need("tau_mem_inv", taken("tau_mem_inv")?)?;
             let (v_leak, v_th) = (taken("v_leak")?.unwrap_or(0.0), taken("v_th")?.unwrap_or(1.0));
-            if let Some(v_reset) = taken("v_reset")?.filter(|&v_reset| v_reset != 0.0) {
-                return Err(wrong(format!("the neuron resets to v_reset {v_reset}"))
-                    .help("a compartment of Loihi returns to zero: train with v_reset 0"));
+            match taken("v_reset")?.unwrap_or(0.0) {
+                0.0 => NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak, v_th },
+                // Counted from where it rests, it rests and resets at 0.
+                v_reset if v_reset == v_leak => {
+                    NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak: 0.0, v_th: v_th - v_leak }
+                }
+                v_reset => {
+                    return Err(wrong(format!("the neuron resets to v_reset {v_reset}")).help(
+                        "a compartment of Loihi returns to zero: train with v_reset 0, or with v_leak there too",
+                    ));
+                }
             }
-            NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak, v_th }
         }
         other => return Err(wrong(format!("neurons of the type '{other}' are not known")).help(KINDS)),
     };
@@ -286,6 +293,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
         let weights = tensor.reals().collect();
         matrices.push(Matrix { name: (*part).to_string(), targets, sources, weights, ..Matrix::default() });
     }
+    options.refuse_unused("weights of VT_SNN", &["--neuron", "--input-shape"])?;
     let (neuron, notes) = neuron_of(options)?;
     build("weights of VT_SNN", prefix.unwrap_or("vtsnn"), matrices, &neuron, notes, options)
 }
@@ -319,7 +327,10 @@ pub(super) fn neuron_of(options: &Options) -> Result<(Neuron, Vec<String>)> {
             )
         }
         NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak, v_th } => {
-            format!("tau_syn_inv {tau_syn_inv} / s, tau_mem_inv {tau_mem_inv} / s, v_leak {v_leak}, v_th {v_th}")
+            let begins = if *v_leak == 0.0 { "" } else { "; v begins at 0 here, at v_leak in Norse" };
+            format!(
+                "tau_syn_inv {tau_syn_inv} / s, tau_mem_inv {tau_mem_inv} / s, v_leak {v_leak}, v_th {v_th}{begins}"
+            )
         }
     };
     let note = format!("neurons of {}: {described}", config.display());

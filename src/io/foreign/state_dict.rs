@@ -20,6 +20,7 @@ use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, popul
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
 use crate::base::diagnostic::{Diagnostic, Result};
+use crate::io::model_builder::Parameter;
 
 /// What a tensor is to its module.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -345,6 +346,7 @@ fn integers(
     mut notes: Vec<String>,
     options: &Options,
 ) -> Result<Imported> {
+    options.refuse_unused("layers of SLAYER and lava-dl", &["--neuron", "--input-shape"])?;
     let lava = modules.iter().any(|module| {
         module.has(Role::CurrentDecay) || module.arrays.values().any(|array| array.key.contains("synapse."))
     });
@@ -400,6 +402,7 @@ fn real(
     mut notes: Vec<String>,
     options: &Options,
 ) -> Result<Imported> {
+    options.refuse_unused("a state dict", &["--neuron", "--reset", "--input-shape"])?;
     for array in modules.iter_mut().flat_map(|module| module.arrays.values_mut()).filter(|array| array.single) {
         array.numbers.iter_mut().for_each(|number| *number = decimal(*number));
     }
@@ -440,6 +443,9 @@ fn real(
         last = graph.follow(&last, "flatten", node("Flatten"));
     }
     let mut lines = Vec::new();
+    // Layers of snnTorch whose reset to zero takes away the input of the next step too, as that of
+    // Leaky alone does not (snnTorch 1.0.0, `_base_zero`).
+    let mut held = Vec::new();
     for (place, (index, matrix)) in layers.iter().enumerate() {
         let layer = &modules[*index];
         let described = match neuron.map(|neuron| &neuron.kind) {
@@ -488,13 +494,7 @@ fn real(
             }
             let size = (matrix.targets, matrix.targets);
             let own = weights_node(&array.numbers, size, owner, Role::RecurrentBias)?;
-            let mut back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
-            if matches!(neuron.map(|neuron| &neuron.kind), Some(NeuronKind::Lif { .. })) {
-                // Norse's voltage takes up the current of the step before; between layers that is a
-                // constant shift.
-                let delay = node("Delay").with("delay", Numbers::f64(&[1], &[dt]));
-                back = graph.follow(&back, &format!("{}.delay", described.name), delay);
-            }
+            let back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
             graph.edge(&back, &population);
         }
         if let Some(array) = owner.arrays.get(&Role::OneToOne) {
@@ -502,6 +502,11 @@ fn real(
             let own = node("Scale").with("scale", Numbers::f64(&[matrix.targets], &scale));
             let back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
             graph.edge(&back, &population);
+        }
+        let norse = matches!(neuron.map(|neuron| &neuron.kind), Some(NeuronKind::Lif { .. }));
+        let recurrent = owner.has(Role::Recurrent) || owner.has(Role::OneToOne);
+        if !norse && (described.synapse.is_some() || recurrent) {
+            held.push(population_name(&population));
         }
         last = population;
         lines.push(LayerWeights::new(
@@ -520,6 +525,18 @@ fn real(
     let root = Group::default().with("node", graph.finish());
     let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?;
     notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
+    if reset == Some(ResetMode::Zero) && !held.is_empty() {
+        for name in &held {
+            let population = model.populations.iter_mut().find(|population| population.name == *name);
+            if let Some(parameters) = population.and_then(|population| population.loihi.as_mut()) {
+                parameters.push(("refractory", Parameter::Same(2.0)));
+            }
+        }
+        notes.push(format!(
+            "{}: v stays 0 in the step after a spike (refractory 2), as snnTorch's reset to zero takes the input of that step",
+            held.join(", ")
+        ));
+    }
     model.provenance = Some(format!("imported from a {kind}; {}", notes.join("; ")));
     Ok(Imported { kind, model, notes, layers: lines })
 }

@@ -97,6 +97,25 @@ impl Reader<'_> {
         Ok(connection)
     }
 
+    /// Notes delays that are no whole number of steps.
+    pub(super) fn note_rounded_delays(&mut self) -> Result<()> {
+        for (name, node) in self.flat.nodes.iter().filter(|(_, node)| node.kind == "Delay") {
+            let steps: Vec<f64> = reals(node.group, name, "delay")?.iter().map(|delay| delay / self.dt).collect();
+            let off = |steps: f64| (steps - steps.round_ties_even()).abs();
+            let Some(most) = steps.iter().copied().max_by(|a, b| off(*a).total_cmp(&off(*b))) else { continue };
+            if off(most) > 1e-3 {
+                self.notes.push(format!(
+                    "node '{name}': {} of its {} delays are no whole number of steps and are rounded, the furthest from {most:.3} \
+                     to {} (--dt gives other steps)",
+                    steps.iter().filter(|steps| off(**steps) > 1e-3).count(),
+                    steps.len(),
+                    most.round_ties_even()
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// Makes the delays so far those of the sources, before weights that mix units.
     fn before_weights(&self, connection: &mut Connection, name: &str) -> Result<()> {
         if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {

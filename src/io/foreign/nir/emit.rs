@@ -45,7 +45,7 @@ impl Reader<'_> {
             let kind = ProjectionKind::Dense(tensor(vec![units, 1], weights));
             projections.push(ProjectionBuilder::new(&source, &self.names[name], kind));
             self.notes.push(format!(
-                "'{name}': its current keeps a bias, which '{source}', a compartment that spikes in every step, brings from step 1 on"
+                "'{name}': its current keeps a bias, which '{source}', a compartment that spikes in every step, brings"
             ));
         }
         let to = self.names[name].clone();
@@ -53,10 +53,14 @@ impl Reader<'_> {
             projections.extend(self.later_subtraction(&to, neuron, units)?);
         }
         let mut parameters = Vec::new();
-        if neuron.threshold.is_none() {
-            // What never spikes is in integers: the largest weight takes the whole mantissa.
-            let most = projections.iter().map(|p| greatest(&p.kind)).fold(0.0, f64::max);
-            let scale = if most > 0.0 { 254.0 / most } else { 1.0 };
+        if matches!(neuron.threshold, None | Some(Parameter::Same(0.0))) {
+            // Without a threshold above 0 it is in integers: the largest weight takes the whole
+            // mantissa, unless all are mantissas.
+            let every: Vec<f64> = projections.iter().flat_map(|projection| weights(&projection.kind)).collect();
+            let most = every.iter().fold(0.0, |most: f64, weight| most.max(weight.abs()));
+            let mantissas =
+                neuron.threshold.is_some() && most <= 254.0 && every.iter().all(|weight| weight % 2.0 == 0.0);
+            let scale = if most > 0.0 && !mantissas { 254.0 / most } else { 1.0 };
             for projection in &mut projections {
                 projection.weight_scale = Some(scale);
             }
@@ -70,7 +74,8 @@ impl Reader<'_> {
                 parameters.push(("bias_mant", Parameter::from_values(mantissas)));
                 parameters.push(("bias_exp", Parameter::Same(f64::from(exponent))));
             }
-            self.notes.push(format!("'{name}' never spikes: its v counts {} for a unit", scale * 64.0));
+            let spikes = if neuron.threshold.is_none() { "never spikes" } else { "spikes above 0" };
+            self.notes.push(format!("'{name}' {spikes}: its v counts {} for a unit", scale * 64.0));
         } else if bias.iter().any(|&b| b != 0.0) {
             parameters.push(("bias", Parameter::from_values(bias)));
         }
@@ -312,13 +317,11 @@ impl Reader<'_> {
     }
 }
 
-/// The greatest magnitude of a projection's weights.
-pub(super) fn greatest(kind: &ProjectionKind) -> f64 {
+/// The weights of a projection.
+fn weights(kind: &ProjectionKind) -> Vec<f64> {
     match kind {
-        ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => {
-            weights.reals().map(f64::abs).fold(0.0, f64::max)
-        }
-        ProjectionKind::Sparse(synapses) => synapses.iter().map(|s| s.2.abs()).fold(0.0, f64::max),
-        ProjectionKind::SumPool2d { weight, .. } => weight.abs(),
+        ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => weights.reals().collect(),
+        ProjectionKind::Sparse(synapses) => synapses.iter().map(|synapse| synapse.2).collect(),
+        ProjectionKind::SumPool2d { weight, .. } => vec![*weight],
     }
 }

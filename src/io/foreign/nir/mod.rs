@@ -65,10 +65,12 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     }
     let mut flat = Flat::default();
     unfold(graph, "", 0, &mut flat)?;
+    let mut model = ModelBuilder::new(name, 1.0);
+    model.threshold = options.threshold.unwrap_or_default();
     let mut reader = Reader {
         flat,
         options,
-        model: ModelBuilder::new(name, 1.0),
+        model,
         notes,
         names: BTreeMap::new(),
         shapes: BTreeMap::new(),
@@ -92,8 +94,10 @@ fn check_restored(model: &ModelBuilder, options: &Options) -> Result<()> {
         Some(ResetMode::Zero) => ours(NeuronKind::SoftReset).then_some("--reset zero"),
         Some(_) => (!ours(NeuronKind::SoftReset)).then_some("--reset by subtraction"),
     };
+    let other_test = options.threshold.is_some_and(|threshold| threshold != model.threshold).then_some("--threshold");
     let other_step = options.dt_ms.is_some_and(|dt| (dt / model.timestep_ms - 1.0).abs() > 1e-9);
-    match contradicted.or(other_step.then_some("--dt")) {
+    let decay = options.decay.map(|_| "--decay");
+    match contradicted.or(other_test).or(decay).or(other_step.then_some("--dt")) {
         None => Ok(()),
         Some(option) => Err(Diagnostic::new(
             "import.option",
@@ -127,6 +131,8 @@ impl Reader<'_> {
             let neuron = self.discretise(name)?;
             discrete.insert(name.clone(), neuron);
         }
+        self.note_rounded_delays()?;
+        self.wait_for_biases(&order, &discrete)?;
         // Neurons whose file does not say to what value they reset.
         let mut unsaid = false;
         for name in &order {
@@ -138,6 +144,7 @@ impl Reader<'_> {
                     tau_v.map_or(("dv", neuron.dv.clone()), |tau| ("tau_v_ms", tau)),
                 ];
                 match &neuron.threshold {
+                    Some(Parameter::Same(0.0)) => parameters.push(("vth_mant", Parameter::Same(0.0))),
                     Some(threshold) => parameters.push(("vth", threshold.clone())),
                     None => parameters.push(("vth_mant", Parameter::Same(NEVER))),
                 }
@@ -152,7 +159,11 @@ impl Reader<'_> {
                         "import.option",
                         format!("node '{name}' has v_reset 0, which --reset {} contradicts", self.reset_name()),
                     )
-                    .help("leave --reset out: a neuron with v_reset returns to that value"));
+                    .help(
+                        "leave --reset out: a neuron with v_reset returns to that value. snnTorch and sinabs write v_reset 0 for \
+                         networks that subtract too: read such a network of snnTorch from its state dict (torch.save), or delete \
+                         the field from each node with h5py: del file['node/nodes/NAME/v_reset']",
+                    ));
                 }
                 Some(_) => NeuronKind::SoftReset,
                 None => NeuronKind::Loihi,

@@ -8,7 +8,7 @@ use std::cmp::Ordering;
 use super::reader::{Reader, product, resets, unsupported, wrong};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::foreign::hdf5::Group;
-use crate::io::foreign::imported::decimal;
+use crate::io::foreign::imported::{DecayRule, decimal};
 use crate::io::model_builder::Parameter;
 
 /// What a neuron is once it is discretised.
@@ -159,21 +159,31 @@ impl Reader<'_> {
             if !all(&tau, |tau| tau > 0.0) {
                 return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
             }
+            if self.options.decay == Some(DecayRule::Exponential) {
+                return Ok(tau.map(|tau| -(-dt / tau).exp_m1()));
+            }
             if !all(&tau, |tau| dt <= tau * (1.0 + 1e-6)) {
                 return Err(Diagnostic::new(
                     "import.option",
                     format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3),
                 )
-                .help("give a shorter one with --dt MS; time constants of a file are in seconds"));
+                .help(
+                    "give a shorter one with --dt MS; time constants of a file are in seconds. A tool whose states decay by \
+                     exp(-dt / tau) is read with --decay exponential",
+                ));
             }
             Ok(tau.map(|tau| (dt / tau).min(1.0)))
         };
-        let decay = |fraction: &Parameter| fraction.map(|fraction| (4096.0 * fraction).round_ties_even());
         // What is left after a step, 1 - fraction, as exp(-dt / tau).
         let tau = |fraction: &Parameter| {
             let exact = |fraction: f64| (4096.0 * fraction - (4096.0 * fraction).round()).abs() < EXACT;
             let none = all(fraction, exact) || !all(fraction, |fraction| fraction < 1.0);
             (!none).then(|| fraction.map(|fraction| -dt * 1e3 / (-fraction).ln_1p()))
+        };
+        // In 4096ths; whole numbers of them where these hold the decays.
+        let decay = |fraction: &Parameter| match tau(fraction) {
+            None => fraction.map(|fraction| (4096.0 * fraction).round_ties_even()),
+            Some(_) => fraction.map(|fraction| 4096.0 * fraction),
         };
         // `dt / tau * (tau / dt)`, which exporters write for "no scaling", is 1 but for rounding.
         let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
@@ -191,9 +201,10 @@ impl Reader<'_> {
             _ if spiking => Some(get("v_threshold", None)?),
             _ => None,
         };
-        if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0)) {
+        // One of 0 is a mantissa of 0; beside others, weights have no scale.
+        if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0) && !all(threshold, |x| x == 0.0)) {
             return Err(unsupported(
-                format!("node '{name}' has a threshold of 0 or below"),
+                format!("node '{name}' has a threshold below 0, or one of 0 beside others"),
                 "a threshold mantissa is not negative, and weights are scaled by it",
             ));
         }
@@ -243,7 +254,7 @@ impl Reader<'_> {
             _ => return Ok(None),
         };
         let shown = |value: &Parameter| match value {
-            Parameter::Same(x) => format!("{x}"),
+            Parameter::Same(x) => format!("{}", (x * 1e6).round() / 1e6),
             Parameter::Each(_) => "each its own".to_string(),
         };
         self.notes.push(format!(
