@@ -55,7 +55,13 @@ impl Columns {
             (Some((other, _)), _) => Some(format!("'{}' and '{}' are both times", names[time], names[other])),
             (None, place) => place.map(|place| format!("a column '{}' keeps several recordings apart", names[place])),
         };
-        let polarity = find(&["p", "polarity", "pol"]);
+        const POLARITY: [&str; 3] = ["p", "polarity", "pol"];
+        let twice = [&["x"][..], &["y"], &POLARITY].into_iter().find_map(|wanted| {
+            let mut named = names.iter().filter(|name| wanted.contains(&name.as_str()));
+            let (first, second) = (named.next()?, named.next()?);
+            Some(format!("'{first}' and '{second}' are the same field"))
+        });
+        let (polarity, refused) = (find(&POLARITY), refused.or(twice));
         Some(Columns { x: find(&["x"])?, y: find(&["y"]), polarity, time, unit, refused })
     }
 
@@ -173,6 +179,7 @@ mod tests {
             ("t,x,y\n1,2\n", "row 2: y '' is no number"),
             ("t,x\n1,-1\n", "x -1"),
             ("t,x,p\n1,1,2\n", "polarity 2"),
+            ("t,x,p,pol\n1,1,1,0\n", "'p' and 'pol' are the same field"),
             ("t,x\nNaN,1\n", "no number"),
         ] {
             let error = read(wrong).unwrap_err();
