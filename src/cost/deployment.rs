@@ -73,6 +73,7 @@ pub struct Deployment {
 }
 
 /// What the chip that has most cores in use holds.
+#[derive(Clone, Copy)]
 struct FullestChip {
     cores: u64,
     tiles: u64,
