@@ -13,10 +13,9 @@ use nsim::base::diagnostic::Diagnostic;
 use nsim::base::rng;
 use nsim::compile::frontend::lower::lower;
 use nsim::desc::network::ThresholdTest;
-use nsim::io::changes::{self, Change};
 use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
-use nsim::io::foreign::{self, DecayRule, Imported, Options, ResetMode, nir_export};
-use nsim::io::model::load_model;
+use nsim::io::foreign::imported::DecayRule;
+use nsim::io::foreign::{self, Imported, Options, ResetMode, nir_export};
 use nsim::io::model_builder::{ModelBuilder, Parameter, ProjectionKind};
 use real::{STEPS, input, spikes, total};
 
@@ -490,21 +489,6 @@ fn options_are_used_or_refused() {
     let model = read(&root, &exponential).unwrap().model;
     let Some(Parameter::Same(tau)) = model.population("n").unwrap().parameter("tau_v_ms").cloned() else { panic!() };
     assert!((tau - 8.0).abs() < 1e-9, "{tau}");
-}
-
-#[test]
-fn changes_reach_the_model_of_an_imported_file() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("net.nir");
-    let nodes = [("i", source(&[4])), ("w", linear(3, 4, 61)), ("n", lif(&[3])), ("o", output())];
-    std::fs::write(&path, hdf5::write(&file(&nodes, &[])).unwrap()).unwrap();
-    let text = |change: &str| {
-        let change = Change::parse(change).unwrap();
-        changes::within(&[change], || load_model(path.to_str().unwrap()))
-            .map(|network| network.source().text().to_string())
-    };
-    assert!(text("populations.n.start_step=5").unwrap().contains("start_step: 5"));
-    assert_eq!(text("populations.m.start_step=5").unwrap_err().code, "set.path");
 }
 
 #[test]

@@ -14,8 +14,8 @@ use crate::cli::output;
 use crate::compile::frontend;
 use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::error::Error;
-use crate::io::changes;
-use crate::io::foreign::{self, DecayRule, Imported, Options, ResetMode};
+use crate::io::foreign::imported::DecayRule;
+use crate::io::foreign::{self, Imported, Options, ResetMode};
 use crate::io::model_builder::{ModelBuilder, ProjectionKind};
 use crate::report::inspect::{Findings, FindingsTable};
 
@@ -115,10 +115,6 @@ impl Args {
 /// # Errors
 /// When the file cannot be read, is of no kind that is imported, or holds what nsim has no counterpart for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    if changes::of_process().iter().any(|change| !change.is_of_target()) {
-        let message = "import writes what the file says: give --set to the command that uses the model";
-        return Err(Error::Usage(message.to_string()));
-    }
     let taken = output::check_files(&args.output, None, context)?;
     let imported = foreign::read(&args.file, &args.options()?)?;
     let shown = args.output.as_deref().unwrap_or(&args.file);

@@ -7,7 +7,8 @@ use std::path::Path;
 
 use crate::base::diagnostic::SourceText;
 use crate::desc::network::ThresholdTest;
-use crate::io::foreign::{DecayRule, Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
+use crate::io::foreign::imported::DecayRule;
+use crate::io::foreign::{Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
 use crate::io::spikes::events::{nir_data, read};
 use crate::io::spikes::{EventFormat, EventOptions, Expected};
 

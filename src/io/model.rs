@@ -21,13 +21,7 @@ use crate::desc::tensor::Tensor;
 pub fn load_model(argument: &str) -> Result<Network> {
     let path = Path::new(argument);
     if shipped::is_path(argument) && foreign::is_foreign(path) {
-        let network = foreign::network(path, &foreign::Options::default())?;
-        let source = changes::model(network.source().clone())?;
-        return network.with_file(NetworkFile::parse(&source)?, source).ok_or_else(|| {
-            Diagnostic::new("set.path", "--set names an array that the imported file does not have")
-                .help("import it first: nsim import FILE -o MODEL.ron")
-                .in_file(path)
-        });
+        return foreign::network(path, &foreign::Options::default());
     }
     let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown")?;
     network(source, origin)

@@ -15,7 +15,6 @@ use hdf5_pure::{
     FileBuilder, FinishedGroup, FixedPointLayout, FloatingPointLayout, GroupBuilder, VlenStringReadOptions,
 };
 
-use super::hdf5_links;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::{Budget, Exceeded};
 use crate::io::element::Element;
@@ -276,7 +275,7 @@ const REWRITTEN: &str = "python3 -c \"import h5py; copy = lambda old, new: [copy
 /// `hdf5.format`, `hdf5.link`, `hdf5.too-large`.
 pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     let mut budget = Reading { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
-    if let Some(link) = hdf5_links::find(&bytes) {
+    if let Some(link) = super::hdf5_links::find(&bytes) {
         return Err(Diagnostic::new("hdf5.link", format!("the HDF5 file has links that are not followed: {link}"))
             .help(format!("write what they lead to in their place: {REWRITTEN}"))
             .in_file(path));

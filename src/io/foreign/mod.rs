@@ -21,7 +21,7 @@ pub mod window;
 use std::path::Path;
 
 use self::imported::listed;
-pub use self::imported::{DecayRule, Imported, LayerWeights, Options, ResetMode};
+pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
 use super::budget::MOST_ARRAY;
 use super::kind::FileKind;
 use super::text::read_bytes;

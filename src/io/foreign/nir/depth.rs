@@ -15,7 +15,6 @@ use std::collections::BTreeMap;
 use petgraph::algo::tarjan_scc;
 use petgraph::graph::DiGraph;
 
-use super::neuron::{Discrete, all};
 use super::reader::Reader;
 use crate::base::diagnostic::Result;
 
@@ -57,32 +56,6 @@ impl Reader<'_> {
             }
         }
         self.depths = order.iter().cloned().zip(depths).collect();
-        Ok(())
-    }
-
-    /// Makes all layers start a step later where a bias of a current is to reach the first of them
-    /// in its first step: the compartment that brings biases spikes in step 0 for the first time.
-    pub(super) fn wait_for_biases(
-        &mut self,
-        order: &[String],
-        discrete: &BTreeMap<String, Option<Discrete>>,
-    ) -> Result<()> {
-        let mut waits = false;
-        for name in order.iter().filter(|name| self.depths[*name] == 0) {
-            let Some(neuron) = &discrete[name] else { continue };
-            if all(&neuron.du, |du| du == 4096.0) {
-                continue;
-            }
-            for path in self.paths(name)? {
-                waits |= self.walk(&self.shapes[&path[0]], &path[1..])?.bias.is_some();
-            }
-        }
-        if waits {
-            self.notes
-                .push("layers start a step later than their depth: a bias reaches the first current then".to_string());
-        }
-        let started = self.depths.iter_mut().filter(|(name, _)| self.flat.nodes[*name].kind != "Input");
-        started.for_each(|(_, depth)| *depth += u32::from(waits));
         Ok(())
     }
 

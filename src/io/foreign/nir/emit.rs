@@ -13,6 +13,32 @@ use crate::io::foreign::window::MOST_LISTED;
 use crate::io::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 
 impl Reader<'_> {
+    /// Makes all layers start a step later where a bias of a current is to reach the first of them
+    /// in its first step: the compartment that brings biases spikes in step 0 for the first time.
+    pub(super) fn wait_for_biases(
+        &mut self,
+        order: &[String],
+        discrete: &BTreeMap<String, Option<Discrete>>,
+    ) -> Result<()> {
+        let mut waits = false;
+        for name in order.iter().filter(|name| self.depths[*name] == 0) {
+            let Some(neuron) = &discrete[name] else { continue };
+            if all(&neuron.du, |du| du == 4096.0) {
+                continue;
+            }
+            for path in self.paths(name)? {
+                waits |= self.walk(&self.shapes[&path[0]], &path[1..])?.bias.is_some();
+            }
+        }
+        if waits {
+            self.notes
+                .push("layers start a step later than their depth: a bias reaches the first current then".to_string());
+        }
+        let started = self.depths.iter_mut().filter(|(name, _)| self.flat.nodes[*name].kind != "Input");
+        started.for_each(|(_, depth)| *depth += u32::from(waits));
+        Ok(())
+    }
+
     /// All input of a population: projections, and its bias.
     pub(super) fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<()> {
         let shape = self.shapes[name].clone();
