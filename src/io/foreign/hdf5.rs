@@ -30,6 +30,12 @@ const MOST_AXES: usize = 8;
 /// Strings of a data set.
 const MOST_STRINGS: u64 = 1 << 16;
 
+/// Copies FILE to NEW: its arrays as they read, wherever links lead, in the layout that h5py writes
+/// unless it is asked for another.
+const REWRITTEN: &str = "python3 -c \"import h5py; copy = lambda old, new: [copy(old[k], new.create_group(k)) if \
+                         hasattr(old[k], 'keys') else new.create_dataset(k, data=old[k][()]) for k in old]; \
+                         copy(h5py.File('FILE'), h5py.File('NEW', 'w'))\"";
+
 /// Reals of 16 bits: IEEE 754's half precision, and bfloat16.
 const BINARY16: FloatingPointLayout = FloatingPointLayout {
     bit_offset: 0,
@@ -262,12 +268,6 @@ impl Reading<'_> {
         problem.in_file(self.path)
     }
 }
-
-/// Copies FILE to NEW: its arrays as they read, wherever links lead, in the layout that h5py writes
-/// unless it is asked for another.
-const REWRITTEN: &str = "python3 -c \"import h5py; copy = lambda old, new: [copy(old[k], new.create_group(k)) if \
-                         hasattr(old[k], 'keys') else new.create_dataset(k, data=old[k][()]) for k in old]; \
-                         copy(h5py.File('FILE'), h5py.File('NEW', 'w'))\"";
 
 /// Reads a whole file.
 ///
