@@ -101,6 +101,34 @@ pub struct Diagnostic {
 #[derive(Debug, Clone)]
 struct Others(Vec<Diagnostic>);
 
+/// What to change where a problem does not say it itself: by the beginning of its code, or its end;
+/// the first counts.
+const USUAL: [(&str, &str); 23] = [
+    (".syntax", "nsim inspect FILE says what a file is: a model begins with Network(, a data set with DataSet("),
+    ("io.missing", "check the path, which begins in the folder that nsim is called in"),
+    ("io.denied", "allow its reading: chmod u+r FILE"),
+    ("io.folder", "name a file in it"),
+    ("io.too-large", "give a part of it"),
+    ("io.utf8", "save the text as UTF-8"),
+    ("io.", "copy the file to a disk that can be read, and give the copy"),
+    ("npy.value", "an array holds finite numbers, and integers of 32 bits: change them, then numpy.save"),
+    ("npy.", "write the array again with numpy.save"),
+    ("safetensors.", "write the tensors again with safetensors.torch.save_file, all of them finite"),
+    ("hdf5.", "write the file again: h5dump FILE shows whether it is whole"),
+    ("import.option", "leave the option out"),
+    ("import.", "nsim inspect FILE lists what the file holds: change it in the tool that wrote it"),
+    ("export.", "change the model, or keep it as .ron"),
+    ("input.option", "leave the option out"),
+    ("input.events", "write the recording again in the tool that made it"),
+    ("input.", "nsim inspect FILE says what an input holds: give one that suits the model"),
+    ("run.too-large", "choose fewer samples with --samples"),
+    ("scene.", "nsim scene NAME lists what a scene holds: give another value"),
+    ("dataset.", "correct the entry of the data set: nsim inspect FILE says what the set holds"),
+    ("write.", "name another file, on a disk with room"),
+    ("journal.", "wait until the other process has ended, or name another file"),
+    ("mapping.", "make another mapping: nsim map MODEL -o FILE"),
+];
+
 /// The most problems of an input that are told together.
 const MOST_TOGETHER: usize = 10;
 
@@ -145,6 +173,14 @@ impl Diagnostic {
     #[must_use]
     pub fn others(&self) -> &[Diagnostic] {
         self.others.as_ref().map_or(&[], |others| &others.0)
+    }
+
+    /// What to change: what the problem says itself, or else what is usual for its code.
+    #[must_use]
+    pub fn advice(&self) -> Option<&str> {
+        let is_of = |code: &str| self.code.starts_with(code) || code.starts_with('.') && self.code.ends_with(code);
+        let usual = || USUAL.iter().find(|(code, _)| is_of(code)).map(|(_, advice)| *advice);
+        self.help.as_deref().or_else(usual)
     }
 
     /// With advice.

@@ -8,6 +8,7 @@ use serde_json::json;
 use crate::base::diagnostic::{Diagnostic, Place, SourceText, Span};
 use crate::base::names::{is_unprintable, printable};
 use crate::cli::context::Format;
+use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
 use crate::error::Error;
 use crate::io::write;
@@ -84,8 +85,8 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
 
 fn object(error: &Error) -> serde_json::Value {
     let (code, help, place) = match error {
-        Error::Input(d) => (d.code, d.help.clone(), Some(d)),
-        Error::Usage(_) => ("usage", None, None),
+        Error::Input(d) => (d.code, d.advice().map(with_owners), Some(d)),
+        Error::Usage(_) => ("usage", Some("for more information, try '--help'".to_string()), None),
         Error::Fault(_) => ("fault", None, None),
     };
     let position = place.and_then(|d| d.position());
@@ -109,7 +110,7 @@ fn text(error: &Error, colour: bool) -> String {
             all.map(|one| drawn(one, colour)).collect::<Vec<_>>().join("\n")
         }
         Error::Usage(message) => {
-            format!("error: {}\n\nFor more information, try '--help'.\n", printable(message))
+            format!("error: {}\n\nFor more information, try '--help'.\n", printable(&with_owners(message)))
         }
         Error::Fault(_) => format!("error[fault]: {}\n", printable(&error.to_string())),
     }
@@ -130,8 +131,8 @@ fn drawn(diagnostic: &Diagnostic, colour: bool) -> String {
         let blank = " ".repeat(number.len());
         out += &format!("{blank} |\n{number} | {line}\n{blank} | {}\n", paint("1;31", &marks));
     }
-    if let Some(help) = &diagnostic.help {
-        out += &format!("  {}: {}\n", paint("1", "help"), printable(help));
+    if let Some(help) = diagnostic.advice() {
+        out += &format!("  {}: {}\n", paint("1", "help"), printable(&with_owners(help)));
     }
     out
 }

@@ -31,7 +31,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::cli::context::{Answer, Context, Format};
-use crate::cli::process::{log, panics, ranks, signals, threads};
+use crate::cli::process::{advice, log, panics, ranks, signals, threads};
 use crate::error::Error;
 use crate::io::{changes, shipped};
 
@@ -152,6 +152,21 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
     }
 }
 
+/// Every command, as it is typed, and its options.
+fn options_of_commands() -> Vec<(String, Vec<String>)> {
+    fn add(command: &clap::Command, name: &str, all: &mut Vec<(String, Vec<String>)>) {
+        let named = command.get_arguments().filter_map(clap::Arg::get_long_and_visible_aliases);
+        all.push((name.to_string(), named.flatten().map(str::to_string).collect()));
+        for below in command.get_subcommands() {
+            add(below, format!("{name} {}", below.get_name()).trim_start(), all);
+        }
+    }
+    let (mut root, mut all) = (Cli::command(), Vec::new());
+    root.build();
+    add(&root, "", &mut all);
+    all
+}
+
 /// A command whose arguments for models, targets and constants know the shipped names.
 fn with_shipped_names(command: clap::Command) -> clap::Command {
     let names: Vec<String> = command.get_subcommands().map(|sub| sub.get_name().to_string()).collect();
@@ -215,7 +230,10 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     signals::listen(asked);
     ranks::start();
     let mut known = args::columns::folded(Cli::command());
-    let parsed = known.try_get_matches_from_mut(line).and_then(|matches| Cli::from_arg_matches(&matches));
+    let parsed = known.try_get_matches_from_mut(line).and_then(|matches| {
+        advice::runs(&matches, options_of_commands);
+        Cli::from_arg_matches(&matches)
+    });
     let cli = match parsed.map_err(|error| error.format(&mut known)) {
         Ok(cli) => cli,
         Err(error) => {

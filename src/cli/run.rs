@@ -168,7 +168,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         files: &files,
     };
     if let (Some((compiled, _)), None) = (job.mapped(), &args.job.mapping) {
-        say_mapping_was_longer(&compiled.seconds, wall_s, &args.job.model);
+        say_mapping_was_longer(&compiled.seconds, wall_s, &args.job);
     }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
@@ -196,11 +196,14 @@ fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<Neur
 const SHORT_S: f64 = 0.5;
 
 /// Says how to keep a mapping that took longer than what it was made for.
-fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, model: &str) {
+fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &jobs::JobArgs) {
     let seconds: f64 = stages.iter().filter(|(stage, _)| ["partition", "place"].contains(stage)).map(|(_, s)| s).sum();
     if seconds > wall_s.max(SHORT_S) {
         tracing::warn!(
-            "mapping took {seconds:.1} s and running {wall_s:.1} s: nsim map {model} -o FILE keeps the mapping, --mapping FILE takes it"
+            "mapping took {seconds:.1} s and running {wall_s:.1} s: nsim map {} --target {} -o FILE keeps the mapping, --mapping FILE \
+             takes it",
+            job.model,
+            job.target
         );
     }
 }

@@ -113,9 +113,12 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         } else if is_output && let Some(message) = silent_classes(run) {
             add("silent-output", message);
         }
-        if row.clipped > 0 {
-            let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
-            add("clipped", format!("{} clipped{place}: {}", counted(row.clipped, "voltage"), widen(network, id)));
+        // At the negative end nothing fires either way.
+        if row.clipped > row.clipped_low {
+            let here = |(population, _): &&(PopulationId, String)| *population == id && row.clipped_low == 0;
+            let place = first.as_ref().filter(here).map_or("", |(_, place)| place);
+            let clipped = counted(row.clipped - row.clipped_low, "voltage");
+            add("clipped", format!("{clipped} clipped{place}: {}", widen(network, id)));
         }
         if row.wrapped > 0 {
             let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
@@ -192,10 +195,15 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
         Units::Compartments { neurons, .. } => !neurons.any(|neuron| neuron.vth != ThresholdMantissa::MAX),
         Units::Input(_) => false,
     };
-    if id == network.parts().output && integrates(&network.populations()[id].units) {
-        return "its thresholds are the greatest, as those of a layer that is read out by its potential: write `decision: \
-                GreatestV` (or SumOfV, LastV) into the model, or try it with --set decision=GreatestV"
-            .to_string();
+    if integrates(&network.populations()[id].units) {
+        let advice = match id == network.parts().output {
+            true => {
+                "as those of a layer that is read out by its potential: write `decision: GreatestV` (or SumOfV, LastV) into \
+                 the model, or try it with --set decision=GreatestV"
+            }
+            false => "at which nothing spikes: lower them (vth_mant), or remove the population, which sends nothing on",
+        };
+        return format!("its thresholds are the greatest, {advice}");
     }
     match (nearest, run.ran) {
         (Some(nearest), _) if nearest.potential <= 0 => {
@@ -219,7 +227,7 @@ fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
             let steps = (1.0 / nearest.share()).log2().ceil();
             format!("{seen}; raise the weight_exp of what leads to it by {steps}")
         }
-        lower => format!("{seen}; lower vth_mant from {vth} to {lower}, or raise the weights that lead to it as much"),
+        lower => format!("{seen}; lower vth_mant from {vth} to {lower}, or vth by as much"),
     }
 }
 
@@ -309,28 +317,23 @@ fn silent_classes(run: Finished<'_>) -> Option<String> {
     if silent.len() > LISTED {
         names.push(format!("{} more", silent.len() - LISTED));
     }
-    let whose = if silent.len() == 1 { "the output of class" } else { "the outputs of classes" };
-    (!silent.is_empty()).then(|| {
-        format!("{whose} {} never spikes, though such samples were shown: lower its threshold", names.join(", "))
-    })
+    let (whose, spike, its) = match silent.len() {
+        1 => ("the output of class", "spikes", "its threshold"),
+        _ => ("the outputs of classes", "spike", "their thresholds"),
+    };
+    (!silent.is_empty())
+        .then(|| format!("{whose} {} never {spike}, though such samples were shown: lower {its}", names.join(", ")))
 }
 
 /// What leaves room to values that wrap or clip, and no spike otherwise.
 const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vth_mant and bias_mant: the same spikes at half the values";
 
 /// What leaves room to voltages.
-fn widen(network: &Quantised, id: PopulationId) -> String {
-    let narrow = |f: fn(&Neuron) -> bool| match &network.populations()[id].units {
-        Units::Compartments { neurons, .. } => neurons.any(f),
-        Units::Input(_) => false,
-    };
-    let low = narrow(|neuron| neuron.vmin < crate::base::fixed::VminExponent::MAX);
-    let high = narrow(|neuron| neuron.vmax < crate::base::fixed::VmaxExponent::MAX);
-    match (low, high) {
-        (true, true) => "raise vmin_exp and vmax_exp".to_string(),
-        (true, false) => "raise vmin_exp".to_string(),
-        (false, true) => "raise vmax_exp".to_string(),
-        (false, false) => HALVE.to_string(),
+fn widen(network: &Quantised, id: PopulationId) -> &'static str {
+    let narrow = |neuron: &Neuron| neuron.vmax < crate::base::fixed::VmaxExponent::MAX;
+    match &network.populations()[id].units {
+        Units::Compartments { neurons, .. } if neurons.any(narrow) => "raise vmax_exp",
+        _ => HALVE,
     }
 }
 

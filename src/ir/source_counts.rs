@@ -12,6 +12,8 @@ pub struct LeftField {
     pub wrapped: u64,
     /// Voltages that were clipped.
     pub clipped: u64,
+    /// Those of them that were clipped at the negative end.
+    pub clipped_low: u64,
 }
 
 /// Spikes by source and overflow by compartment, of a run or a part of it.
@@ -47,6 +49,7 @@ impl SourceCounts {
         let sum = &mut self.left_fields.as_mut_slice()[compartment.index()];
         sum.wrapped += more.wrapped;
         sum.clipped += more.clipped;
+        sum.clipped_low += more.clipped_low;
     }
 
     /// Adds another part of the run.

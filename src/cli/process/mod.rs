@@ -3,6 +3,7 @@
 //! However a command ends, the exit status is 0 to 4, or 130 and 143 for SIGINT and SIGTERM, and what was being written is
 //! absent, old or complete.
 
+pub mod advice;
 pub mod log;
 pub mod panics;
 pub mod ranks;

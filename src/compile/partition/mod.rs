@@ -130,15 +130,24 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, form: Form, 
             (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
         }),
     };
-    let Some(bound) = bound else {
-        let reasons = even_draws::reasons(one, target, copies, false);
-        return if reasons.is_empty() { Ok(()) } else { Err(CompileError::DoesNotFit(reasons)) };
+    // What a compartment needs is found by placing one copy, unless that would take long.
+    let quick = one.synapses() <= FEW_SYNAPSES || bound.is_some() && compartments <= room;
+    let mut reasons = match bound {
+        Some(bound) => vec![bound],
+        None => even_draws::reasons(one, target, copies, false),
     };
-    let mut reasons = vec![bound];
-    if compartments <= room
-        && let Err(CompileError::DoesNotFit(more)) = partition(one, one, target, search)
-    {
-        reasons.extend(more.into_iter().filter(|reason| reason.resource != Capacity::Cores));
+    if reasons.is_empty() {
+        return Ok(());
+    }
+    let search = Search { work: 0, explains: false, ..search };
+    if quick && let Err(CompileError::DoesNotFit(more)) = partition(one, one, target, search) {
+        let more = more.into_iter().filter(|reason| reason.resource != Capacity::Cores);
+        let same = |a: &Reason, b: &Reason| (&a.population, &a.resource) == (&b.population, &b.resource);
+        for reason in more {
+            if !reasons.iter().any(|known| same(known, &reason)) {
+                reasons.push(reason);
+            }
+        }
     }
     Err(CompileError::DoesNotFit(reasons))
 }
@@ -390,7 +399,7 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     if search.explains && longest > MOST_LONGER {
         tracing::warn!(
             "cores are saved against the order of the file, and the busiest is expected to work up to {longest:.2} times as long: \
-             --strategy sequential has shorter steps"
+             nsim map --strategy sequential -o FILE makes a mapping with shorter steps, --mapping FILE takes it"
         );
     }
 }

@@ -469,6 +469,7 @@ impl CompartmentState {
     fn note_overflow(&mut self, effect: Effect, step: u32, lane: usize, shard: &Shard) {
         let (q_wrapped, u_wrapped) = (u64::from(effect.q_wrapped), u64::from(effect.u_wrapped));
         let clipped = u64::from(effect.v_clipped);
+        let low = u64::from(effect.v_clipped && self.registers(lane).v < 0);
         self.overflow.q_wrapped += q_wrapped;
         self.overflow.u_wrapped += u_wrapped;
         self.overflow.v_clipped += clipped;
@@ -479,6 +480,7 @@ impl CompartmentState {
         let left = &mut self.left_fields[lane];
         left.wrapped += q_wrapped + u_wrapped;
         left.clipped += clipped;
+        left.clipped_low += low;
     }
 
     /// Updates some lanes of a core block one by one.
