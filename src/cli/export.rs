@@ -7,13 +7,14 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::frontend;
 use crate::error::Error;
 use crate::io::foreign::{hdf5, nir_export};
 use crate::io::model_builder::ModelBuilder;
-use crate::io::{model, write};
+use crate::io::write;
 use crate::report::inspect::Findings;
 
 /// What was typed.
@@ -24,6 +25,8 @@ use crate::report::inspect::Findings;
 pub struct Args {
     /// A model file or the name of a shipped model
     pub model: String,
+    #[command(flatten)]
+    timestep: TimestepArgs,
     /// The NIR file to write
     #[arg(short, long, value_name = "FILE.nir")]
     output: PathBuf,
@@ -38,7 +41,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(format!("-o {}: models are exported as .nir", args.output.display())));
     }
     write::check_free(&args.output, context.force)?;
-    let network = model::load_model(&args.model)?;
+    let network = args.timestep.load(&args.model)?;
     frontend::check(&network)?;
     let model = ModelBuilder::from_network(&network)?;
     let (tree, notes) = nir_export::export(&model)?;

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::base::diagnostic::Diagnostic;
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values::one_of_named;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -15,6 +16,7 @@ use crate::compile::frontend;
 use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::error::Error;
 use crate::io::foreign::imported::DecayRule;
+use crate::io::changes;
 use crate::io::foreign::{self, Imported, Options, ResetMode};
 use crate::io::model_builder::{ModelBuilder, ProjectionKind};
 use crate::report::inspect::{Findings, FindingsTable};
@@ -38,9 +40,8 @@ static DECISIONS: [(&str, ReadOut); 4] = [
 pub struct Args {
     /// The foreign file
     pub file: PathBuf,
-    /// Milliseconds that a timestep stands for, where the file does not say
-    #[arg(long, value_name = "MS")]
-    dt: Option<f64>,
+    #[command(flatten)]
+    timestep: TimestepArgs,
     /// Type and parameters of the neurons, where the file has none: a YAML file
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
@@ -88,14 +89,11 @@ const RESETS: [(&str, ResetMode); 3] =
 
 impl Args {
     fn options(&self) -> Result<Options, Error> {
-        if let Some(dt) = self.dt.filter(|dt| !(*dt > 0.0 && *dt <= 1e6)) {
-            return Err(Error::Usage(format!("--dt {dt}: a timestep is above 0 and at most 1e6 ms")));
-        }
         if let Some(shape) = self.input_shape.as_ref().filter(|shape| shape.len() != 3 || shape.contains(&0)) {
             return Err(Error::Usage(format!("--input-shape {shape:?}: write CHANNELS,HEIGHT,WIDTH")));
         }
         Ok(Options {
-            dt_ms: self.dt,
+            dt_ms: self.timestep.dt_ms,
             neuron: self.neuron.clone(),
             reset: self.reset,
             decay: self.decay,
@@ -116,6 +114,10 @@ impl Args {
 /// When the file cannot be read, is of no kind that is imported, or holds what nsim has no counterpart for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
+    if !changes::of_process().is_empty() {
+        let message = "--set: an import writes what the file holds; give --set to the command that uses the model";
+        return Err(Error::Usage(message.to_string()));
+    }
     let imported = foreign::read(&args.file, &args.options()?)?;
     let shown = args.output.as_deref().unwrap_or(&args.file);
     frontend::check(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;

@@ -98,7 +98,7 @@ pub struct MapArgs {
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
-    let network = io::model::load_model(&args.job.model)?;
+    let network = args.job.timestep.load(&args.job.model)?;
     let target = io::target::load_target(&args.job.target)?;
     let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
@@ -144,7 +144,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             if let Err(CompileError::DoesNotFit(_)) = &mapped
                 && form == Form::Written
             {
-                remedies = remedy::remedies(&one, &target, &options, &larger(&target)?);
+                remedies = remedy::remedies(&one, &target, &options, &larger(&target));
             }
             (mapped, one.pruned().cloned())
         }
@@ -211,13 +211,13 @@ fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Resu
     Ok(firing_rates(network, stimulus.samples.iter().take(MOST_SAMPLES)))
 }
 
-/// Shipped targets with more cores than this one, ascending.
-fn larger(target: &Target) -> Result<Vec<Target>> {
-    let mut boards =
-        shipped::TARGETS.iter().map(|board| io::target::load_target(board.name)).collect::<Result<Vec<_>, _>>()?;
-    boards.retain(|board| board.cores() > target.cores());
+/// Shipped targets with more cores than this one, ascending; without those to which the `--set` of
+/// this command cannot be applied.
+fn larger(target: &Target) -> Vec<Target> {
+    let boards = shipped::TARGETS.iter().filter_map(|board| io::target::load_target(board.name).ok());
+    let mut boards: Vec<Target> = boards.filter(|board| board.cores() > target.cores()).collect();
     boards.sort_by_key(Target::cores);
-    Ok(boards)
+    boards
 }
 
 fn strategy(name: &str) -> Option<Strategy> {

@@ -10,6 +10,7 @@ use std::time::{Instant, UNIX_EPOCH};
 
 use serde_json::json;
 
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cli::process::signals;
@@ -72,6 +73,8 @@ pub struct Args {
     /// What varies, and over which values
     #[arg(value_name = "SWEEP.ron")]
     sweep: PathBuf,
+    #[command(flatten)]
+    timestep: TimestepArgs,
     /// Where to write the table, as CSV; without it the table goes to stdout
     #[arg(short, long, value_name = "FILE.csv")]
     output: Option<PathBuf>,
@@ -101,7 +104,7 @@ struct Done {
 /// # Errors
 /// [`Error`] when an input cannot be used or a file cannot be written.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;
+    let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?.with_timestep(args.timestep.dt_ms);
     let mut table = Table::new(&sweep);
     if let Some(Columns { x, y }) = &args.axes {
         let columns = table.columns();
@@ -132,7 +135,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let picture = output::picture_bytes(path, &picture::svg(&table, [x, y])?)?;
         batch.add(path, |out| out.write_all(&picture))?;
     }
-    let checksums = args.shard.map(|_| checksum_column(&work(&sweep)));
+    let checksums = args.shard.map(|_| checksum_column(&work(args, &sweep)));
     if let Some(path) = file {
         table.write(path, checksums.as_deref(), &mut batch)?;
     }
@@ -197,13 +200,14 @@ fn head(args: &Args, sweep: &Sweep) -> String {
         let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
         format!("{:?} {time:?}", found.as_ref().map(std::fs::Metadata::len))
     };
-    format!("nsim sweep {} {}", env!("CARGO_PKG_VERSION"), digest(&format!("{:?}", args.shard), sweep, of_file))
+    format!("nsim sweep {} {}", env!("CARGO_PKG_VERSION"), digest(&format!("{:?}", (args.shard, args.timestep.dt_ms)), sweep, of_file))
 }
 
 /// What identifies the work of all parts, on every machine: the program's version, the sweep, and
 /// its files by content.
-fn work(sweep: &Sweep) -> String {
-    digest(env!("CARGO_PKG_VERSION"), sweep, |name| io::text::sha256_of_file(Path::new(name)).unwrap_or_default())
+fn work(args: &Args, sweep: &Sweep) -> String {
+    let before = format!("{} {:?}", env!("CARGO_PKG_VERSION"), args.timestep.dt_ms);
+    digest(&before, sweep, |name| io::text::sha256_of_file(Path::new(name)).unwrap_or_default())
 }
 
 /// A digest of a sweep's text, what is changed besides, and the files that it names; what is

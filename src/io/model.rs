@@ -19,12 +19,33 @@ use crate::desc::tensor::Tensor;
 /// # Errors
 /// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names them.
 pub fn load_model(argument: &str) -> Result<Network> {
+    load_model_with(argument, None)
+}
+
+/// As [`load_model`], with the milliseconds of a timestep where the file does not say.
+///
+/// # Errors
+/// As [`load_model`]; `model.timestep` where the file says another one.
+pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
     let path = Path::new(argument);
     if shipped::is_path(argument) && foreign::is_foreign(path) {
-        return foreign::network(path, &foreign::Options::default());
+        return foreign::network(path, &foreign::Options { dt_ms, ..Default::default() });
     }
     let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown")?;
-    network(source, origin)
+    agreeing(network(source, origin)?, dt_ms)
+}
+
+/// A model of nsim's own, which says its timestep, unless another one is asked for.
+///
+/// # Errors
+/// `model.timestep`.
+pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
+    let own = &network.file().timestep_ms;
+    let Some(dt) = dt_ms.filter(|dt| (dt / own.value - 1.0).abs() > 1e-9) else { return Ok(network) };
+    let message = format!("the model has a timestep of {} ms, which --dt {dt} contradicts", own.value);
+    Err(Diagnostic::new("model.timestep", message)
+        .at(network.source(), own.span)
+        .help(format!("leave --dt out, or change the model: --set timestep_ms={dt}")))
 }
 
 /// Loads a model from its text; arrays are looked for beside the path of `source`, or among the shipped ones.

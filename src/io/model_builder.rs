@@ -384,9 +384,17 @@ impl ModelBuilder {
     /// # Errors
     /// `model.*` for a name or number that a model file cannot hold.
     pub fn build(&self, path: &Path) -> Result<Network> {
+        self.build_changed(path, Ok)
+    }
+
+    /// The same, with what `change` makes of its text.
+    ///
+    /// # Errors
+    /// As [`Self::build`], and those of `change`.
+    pub fn build_changed(&self, path: &Path, change: impl FnOnce(SourceText) -> Result<SourceText>) -> Result<Network> {
         let file = "arrays";
         let (text, tensors) = self.ron(file);
-        let source = SourceText::new(path, text);
+        let source = change(SourceText::new(path, text))?;
         let parsed = NetworkFile::parse(&source)?;
         let arrays =
             tensors.into_iter().map(|(key, tensor)| (ArrayRef::Safetensors(file.to_string(), key), tensor)).collect();

@@ -28,7 +28,7 @@ use crate::drive::{Outcome, accuracy, digest};
 use crate::energy::options::{tables, with_preset};
 use crate::error::Error;
 use crate::io::changes::{Change, within};
-use crate::io::model::{Unchanged, load_model};
+use crate::io::model::{Unchanged, agreeing, load_model_with};
 use crate::io::target::load_target;
 use crate::ir::activity::Totals;
 use crate::ir::firing_rates::Rates;
@@ -114,6 +114,7 @@ fn ends_all(error: &Error) -> bool {
         Error::Input(diagnostic) => {
             let code = diagnostic.code;
             code.starts_with("set.")
+                || code.starts_with("import.")
                 || code.starts_with("io.")
                 || code.ends_with(".unknown")
                 || code.ends_with(".syntax")
@@ -164,8 +165,8 @@ impl Runner {
     fn network(&self, job: &Job) -> Result<Network, Error> {
         let model = self.model(&job.model)?;
         Ok(within(&job.of_model, || match &*model {
-            Some(model) => model.changed(),
-            None => load_model(&job.model),
+            Some(model) => agreeing(model.changed()?, job.dt_ms),
+            None => load_model_with(&job.model, job.dt_ms),
         })?)
     }
 

@@ -50,6 +50,8 @@ const INPUTS: [&str; 2] = ["samples", "seed"];
 pub struct Job {
     /// A model file or the name of a shipped model.
     pub model: String,
+    /// Milliseconds of a timestep, where the model's file does not say.
+    pub dt_ms: Option<f64>,
     /// A target file or the name of a shipped target.
     pub target: String,
     /// Where spikes come from; the model's scene when empty.
@@ -93,6 +95,7 @@ impl Job {
     fn new(file: &SweepFile) -> Self {
         Job {
             model: file.model.clone(),
+            dt_ms: None,
             target: file.target.clone(),
             input: file.input.clone(),
             samples: None,
@@ -257,6 +260,13 @@ impl Sweep {
             value.iter().try_for_each(|value| scratch.assign(path, value)).map_err(in_file)?;
         }
         Ok(sweep)
+    }
+
+    /// The same with the milliseconds of a timestep, for models whose files do not say.
+    #[must_use]
+    pub fn with_timestep(mut self, dt_ms: Option<f64>) -> Self {
+        self.base.dt_ms = dt_ms;
+        self
     }
 
     /// How many variants there are.

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use crate::agree::compare::LayerRow;
 use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::InputArgs;
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -34,6 +35,8 @@ pub struct Args {
     /// A model file or the name of a shipped model
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip-srm")]
     pub(super) model: String,
+    #[command(flatten)]
+    pub(super) timestep: TimestepArgs,
     #[command(flatten)]
     pub(super) input: InputArgs,
     /// What the deployed network is compared with: srm (as trained), cuba (current-based neurons in real numbers), golden

@@ -39,7 +39,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
         return Err(Error::Usage("--require-class-agreement is a share between 0 and 1".to_string()));
     }
-    let network = io::model::load_model(&args.model)?;
+    let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
     Form::require_written("nsim agree", &analytic, 1)?;

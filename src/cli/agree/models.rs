@@ -101,7 +101,7 @@ fn compared(
     let output = output_layer(integers);
     let mut all = Vec::new();
     for file in files {
-        let (_, second) = real_and_integers(&io::model::load_model(file)?)?;
+        let (_, second) = real_and_integers(&args.timestep.load(file)?)?;
         Form::require_written("nsim agree", &second, 1)?;
         let compiled = deployed(file, &second, &target)?;
         let there = layers(&second);

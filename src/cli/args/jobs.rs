@@ -6,9 +6,11 @@ use crate::base::id::PopulationId;
 use crate::base::names::fits_pattern;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::prune::PruneArgs;
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
 use crate::cli::output;
+use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::parcel::Opened;
@@ -37,6 +39,9 @@ pub struct JobArgs {
     /// A model file or the name of a shipped model
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
     pub model: String,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub timestep: TimestepArgs,
     /// A target file or the name of a shipped target
     #[arg(long, default_value = "nahuku-32")]
     pub target: String,
@@ -65,7 +70,16 @@ impl JobArgs {
         let prune = PruneArgs { prune: Vec::new() };
         let copies = CopiesArgs { delayed_copies: copies::USUAL as u32 };
         let placement = CopyPlacement::default();
-        JobArgs { model: model.to_string(), target, mapping: None, relays: false, prune, copies, placement }
+        JobArgs {
+            model: model.to_string(),
+            timestep: TimestepArgs::default(),
+            target,
+            mapping: None,
+            relays: false,
+            prune,
+            copies,
+            placement,
+        }
     }
 
     /// An error about the saved mapping, with its file and what to do.
@@ -131,7 +145,8 @@ impl Refusal {
     /// # Errors
     /// When stdout cannot be written.
     pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer, Error> {
-        diagnostics::say(&report::map::refusal(&self.model, &self.target, &self.reasons));
+        let text = report::map::refusal(&self.model, &self.target, &self.reasons);
+        diagnostics::say(&format!("{}\n", with_owners(text.trim_end())));
         if context.format == crate::cli::context::Format::Json {
             object["model"] = self.model.as_str().into();
             object["target"] = self.target.name().into();
@@ -230,7 +245,7 @@ fn received(args: &JobArgs, ranks: &Ranks) -> Result<Prepared, Error> {
 }
 
 fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
-    let network = io::model::load_model(&args.model)?;
+    let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let real = match wanted {
         Wanted::Mapped | Wanted::Quantised => false,

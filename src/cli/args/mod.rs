@@ -7,4 +7,5 @@ pub mod jobs;
 pub mod prune;
 pub mod saved;
 pub mod steps;
+pub mod timestep;
 pub mod values;

@@ -8,6 +8,7 @@ use crate::bench::Environment;
 use crate::bench::pareto::{ParetoError, Subject, Variant, mark_front};
 use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::{InputArgs, select};
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -31,6 +32,8 @@ pub struct ParetoArgs {
     /// A model file or the name of a shipped model
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
     model: String,
+    #[command(flatten)]
+    timestep: TimestepArgs,
     #[command(flatten)]
     input: InputArgs,
     #[command(flatten)]
@@ -70,7 +73,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);
-    let network = io::model::load_model(&args.model)?;
+    let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
     Form::require_written("nsim bench pareto", &analytic, 1)?;

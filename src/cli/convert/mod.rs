@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use self::fine_tuning::FineTuneArgs;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::input::{InputArgs, select};
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::convert::calibration::{self, RunInput};
@@ -34,6 +35,8 @@ EXAMPLES:
 pub struct Args {
     /// A model file or the name of a shipped model
     model: String,
+    #[command(flatten)]
+    timestep: TimestepArgs,
     #[command(flatten)]
     input: InputArgs,
     /// Samples to convert on, as --input takes them [default: the scene with another seed, or the first half of the input]
@@ -63,7 +66,7 @@ pub struct Args {
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     io::write::check_all_free(&args.output, context.force)?;
-    let network = io::model::load_model(&args.model)?;
+    let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let job = Job::new(&network, &io::target::load_target(&args.target)?)?;
     let stimulus = inputs::stimulus(&job.integers, &args.input.sources()?, scene.as_deref(), args.input.seed)?;

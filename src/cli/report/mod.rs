@@ -85,7 +85,7 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Co
     let (target, network) = (workload.target, &workload.compiled.one);
     // What came through a pipe is gone: it is neither compared with itself in real numbers nor hashed.
     let piped = io::text::is_standard_stream(Path::new(&args.cost.job.model));
-    let file = (!piped).then(|| io::model::load_model(&args.cost.job.model)).transpose()?;
+    let file = (!piped).then(|| args.cost.job.timestep.load(&args.cost.job.model)).transpose()?;
     let mut sections = sections(workload, evaluated, args.cost.transport)?;
     if let Some(trained) = file.as_ref().map(|file| trained(workload, file)).transpose()?.flatten() {
         let compared = compared(workload);

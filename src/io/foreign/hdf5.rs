@@ -16,8 +16,9 @@ use hdf5_pure::{
 };
 
 use crate::base::diagnostic::{Diagnostic, Result};
-use crate::io::budget::{Budget, Exceeded};
+use crate::io::budget::{Budget, Exceeded, MOST_ARRAY};
 use crate::io::element::Element;
+use crate::io::text::{is_standard_stream, read_bytes};
 
 /// What every HDF5 file begins with (HDF5 file format specification 3.0, II.A).
 pub const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
@@ -267,6 +268,20 @@ impl Reading<'_> {
         }
         problem.in_file(self.path)
     }
+}
+
+/// The bytes of a file of another tool. One that is too large is named all the same, where it is a
+/// recording of events.
+///
+/// # Errors
+/// As [`read_bytes`]; `hdf5.events`.
+pub fn bytes_of(path: &Path) -> Result<Vec<u8>> {
+    read_bytes(path, MOST_ARRAY).map_err(|problem| {
+        let large = problem.code == "io.too-large" && !is_standard_stream(path);
+        let file = if large { File::open_streaming(path).ok() } else { None };
+        let events = file.and_then(|file| refuse_events(&file.root()).err());
+        events.map_or(problem, |events| events.in_file(path))
+    })
 }
 
 /// Reads a whole file.

@@ -22,9 +22,8 @@ use std::path::Path;
 
 use self::imported::listed;
 pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
-use super::budget::MOST_ARRAY;
+use super::changes;
 use super::kind::FileKind;
-use super::text::read_bytes;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::desc::network::Network;
 
@@ -32,7 +31,7 @@ use crate::desc::network::Network;
 /// models to say.
 #[must_use]
 pub fn is_foreign(path: &Path) -> bool {
-    let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron, FileKind::Unknown];
+    let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron];
     FileKind::detect(path).map_or_else(|problem| problem.code == "io.lfs-pointer", |kind| !own.contains(&kind))
 }
 
@@ -41,7 +40,7 @@ pub fn is_foreign(path: &Path) -> bool {
 /// # Errors
 /// `import.*` for what the file holds, `hdf5.*` and `io.*` for the file itself.
 pub fn read(path: &Path, options: &Options) -> Result<Imported> {
-    from_bytes(path, read_bytes(path, MOST_ARRAY)?, options)
+    from_bytes(path, hdf5::bytes_of(path)?, options)
 }
 
 /// Reads a foreign model from the bytes of its file; the path is for messages and names.
@@ -107,6 +106,10 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
         return Diagnostic::new("import.sanafe", "this is a text netlist of SANA-FE, not a network of lava-dl")
             .help("its neurons are abstract and carry no weights of a Loihi core; export the trained network with lava-dl or NIR");
     }
+    if kind == FileKind::Ron {
+        return Diagnostic::new("import.kind", "this is a file of nsim's own, which needs no import")
+            .help(format!("give it as it is, such as a model: nsim run {}", path.display()));
+    }
     if matches!(kind, FileKind::Events(_) | FileKind::SpikeList | FileKind::Npz) {
         return Diagnostic::new("import.kind", format!("this is {kind}, not a network"))
             .help("spikes are an input of a network: nsim run MODEL --input FILE");
@@ -120,15 +123,18 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
     };
     let help = match extension.as_deref() {
         Some("yml" | "yaml") => "give it with --neuron beside the weights: nsim import weights.pt --neuron config.yml",
-        _ => "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy",
+        _ => {
+            "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a model of \
+             nsim's own begins with Network("
+        }
     };
     Diagnostic::new("import.kind", described).help(help)
 }
 
-/// A foreign model as a network.
+/// A foreign model as a network, with the fields that `--set` changes.
 ///
 /// # Errors
-/// As [`read`], and `model.*` when it is not a valid model.
+/// As [`read`], `set.path`, and `model.*` when it is not a valid model.
 pub fn network(path: &Path, options: &Options) -> Result<Network> {
-    read(path, options)?.model.build(path)
+    read(path, options)?.model.build_changed(path, changes::model)
 }

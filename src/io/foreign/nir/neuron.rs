@@ -80,6 +80,7 @@ impl Reader<'_> {
             return Ok(dt / 1e3);
         }
         let (mut found, mut timed): (Vec<(String, f64)>, bool) = (Vec::new(), false);
+        let mut implied_by = "tau / r";
         for (name, node) in &self.flat.nodes {
             let ratio = |tau: &str, by: &str| -> Result<Vec<f64>> {
                 let ratio =
@@ -92,6 +93,7 @@ impl Reader<'_> {
             match node.kind.as_str() {
                 "CubaLIF" | "CubaLI" => {
                     timed = true;
+                    implied_by = "tau_mem / r, and tau_syn / w_in agrees";
                     for (tau, by) in [("tau_mem", "r"), ("tau_syn", "w_in")] {
                         found.extend(ratio(tau, by)?.into_iter().map(|x| (name.clone(), x)));
                     }
@@ -133,7 +135,7 @@ impl Reader<'_> {
         // Many exporters computed in single precision: a timestep has few digits.
         let digits: f64 = format!("{first:.4e}").parse().unwrap_or(first);
         let dt = if (digits / first - 1.0).abs() < 1e-5 { digits } else { first };
-        self.notes.push(format!("timestep {:.6} ms: tau_mem / r, and tau_syn / w_in agrees", dt * 1e3));
+        self.notes.push(format!("timestep {:.6} ms: {implied_by}", dt * 1e3));
         Ok(dt)
     }
 

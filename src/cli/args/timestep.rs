@@ -1,0 +1,28 @@
+//! `--dt`: the timestep of a model whose file has none.
+
+use crate::base::diagnostic::Result;
+use crate::desc::network::Network;
+use crate::io::model;
+
+/// What a model's file may not say.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct TimestepArgs {
+    /// Milliseconds that a timestep stands for, where the file of a model does not say
+    #[arg(long = "dt", value_name = "MS", value_parser = milliseconds)]
+    pub dt_ms: Option<f64>,
+}
+
+fn milliseconds(text: &str) -> Result<f64, String> {
+    let known = text.parse().ok().filter(|ms| *ms > 0.0 && *ms <= 1e6);
+    known.ok_or_else(|| "a timestep is above 0 and at most 1e6 ms".to_string())
+}
+
+impl TimestepArgs {
+    /// The model of this path or name.
+    ///
+    /// # Errors
+    /// As [`model::load_model_with`].
+    pub fn load(self, argument: &str) -> Result<Network> {
+        model::load_model_with(argument, self.dt_ms)
+    }
+}
