@@ -71,8 +71,7 @@ pub fn arrays(data: &[u8]) {
         }
     }
     let _ = crate::io::spikes::csv::from_bytes(Path::new("fuzz.csv"), data.to_vec(), 64);
-    let polarity = crate::io::spikes::Polarity::Both;
-    let _ = crate::io::spikes::npz::from_bytes(Path::new("fuzz.npz"), data.to_vec(), "in", 64, polarity);
+    let _ = crate::io::spikes::npz::from_bytes(Path::new("fuzz.npz"), data.to_vec(), "in", 64, Default::default());
 }
 
 /// Event recordings; the first byte chooses the format.

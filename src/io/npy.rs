@@ -335,12 +335,12 @@ impl Array {
         Tensor::new(self.shape.clone(), numbers).ok_or_else(|| self.failed("they do not fill the shape"))
     }
 
-    /// Calls `f` with the C-order index of each number that is not zero, in the order of the file. Recordings are
-    /// sparse, so zeros are skipped eight bytes at a time.
+    /// Calls `f` with the C-order index of each number that is not zero, and the number, in the
+    /// order of the file. Recordings are sparse, so zeros are skipped eight bytes at a time.
     ///
     /// # Errors
     /// As [`Array::tensor`], and whatever `f` says.
-    pub fn each_non_zero(&self, mut f: impl FnMut(usize) -> Result<()>) -> Result<()> {
+    pub fn each_non_zero(&self, mut f: impl FnMut(usize, f64) -> Result<()>) -> Result<()> {
         let place = self.c_order();
         let size = self.element.bytes();
         let big = self.is_big_endian();
@@ -355,7 +355,7 @@ impl Array {
                     let number = self.element.number(number, big).check(|x, why| self.wrong(index, x, why))?;
                     // Minus zero has a byte that is not zero.
                     if number.real() != 0.0 {
-                        f(index)?;
+                        f(index, number.real())?;
                     }
                 }
             }
@@ -597,7 +597,7 @@ mod tests {
                             .unwrap();
                     let mut found = Vec::new();
                     array
-                        .each_non_zero(|index| {
+                        .each_non_zero(|index, _| {
                             found.push(index);
                             Ok(())
                         })
@@ -615,7 +615,7 @@ mod tests {
         let array = Array::from_bytes(Path::new("a.npy"), zero).unwrap();
         let mut found = Vec::new();
         let error = array
-            .each_non_zero(|index| {
+            .each_non_zero(|index, _| {
                 found.push(index);
                 Ok(())
             })
@@ -623,6 +623,6 @@ mod tests {
         assert_eq!((found, error.code), (vec![1], "npy.value"), "minus zero is zero, NaN is refused");
         let wide = file("'<i8'", "False", "(1,)", &(1i64 << 31).to_le_bytes());
         let wide = Array::from_bytes(Path::new("a.npy"), wide).unwrap();
-        assert_eq!(wide.each_non_zero(|_| Ok(())).unwrap_err().code, "npy.value");
+        assert_eq!(wide.each_non_zero(|_, _| Ok(())).unwrap_err().code, "npy.value");
     }
 }

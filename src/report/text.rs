@@ -1,5 +1,7 @@
 //! What every report is made of: tables, CSV, counted things, paragraphs.
 
+use std::io::IsTerminal;
+
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 
 /// The width of text for people.
@@ -13,10 +15,11 @@ pub(super) fn table(header: impl IntoIterator<Item = impl Into<Cell>>) -> Table 
     table
 }
 
-/// A table whose cells are broken where its lines would be longer than [`WIDTH`].
+/// A table whose cells are broken where its lines would be longer than [`WIDTH`]; whole in a pipe,
+/// whose readers look for words.
 pub(super) fn narrowed(table: &mut Table) -> &mut Table {
     let widest = table.lines().map(|line| line.trim_end().chars().count()).max().unwrap_or(0);
-    if widest > WIDTH {
+    if widest > WIDTH && std::io::stdout().is_terminal() {
         table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH as u16);
     }
     table

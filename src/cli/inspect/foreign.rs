@@ -9,13 +9,12 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::base::diagnostic::Diagnostic;
-use crate::io::budget::MOST_ARRAY;
 use crate::io::foreign::hdf5::{self, Group, Item};
 use crate::io::foreign::{self, Imported, Options, torch};
 use crate::io::kind::{EventFormat, FileKind, RECORDINGS};
+use crate::io::spikes::EventOptions;
 use crate::io::spikes::events::event::{Counts, Event, Remark, Sink};
 use crate::io::spikes::events::{nir_data, read};
-use crate::io::text::read_bytes;
 use crate::report::inspect::{Findings, FindingsTable, number};
 
 /// A row each: an array, or a text.
@@ -31,10 +30,11 @@ const MOST_NUMBERS: usize = 1 << 28;
 ///
 /// # Errors
 /// `inspect.kind` for what is neither, those of [`foreign::read`] for what cannot be opened at all.
-pub(super) fn model(path: &Path, kind: FileKind) -> Result<Findings, Diagnostic> {
-    let bytes = read_bytes(path, MOST_ARRAY)?;
+pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
+    let bytes = hdf5::bytes_of(path)?;
     let in_file = |problem: Diagnostic| problem.or_in_file(path);
-    let importable = import_summary(&foreign::from_bytes(path, bytes.clone(), &Options::default()));
+    let importable =
+        import_summary(&foreign::from_bytes(path, bytes.clone(), &Options { dt_ms, ..Options::default() }));
     let mut rows = Vec::new();
     let kind = match kind {
         FileKind::Hdf5 => {
@@ -163,24 +163,33 @@ impl Sink for Extent {
     }
 }
 
+/// What a recording holds, by the options that say how a file is read.
+fn extent(path: &Path, format: EventFormat, options: &EventOptions) -> Result<Extent, Diagnostic> {
+    let &EventOptions { stream, unit, size, .. } = options;
+    if *options != (EventOptions { stream, unit, size, ..EventOptions::default() }) {
+        return Err(Diagnostic::new("input.option", "steps, bins and polarities are of a run, not of a file")
+            .help("of the options behind '?', nsim inspect takes stream=N, unit=s|ms|us|ns and size=W,H")
+            .in_file(path));
+    }
+    let mut extent = Extent::default();
+    read::decode_file(path, format, options, &mut extent)?;
+    Ok(extent)
+}
+
 /// How many events a recording has.
 ///
 /// # Errors
 /// As [`recording`].
-pub(super) fn events(path: &Path, format: EventFormat) -> Result<u64, Diagnostic> {
-    let mut extent = Extent::default();
-    read::decode_file(path, format, &mut extent)?;
-    Ok(extent.counts.events)
+pub(super) fn events(path: &Path, format: EventFormat, options: &EventOptions) -> Result<u64, Diagnostic> {
+    Ok(extent(path, format, options)?.counts.events)
 }
 
 /// A recording of an event sensor.
 ///
 /// # Errors
-/// `input.events` for what is malformed, `io.*`.
-pub(super) fn recording(path: &Path, format: EventFormat) -> Result<Findings, Diagnostic> {
-    let mut extent = Extent::default();
-    read::decode_file(path, format, &mut extent)?;
-    let Extent { counts, rising, sensor, most } = extent;
+/// `input.events` for what is malformed, `input.option`, `io.*`.
+pub(super) fn recording(path: &Path, format: EventFormat, options: &EventOptions) -> Result<Findings, Diagnostic> {
+    let Extent { counts, rising, sensor, most } = extent(path, format, options)?;
     let times = counts.span_us;
     Ok(Findings {
         kind: "recording",

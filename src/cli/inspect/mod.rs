@@ -18,18 +18,20 @@ use serde_json::{Value, json};
 use self::hardware::{baseline_findings, chip_findings, constants_findings, scenario_findings, target_findings};
 use self::network::network_findings;
 use crate::base::diagnostic::{Diagnostic, SourceText};
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cost::baseline::{Baseline, SHIPPED};
 use crate::desc::mapping::{MappingFile, PrunedFile, Run};
 use crate::desc::spanned::root_name;
+use crate::desc::stimulus::{InputArg, InputSource};
 use crate::desc::tensor::Tensor;
 use crate::error::Error;
 use crate::io::kind::FileKind;
 use crate::io::mapping::{check_unchanged, mapping};
 use crate::io::published::scenario;
 use crate::io::shipped::{self, Origin};
-use crate::io::spikes::{self, manifest};
+use crate::io::spikes::{self, EventOptions, manifest};
 use crate::io::{model, npy, safetensors, target, text};
 use crate::report::inspect::{Findings, FindingsTable, number};
 
@@ -44,8 +46,12 @@ use crate::report::inspect::{Findings, FindingsTable, number};
   nsim inspect recordings/                a folder of sample_<i>_label_<c>.npy")]
 pub struct Args {
     /// A model, target, mapping, data set, .npy, .safetensors or .csv file, a model of another tool (.net, .nir, .pt), a
-    /// recording of events, a folder of recordings, or a shipped name
+    /// recording of events, a folder of recordings, or a shipped name; behind a recording, its
+    /// options as --input of nsim run takes them
     pub file: String,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub timestep: TimestepArgs,
 }
 
 /// Says what a file holds.
@@ -53,7 +59,7 @@ pub struct Args {
 /// # Errors
 /// When the file cannot be read, or its kind is not known.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let findings = inspect(&args.file)?;
+    let findings = inspect(&args.file, args.timestep.dt_ms)?;
     output::print(
         context.format,
         || findings.text(&args.file),
@@ -63,28 +69,45 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-fn inspect(argument: &str) -> Result<Findings, Diagnostic> {
-    if !shipped::is_path(argument) && !Path::new(argument).exists() {
-        return inspect_shipped(argument);
+fn inspect(argument: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
+    let (path, options) = match InputArg::parse(argument)? {
+        InputArg { population: None, source: InputSource::Events(path, pairs) } if !Path::new(argument).exists() => {
+            (path, EventOptions::parse(&pairs)?)
+        }
+        _ => (argument.into(), EventOptions::default()),
+    };
+    let path = path.as_path();
+    if !shipped::is_path(argument) && !path.exists() {
+        return inspect_shipped(argument, dt_ms);
     }
-    let path = Path::new(argument);
-    match FileKind::detect(path)? {
-        FileKind::Folder => inspect_folder(path),
+    let kind = FileKind::detect(path)?;
+    let is_recording = matches!(kind, FileKind::Folder | FileKind::Events(_));
+    let is_data = is_recording || matches!(kind, FileKind::Npy | FileKind::SpikeList | FileKind::Safetensors);
+    let misplaced = match () {
+        () if options != EventOptions::default() && !is_recording => "options behind '?' are of recordings of events",
+        () if dt_ms.is_some() && is_data => "--dt is of models",
+        () => "",
+    };
+    if !misplaced.is_empty() {
+        return Err(Diagnostic::new("input.option", format!("{misplaced}, and this is {kind}")).in_file(path));
+    }
+    match kind {
+        FileKind::Folder => inspect_folder(path, &options),
         FileKind::Npy => inspect_npy(path),
         FileKind::SpikeList => inspect_csv(path),
         // Models, targets and other descriptions: the text says which.
-        FileKind::Ron | FileKind::Stream => inspect_ron(text::read_text(path)?, Origin::File),
-        FileKind::Events(format) => foreign::recording(path, format),
+        FileKind::Ron | FileKind::Stream => inspect_ron(text::read_text(path)?, Origin::File, dt_ms),
+        FileKind::Events(format) => foreign::recording(path, format, &options),
         FileKind::Safetensors => inspect_safetensors(path),
-        kind => foreign::model(path, kind),
+        kind => foreign::model(path, kind, dt_ms),
     }
 }
 
-fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
+fn inspect_shipped(name: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
     let tables = [shipped::MODELS, shipped::TARGETS, shipped::CHIPS, shipped::CONSTANTS, shipped::SCENARIOS];
     for table in tables {
         if let Some(found) = shipped::Shipped::find(table, name) {
-            return inspect_ron(found.source(), Origin::Shipped);
+            return inspect_ron(found.source(), Origin::Shipped, dt_ms);
         }
     }
     if let Ok(baseline) = Baseline::shipped(name) {
@@ -98,9 +121,9 @@ fn inspect_shipped(name: &str) -> Result<Findings, Diagnostic> {
         .help(format!("shipped are: {}", names.join(", "))))
 }
 
-fn inspect_ron(source: SourceText, origin: Origin) -> Result<Findings, Diagnostic> {
+fn inspect_ron(source: SourceText, origin: Origin, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
     match root_name(source.text()) {
-        "Network" => Ok(network_findings(&model::network(source, origin)?)),
+        "Network" => Ok(network_findings(&model::agreeing(model::network(source, origin)?, dt_ms)?)),
         "Target" => Ok(target_findings(&target::target(&source, origin)?)),
         "Chip" => Ok(chip_findings(&target::parse_chip(&source)?)),
         "Constants" => Ok(constants_findings(&target::parse_constants(&source)?)),
@@ -225,7 +248,8 @@ fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {
             ("numbers", json!(tensor.len())),
             ("min", json!(least.map(number))),
             ("max", json!(greatest.map(number))),
-            ("spikes", json!(non_zero)),
+            // Fractions are no spikes.
+            ("spikes", json!(tensor.reals().all(|x| x.fract() == 0.0).then_some(non_zero))),
             ("density", json!(density)),
         ],
         tables: Vec::new(),
@@ -258,18 +282,18 @@ fn inspect_csv(path: &Path) -> Result<Findings, Diagnostic> {
     })
 }
 
-fn inspect_folder(path: &Path) -> Result<Findings, Diagnostic> {
+fn inspect_folder(path: &Path, options: &EventOptions) -> Result<Findings, Diagnostic> {
     let listed = spikes::list_folder(path)?;
     let (mut spikes, mut places, mut events) = (0u64, 0u64, 0u64);
     let mut shapes: Vec<Vec<usize>> = Vec::new();
     for (_, _, file) in &listed {
         // How many spikes a recording of events has is for the options of a run to say.
         if let FileKind::Events(format) = FileKind::detect(file)? {
-            events += foreign::events(file, format)?;
+            events += foreign::events(file, format, options)?;
             continue;
         }
         let array = npy::open(file)?;
-        array.each_non_zero(|_| {
+        array.each_non_zero(|_, _| {
             spikes += 1;
             Ok(())
         })?;
@@ -307,7 +331,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();
-        inspect(path.to_str().unwrap())
+        inspect(path.to_str().unwrap(), None)
     }
 
     fn object(findings: &Findings) -> Value {
@@ -368,7 +392,7 @@ Network(name: "m", timestep_ms: 1.0,
         for name in ["sample_0_label_1.npy", "sample_1_label_1.npy"] {
             std::fs::write(folder.path().join(name), &bytes).unwrap();
         }
-        let folder = object(&inspect(folder.path().to_str().unwrap()).unwrap());
+        let folder = object(&inspect(folder.path().to_str().unwrap(), None).unwrap());
         assert_eq!((&folder["spikes"], folder.get("events")), (&json!(4), None));
         assert_eq!(
             (&folder["density"], &folder["labels"]),
@@ -378,13 +402,13 @@ Network(name: "m", timestep_ms: 1.0,
         for name in ["a.bin", "b.bin"] {
             std::fs::write(folder.path().join(name), [3, 4, 0x80, 0, 9, 5, 6, 0, 1, 0]).unwrap();
         }
-        let folder = object(&inspect(folder.path().to_str().unwrap()).unwrap());
+        let folder = object(&inspect(folder.path().to_str().unwrap(), None).unwrap());
         assert_eq!((&folder["spikes"], &folder["events"]), (&Value::Null, &json!(4)));
     }
 
     #[test]
     fn a_shipped_target_shows_each_constant_with_unit_source_and_status() {
-        let object = object(&inspect("nahuku-32").unwrap());
+        let object = object(&inspect("nahuku-32", None).unwrap());
         assert_eq!((&object["kind"], &object["chips"], &object["cores"]), (&json!("target"), &json!(32), &json!(4096)));
         let constants = object["constants"].as_array().unwrap();
         for preset in ["davies2018", "sanafe-calibrated"] {
@@ -414,7 +438,7 @@ Network(name: "m", timestep_ms: 1.0,
         assert_eq!(findings("a.ron", b"Zoo()").err().unwrap().code, "inspect.kind");
         assert_eq!(findings("a.ron", b"/* x").err().unwrap().code, "inspect.kind");
         assert_eq!(findings("a.xyz", b"").err().unwrap().code, "inspect.kind");
-        assert_eq!(inspect("./absent.xyz").err().unwrap().code, "io.missing");
-        assert_eq!(inspect("absent").err().unwrap().code, "inspect.unknown");
+        assert_eq!(inspect("./absent.xyz", None).err().unwrap().code, "io.missing");
+        assert_eq!(inspect("absent", None).err().unwrap().code, "inspect.unknown");
     }
 }

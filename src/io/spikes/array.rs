@@ -1,10 +1,11 @@
 //! Spikes from NumPy arrays.
 //!
-//! Input: an array `[channels.., T]` or `[samples, channels.., T]`, in which a number other than zero is a spike, and the
-//! channels that are expected. Output: the spikes of each sample. A polarity option merges or drops the one axis of length
-//! 2 before time. Errors: `input.shape`, `input.too-long`, `input.too-many`, and those of the array's numbers.
+//! Input: an array `[channels.., T]` or `[samples, channels.., T]`, in which a whole number other
+//! than zero is a spike, and the channels that are expected. Output: the spikes of each sample. A
+//! polarity option merges or drops the one axis of length 2 before time. Errors: `input.shape`,
+//! `input.too-long`, `input.too-many`, `input.value`, and those of the array's numbers.
 
-use super::options::Polarity;
+use super::options::{ArrayOptions, Polarity};
 use super::population::{PopulationSpikes, too_many};
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::{MOST_EVENTS, MOST_STEPS};
@@ -59,9 +60,9 @@ impl Merging {
 /// The spikes of an array for a population of `units` channels.
 ///
 /// # Errors
-/// `input.shape`, `input.too-long`, `input.too-many`, `npy.value`.
-pub(super) fn from_array(array: &npy::Array, units: u64, polarity: Polarity) -> Result<Vec<PopulationSpikes>> {
-    let (path, shape) = (array.path(), array.shape());
+/// `input.shape`, `input.too-long`, `input.too-many`, `input.value`, `npy.value`.
+pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) -> Result<Vec<PopulationSpikes>> {
+    let (path, shape, polarity) = (array.path(), array.shape(), options.polarity);
     let wrong = |message: String| Diagnostic::new("input.shape", message).in_file(path);
     let Some((&steps, leading)) = shape.split_last() else {
         return Err(wrong("a single number is not a recording; [channels.., T] is".to_string()));
@@ -109,7 +110,10 @@ pub(super) fn from_array(array: &npy::Array, units: u64, polarity: Polarity) -> 
     u32::try_from(units).map_err(|_| wrong(format!("{units} channels cannot be numbered")))?;
     let rows = units as usize * if polarity == Polarity::Both { 1 } else { 2 };
     let mut recordings = PopulationSpikes::silent(samples, units, steps, path);
-    array.each_non_zero(|index| {
+    array.each_non_zero(|index, number| {
+        if !options.is_spike(number, path)? {
+            return Ok(());
+        }
         let (row, step) = (index / steps as usize, index % steps as usize);
         let (sample, Some(channel)) = (row / rows, merging.channel(row % rows)) else {
             return Ok(());

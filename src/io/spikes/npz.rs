@@ -14,7 +14,7 @@ use zip::ZipArchive;
 use super::array;
 use super::events::text::is_header;
 use super::labels;
-use super::options::Polarity;
+use super::options::ArrayOptions;
 use super::population::PopulationSpikes;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::MOST_ARRAY;
@@ -32,8 +32,8 @@ const LABELS: [&str; 3] = ["labels", "y", "targets"];
 ///
 /// # Errors
 /// `input.npz` for a file that is no such archive or has no array for the population; as arrays and labels.
-pub(super) fn read(path: &Path, population: &str, units: u64, polarity: Polarity) -> Result<Vec<PopulationSpikes>> {
-    from_bytes(path, read_bytes(path, MOST_ARRAY)?, population, units, polarity)
+pub(super) fn read(path: &Path, population: &str, units: u64, options: ArrayOptions) -> Result<Vec<PopulationSpikes>> {
+    from_bytes(path, read_bytes(path, MOST_ARRAY)?, population, units, options)
 }
 
 /// Reads the bytes of a file.
@@ -45,7 +45,7 @@ pub fn from_bytes(
     bytes: Vec<u8>,
     population: &str,
     units: u64,
-    polarity: Polarity,
+    options: ArrayOptions,
 ) -> Result<Vec<PopulationSpikes>> {
     let wrong = |message: String| Diagnostic::new("input.npz", message).in_file(path);
     let mut archive =
@@ -85,7 +85,7 @@ pub fn from_bytes(
         return Err(wrong(format!("the archive holds events ({}), not spikes", arrays.join(", ")))
             .help("write them as rows of text with the header t_us,x,y,p (t_s, t_ms or t_ns in other units)"));
     }
-    let mut recordings = array::from_array(&spikes, units, polarity)?;
+    let mut recordings = array::from_array(&spikes, units, options)?;
     if let Some(name) = named_labels {
         labels::apply(path, &labels::from_array(&array_of(name)?)?, &mut recordings)?;
     }
@@ -112,7 +112,7 @@ mod tests {
     }
 
     fn read(bytes: Vec<u8>, population: &str) -> Result<Vec<PopulationSpikes>> {
-        from_bytes(Path::new("a.npz"), bytes, population, 2, Polarity::Both)
+        from_bytes(Path::new("a.npz"), bytes, population, 2, ArrayOptions::default())
     }
 
     #[test]
@@ -132,7 +132,8 @@ mod tests {
         assert_eq!(code(&[]), "input.npz");
         // Events are no spikes of the channels x.
         let events: [(&str, &[u64], &[u8]); 3] = [("x", &[2], &[0, 1]), ("y", &[2], &[1, 0]), ("t", &[2], &[1, 9])];
-        let error = from_bytes(Path::new("a.npz"), archive(&events, stored), "touch", 1, Polarity::Both).unwrap_err();
+        let error =
+            from_bytes(Path::new("a.npz"), archive(&events, stored), "touch", 1, ArrayOptions::default()).unwrap_err();
         assert!(error.message.contains("holds events (x, y, t)"), "{error}");
         assert_eq!(read(b"no archive".to_vec(), "touch").unwrap_err().code, "input.npz");
     }

@@ -1,5 +1,7 @@
 //! How a recording becomes spikes: the options that stand after the `?` of a source.
 
+use std::path::Path;
+
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::MOST_STEPS;
 
@@ -86,15 +88,52 @@ pub struct EventOptions {
     pub start: Option<Origin>,
     /// What becomes of the polarities.
     pub polarity: Polarity,
-    /// The events that a bin needs to be a spike.
-    pub least: Option<u32>,
+    /// The events that a bin needs to be a spike; of an array, the least number that is one.
+    pub least: Option<f64>,
     /// The unit of times of which the file does not say it.
     pub unit: Option<TimeUnit>,
     /// The stream that is read of several.
     pub stream: Option<u32>,
 }
 
+/// Every option, for messages.
+const OPTIONS: &str = "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first start_ms=T \
+    polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &";
+
+/// The options that arrays take.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ArrayOptions {
+    /// What becomes of the polarities.
+    pub polarity: Polarity,
+    /// The least number that is a spike.
+    pub least: Option<f64>,
+}
+
+impl ArrayOptions {
+    /// Whether a number is a spike.
+    ///
+    /// # Errors
+    /// `input.value` for a fraction, where nothing says from which number on there is a spike.
+    pub(super) fn is_spike(self, number: f64, path: &Path) -> Result<bool> {
+        match self.least {
+            Some(least) => Ok(number >= least),
+            None if number.fract() == 0.0 => Ok(number != 0.0),
+            None => Err(Diagnostic::new("input.value", format!("the array holds {number}: a spike is a whole number"))
+                .help(format!("encode real numbers as spikes, or take those from 0.5 on: {}?least=0.5", path.display()))
+                .in_file(path)),
+        }
+    }
+}
+
 impl EventOptions {
+    /// The options of an array, where no others are given.
+    #[must_use]
+    pub fn of_array(&self) -> Option<ArrayOptions> {
+        let &EventOptions { polarity, least, .. } = self;
+        (*self == EventOptions { polarity, least, ..EventOptions::default() })
+            .then_some(ArrayOptions { polarity, least })
+    }
+
     /// Options as `key=value` pairs of an argument.
     ///
     /// # Errors
@@ -102,7 +141,7 @@ impl EventOptions {
     pub fn parse(pairs: &[(String, String)]) -> Result<Self> {
         let mut options = EventOptions::default();
         for (key, value) in pairs {
-            let bad = |what: &str| Diagnostic::new("input.option", format!("{key}={value}: {what}"));
+            let bad = |what: &str| Diagnostic::new("input.option", format!("{key}={value}: {what}")).help(OPTIONS);
             let numbers = |count: std::ops::RangeInclusive<usize>, least: u32| -> Result<Vec<u32>> {
                 let list: Option<Vec<u32>> = value.split(',').map(|part| part.trim().parse().ok()).collect();
                 list.filter(|list| count.contains(&list.len()) && list.iter().all(|&x| (least..=1 << 16).contains(&x)))
@@ -149,13 +188,11 @@ impl EventOptions {
                     options.unit = Some(unit.ok_or_else(|| bad("it is s, ms, us or ns"))?);
                 }
                 "stream" => options.stream = Some(numbers(1..=1, 0)?[0]),
-                "least" => options.least = Some(numbers(1..=1, 1)?[0]),
-                _ => {
-                    return Err(bad("there is no such option").help(
-                        "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first start_ms=T \
-                         polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &",
-                    ));
+                "least" => {
+                    let least = value.parse().ok().filter(|least: &f64| *least > 0.0 && least.is_finite());
+                    options.least = Some(least.ok_or_else(|| bad("no number above 0"))?);
                 }
+                _ => return Err(bad("there is no such option")),
             }
         }
         Ok(options)

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::events::nir_data;
 use super::events::read::{read_file, read_input, report};
 use super::folder::list_folder;
-use super::options::{EventOptions, Polarity};
+use super::options::{ArrayOptions, EventOptions};
 use super::population::{Expected, PopulationSpikes};
 use super::{array, csv, npz};
 use crate::base::diagnostic::{Diagnostic, Result};
@@ -43,8 +43,8 @@ pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSp
             Ok(vec![spikes])
         }
         FileKind::Hdf5 => read_nir_data(path, request),
-        FileKind::Npz => npz::read(path, request.population, units, array_polarity(path, options)?),
-        FileKind::Npy => array::from_array(&npy::open(path)?, units, array_polarity(path, options)?),
+        FileKind::Npz => npz::read(path, request.population, units, array_options(path, options)?),
+        FileKind::Npy => array::from_array(&npy::open(path)?, units, array_options(path, options)?),
         FileKind::SpikeList => {
             takes_no_options(path, options)?;
             csv::read(path, units)
@@ -62,8 +62,8 @@ fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<
     let Request { expected, options, .. } = request;
     match FileKind::from_bytes(&bytes, path) {
         FileKind::Npy => {
-            let polarity = array_polarity(path, options)?;
-            array::from_array(&npy::Array::from_bytes(path, bytes)?, expected.units, polarity)
+            let options = array_options(path, options)?;
+            array::from_array(&npy::Array::from_bytes(path, bytes)?, expected.units, options)
         }
         FileKind::Events(format) => {
             let name = path.display().to_string();
@@ -94,24 +94,20 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
     }
     Err(Diagnostic::new(
         "input.kind",
-        "options after '?' are for recordings of events, for arrays (polarity) and for scenes",
+        "options after '?' are for recordings of events, for arrays (polarity, least) and for scenes",
     )
     .help(format!("options are for {RECORDINGS}"))
     .in_file(path))
 }
 
-/// The only option that an array takes.
-fn array_polarity(path: &Path, options: &EventOptions) -> Result<Polarity> {
-    let polarity = options.polarity;
-    if *options == (EventOptions { polarity, ..EventOptions::default() }) {
-        return Ok(polarity);
-    }
-    Err(Diagnostic::new("input.option", "an array has timesteps already: polarity is the only option that it takes")
-        .in_file(path))
+/// The options that an array takes.
+fn array_options(path: &Path, options: &EventOptions) -> Result<ArrayOptions> {
+    let message = "an array has timesteps already: polarity and least are the options that it takes";
+    options.of_array().ok_or_else(|| Diagnostic::new("input.option", message).in_file(path))
 }
 
 fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
-    let tree = hdf5::tree(path, read_bytes(path, MOST_ARRAY)?)?;
+    let tree = hdf5::tree(path, hdf5::bytes_of(path)?)?;
     if !nir_data::is_data(&tree) {
         return Err(Diagnostic::new("input.kind", "this is no file of NIR data")
             .in_file(path)

@@ -20,8 +20,9 @@ pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &EventOptions::default())
 }
 
-/// Reads a source for a population, with the options that stand after its `?`. Options other than `polarity` are for
-/// recordings of events; an array takes `polarity` along the one axis of length 2 before time.
+/// Reads a source for a population, with the options that stand after its `?`. Options other than
+/// `polarity` and `least` are for recordings of events; an array takes `polarity` along the one
+/// axis of length 2 before time.
 ///
 /// # Errors
 /// As [`read_source`]; `input.option` for an option that the source does not take.
@@ -134,7 +135,7 @@ mod tests {
             }
             assert_eq!(read_as(&path, u64::from(2 * before * behind), "").unwrap().len(), n as usize);
             assert_eq!(read_as(&path, 7, "polarity=merge").unwrap_err().code, "input.shape");
-            assert_eq!(read_as(&path, 20, "polarity=merge&least=2").unwrap_err().code, "input.option");
+            assert_eq!(read_as(&path, 20, "polarity=merge&pool=2").unwrap_err().code, "input.option");
         }
         let twice = array(folder.path(), "t.npy", &[2, 2, 3, 1], &[0; 12]);
         assert!(read_as(&twice, 6, "polarity=merge").unwrap_err().message.contains("which is the polarity"));

@@ -205,7 +205,7 @@ impl Bins {
         self.grid()?;
         self.settle()?;
         self.check_unit()?;
-        let least = self.window.options.least.unwrap_or(1);
+        let least = self.window.options.least.unwrap_or(1.0);
         let steps = match self.window.options.steps {
             Some(steps) => steps,
             None if self.settled.is_empty() => {
@@ -217,7 +217,7 @@ impl Bins {
         let events: Vec<(u32, u32)> = self
             .settled
             .iter()
-            .filter(|(_, count)| *count >= least)
+            .filter(|(_, count)| f64::from(*count) >= least)
             .map(|(key, _)| ((key >> 32) as u32, *key as u32))
             .collect();
         self.counts.faint = (self.settled.len() - events.len()) as u64;

@@ -11,7 +11,7 @@ use super::event::wrong;
 use crate::base::diagnostic::{Diagnostic, Result};
 use crate::io::budget::MOST_STEPS;
 use crate::io::foreign::hdf5::{Attribute, Group, Item, Numbers};
-use crate::io::spikes::options::EventOptions;
+use crate::io::spikes::options::{ArrayOptions, EventOptions};
 use crate::io::spikes::population::{Expected, PopulationSpikes};
 
 /// The most samples of a file.
@@ -73,13 +73,16 @@ pub fn read(
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>> {
     let group = observable(root, population)?;
-    let &EventOptions { bin_us, steps, .. } = options;
-    if *options != (EventOptions { bin_us, steps, ..EventOptions::default() }) {
+    let &EventOptions { bin_us, steps, least, .. } = options;
+    let gridded = kind(group) == Some("TimeGriddedData");
+    let least = least.filter(|_| gridded);
+    if *options != (EventOptions { bin_us, steps, least, ..EventOptions::default() }) {
         return Err(Diagnostic::new(
             "input.option",
-            "NIR data has channels and times: bin_ms and steps are its only options",
+            "NIR data has channels and times: bin_ms and steps are its only options, and least of a grid",
         ));
     }
+    let of_grid = ArrayOptions { least, ..ArrayOptions::default() };
     let array = |key: &str, axes: usize| {
         let numbers = group.numbers(key).ok_or_else(|| wrong(format!("the observable has no '{key}'")))?;
         if numbers.shape().len() == axes {
@@ -127,7 +130,10 @@ pub fn read(
             check(units as f64)?;
             let all = bound(steps as f64)?;
             let mut recordings = silent(samples, all)?;
-            for (at, _) in data.reals().enumerate().filter(|(_, x)| *x != 0.0) {
+            for (at, number) in data.reals().enumerate() {
+                if !of_grid.is_spike(number, path)? {
+                    continue;
+                }
                 let (sample, step, unit) = (at / (steps * units), at / units % steps, at % units);
                 recordings[sample].events.push((step as u32, unit as u32));
             }

@@ -48,8 +48,8 @@ pub fn decode(format: EventFormat, options: &EventOptions, input: &mut dyn BufRe
 ///
 /// # Errors
 /// As [`decode`], `io.*`.
-pub fn decode_file(path: &Path, format: EventFormat, sink: &mut dyn Sink) -> Result<()> {
-    decode(format, &EventOptions::default(), &mut open(path)?, sink).map_err(|problem| problem.or_in_file(path))
+pub fn decode_file(path: &Path, format: EventFormat, options: &EventOptions, sink: &mut dyn Sink) -> Result<()> {
+    decode(format, options, &mut open(path)?, sink).map_err(|problem| problem.or_in_file(path))
 }
 
 /// Opens a recording, with the same errors as any other file.
