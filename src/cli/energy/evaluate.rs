@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::args::CostArgs;
 use super::workload::{simulate, simulate_recorded, workload, workload_of};
+use crate::base::diagnostic::Diagnostic;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
@@ -41,6 +42,12 @@ pub fn evaluate(
             return refusal.say(nothing(copies, args.mode, args.convention), context);
         }
     };
+    if args.input.input.is_empty() && job.scene().is_none() {
+        let message = format!("energy follows activity, and the model {} names no scene", args.job.model);
+        return Err(Diagnostic::new("energy.input", message)
+            .help("give spikes with --input FILE, or --input scene:noise to try")
+            .into());
+    }
     // The network of a published job is mapped as that was.
     let of_job = match job.mapped() {
         Some((compiled, target)) => plan.job_mapped(compiled, target)?.map(|compiled| (compiled, target)),
