@@ -561,5 +561,13 @@ fn events_in_hdf5_are_refused_by_their_names() {
     for (tree, name) in [(metavision, "Metavision"), (dsec, "DSEC")] {
         let error = hdf5::tree(Path::new("a.h5"), hdf5::write(&tree).unwrap()).unwrap_err();
         assert!(error.code == "hdf5.events" && error.message.contains(name) && error.help.is_some(), "{error}");
+        // A file that is too large to be read is named as well.
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("large.h5");
+        std::fs::write(&path, hdf5::write(&tree).unwrap()).unwrap();
+        std::fs::File::options().write(true).open(&path).unwrap().set_len((1 << 30) + 1).unwrap();
+        assert_eq!(hdf5::bytes_of(&path).unwrap_err().message, error.message);
+        std::fs::File::create(&path).unwrap().set_len((1 << 30) + 1).unwrap();
+        assert_eq!(hdf5::bytes_of(&path).unwrap_err().code, "io.too-large");
     }
 }
