@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::base::diagnostic::Diagnostic;
 use crate::base::id::PopulationId;
 use crate::base::names::fits_pattern;
 use crate::cli::args::conversion::CopiesArgs;
@@ -60,6 +61,9 @@ pub struct JobArgs {
     /// Where copies of the model are mapped.
     #[arg(skip)]
     pub placement: CopyPlacement,
+    /// Whether a model has to name a scene: energy follows activity, and no spikes are given.
+    #[arg(skip)]
+    pub needs_scene: bool,
 }
 
 impl JobArgs {
@@ -79,6 +83,7 @@ impl JobArgs {
             prune,
             copies,
             placement,
+            needs_scene: false,
         }
     }
 
@@ -247,6 +252,12 @@ fn received(args: &JobArgs, ranks: &Ranks) -> Result<Prepared, Error> {
 fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
+    if args.needs_scene && scene.is_none() {
+        let message = format!("energy follows activity, and the model {} names no scene", args.model);
+        return Err(Diagnostic::new("energy.input", message)
+            .help("give spikes with --input FILE, or --input scene:noise to try")
+            .into());
+    }
     let real = match wanted {
         Wanted::Mapped | Wanted::Quantised => false,
         Wanted::Real => true,

@@ -7,6 +7,7 @@ use crate::bench::batch_sizes::{self, BatchRow, OnChip};
 use crate::bench::power::{POWERCAP, PackagePower, PowerMeter};
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, Job, JobArgs, Prepared, Wanted};
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
@@ -35,6 +36,8 @@ pub struct BatchArgs {
     /// A model file or the name of a shipped model
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
     model: String,
+    #[command(flatten)]
+    timestep: TimestepArgs,
     /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations [default: the model's scene]
     #[arg(long, value_name = "SOURCE")]
     input: Vec<String>,
@@ -56,9 +59,13 @@ pub struct BatchArgs {
 }
 
 impl BatchArgs {
+    fn on_target(&self) -> JobArgs {
+        JobArgs { target: self.target.clone(), timestep: self.timestep, ..JobArgs::for_model(&self.model) }
+    }
+
     fn job(&self, copies: u32) -> Result<Prepared, Error> {
-        let job = JobArgs { target: self.target.clone(), ..JobArgs::for_model(&self.model) };
-        jobs::prepare(&job, Wanted::Mapped, copies)
+        let needs_scene = self.input.is_empty();
+        jobs::prepare(&JobArgs { needs_scene, ..self.on_target() }, Wanted::Mapped, copies)
     }
 
     fn input(&self) -> InputArgs {
@@ -208,7 +215,7 @@ fn on_gpu(
         Err(reason) => take(Err(reason)),
         Ok(form) => sizes.iter().for_each(|&size| take(batch_sizes::gpu(&gpu, &form, samples, size, args.seconds))),
     }
-    let real = jobs::prepare(&JobArgs::for_model(&args.model), Wanted::Real, 1)?;
+    let real = jobs::prepare(&args.on_target(), Wanted::Real, 1)?;
     if let Prepared::Ready(Job::Real(graph, ..)) = &real {
         match BatchForm::real(graph) {
             Err(reason) => take(Err(reason)),

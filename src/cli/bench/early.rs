@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::bench::early::{StudyModel, Trial, TrialGroup, TrialRun, study_models};
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
@@ -31,6 +32,8 @@ pub struct EarlyArgs {
     /// Model files or names of shipped models
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip", conflicts_with = "study")]
     models: Vec<String>,
+    #[command(flatten)]
+    timestep: TimestepArgs,
     /// Use the models of a study of `nsim train` in this folder instead
     #[arg(long, value_name = "DIR")]
     study: Option<PathBuf>,
@@ -65,7 +68,8 @@ fn models(args: &EarlyArgs) -> Result<Vec<StudyModel>, Error> {
 
 /// Accuracy and energy after each step.
 fn trial(args: &EarlyArgs, model: &StudyModel, copies: u32, context: Context) -> Result<Option<Trial>, Error> {
-    let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(&model.model) };
+    let (target, needs_scene) = (args.target.clone(), args.input.is_empty());
+    let job = JobArgs { target, timestep: args.timestep, needs_scene, ..JobArgs::for_model(&model.model) };
     let job = match jobs::prepare(&job, Wanted::Mapped, copies)? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {

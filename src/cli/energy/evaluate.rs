@@ -4,7 +4,6 @@ use std::path::Path;
 
 use super::args::CostArgs;
 use super::workload::{simulate, simulate_recorded, workload, workload_of};
-use crate::base::diagnostic::Diagnostic;
 use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
@@ -34,7 +33,8 @@ pub fn evaluate(
         plan.of_mapping()?;
     }
     let copies = plan.mapped_copies();
-    let mapped_as = JobArgs { placement: plan.placement(), ..args.job.clone() };
+    let needs_scene = args.input.input.is_empty();
+    let mapped_as = JobArgs { placement: plan.placement(), needs_scene, ..args.job.clone() };
     let job = match jobs::prepare_probed(&mapped_as, Wanted::Mapped, copies, &[])? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
@@ -42,12 +42,6 @@ pub fn evaluate(
             return refusal.say(nothing(copies, args.mode, args.convention), context);
         }
     };
-    if args.input.input.is_empty() && job.scene().is_none() {
-        let message = format!("energy follows activity, and the model {} names no scene", args.job.model);
-        return Err(Diagnostic::new("energy.input", message)
-            .help("give spikes with --input FILE, or --input scene:noise to try")
-            .into());
-    }
     // The network of a published job is mapped as that was.
     let of_job = match job.mapped() {
         Some((compiled, target)) => plan.job_mapped(compiled, target)?.map(|compiled| (compiled, target)),
