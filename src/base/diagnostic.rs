@@ -103,7 +103,7 @@ struct Others(Vec<Diagnostic>);
 
 /// What to change where a problem does not say it itself: by the beginning of its code, or its end;
 /// the first counts.
-const USUAL: [(&str, &str); 23] = [
+const USUAL: [(&str, &str); 32] = [
     (".syntax", "nsim inspect FILE says what a file is: a model begins with Network(, a data set with DataSet("),
     ("io.missing", "check the path, which begins in the folder that nsim is called in"),
     ("io.denied", "allow its reading: chmod u+r FILE"),
@@ -127,6 +127,15 @@ const USUAL: [(&str, &str); 23] = [
     ("write.", "name another file, on a disk with room"),
     ("journal.", "wait until the other process has ended, or name another file"),
     ("mapping.", "make another mapping: nsim map MODEL -o FILE"),
+    ("map.relays", "map it without --relays, or choose a target with more output axons"),
+    ("map.strategy", "leave --strategy out"),
+    ("map.copies", "map fewer copies: --copies N"),
+    ("map.", "change the model, or choose another target: --target NAME"),
+    ("model.", "change the model at this place: nsim show NAME prints a shipped one"),
+    ("target.", "change the target at this place: nsim show NAME prints a shipped one"),
+    ("constants.", "change the preset at this place: nsim show NAME prints a shipped one"),
+    ("sweep.", "change the file of the sweep: nsim help sweep has examples"),
+    ("train.", "change the training file: nsim help train has examples"),
 ];
 
 /// The most problems of an input that are told together.

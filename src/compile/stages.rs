@@ -131,7 +131,8 @@ impl Front {
     /// when relays cannot help.
     pub fn relay(mut self, target: &Target) -> Result<Front> {
         if self.one.pruned().is_some() {
-            return Err(Diagnostic::new("map.relays", "a pruned network cannot be given relays").into());
+            let refused = Diagnostic::new("map.relays", "a pruned network cannot be given relays");
+            return Err(refused.help("leave --prune or --relays out").into());
         }
         let reasons = even_draws::reasons(&self.one, target, 1, true);
         if !reasons.is_empty() {

@@ -7,11 +7,16 @@ use serde_json::Value;
 
 use crate::{MODEL, SRM, nsim, object, said, write};
 
-/// A NIR file whose one neuron implies no timestep.
+/// A NIR file whose neurons imply no timestep.
 fn nir(folder: &Path) -> String {
+    nir_with(folder, 1.0)
+}
+
+/// A NIR file of neurons with this resistance.
+fn nir_with(folder: &Path, r: f64) -> String {
     let typed = |kind: &str| Group::default().with("type", kind);
     let one = |value: f64| Numbers::f64(&[2], &[value; 2]);
-    let neuron = typed("LIF").with("tau", one(0.02)).with("r", one(1.0)).with("v_leak", one(0.0));
+    let neuron = typed("LIF").with("tau", one(0.02)).with("r", one(r)).with("v_leak", one(0.0));
     let nodes = Group::default()
         .with("input", typed("Input").with("shape", Numbers::i64(&[1], &[3])))
         .with("w", typed("Linear").with("weight", Numbers::f64(&[2, 3], &[30.0, 20.0, 40.0, 10.0, 35.0, 25.0])))
@@ -58,6 +63,9 @@ fn every_command_that_reads_models_takes_the_timestep_that_a_file_lacks() {
     // What has no other way to say so tells it by the import it would need.
     let import = |more: &[&str]| object(&[&["inspect", &net], more].concat(), 0)["import"].to_string();
     assert!(import(&[]).contains("--dt MS") && import(&["--dt", "0.1"]).contains("timestep 0.1 ms"));
+    // Where the nodes imply one, the note names what they have.
+    let notes = object(&["import", &nir_with(folder.path(), 20.0)], 0)["notes"].to_string();
+    assert!(notes.contains("timestep 1.000000 ms: tau / r\""), "{notes}");
     // A file that says its timestep keeps it.
     let model = write(folder.path(), "m.ron", MODEL);
     for line in [&["run", &model, "--input", noise, "--dt", "2"][..], &["inspect", &model, "--dt", "2"]] {
