@@ -229,7 +229,7 @@ impl Golden {
         }
         self.left_fields[id].wrapped += u64::from(outcome.q_wrapped) + u64::from(outcome.u_wrapped);
         self.left_fields[id].clipped += u64::from(outcome.v_clipped);
-        self.left_fields[id].clipped_low += u64::from(outcome.v_clipped && state.v < 0);
+        self.left_fields[id].cut += u64::from(outcome.v_clipped && self.compartments[id].state.v > 0);
         outcome.spiked
     }
 }

@@ -21,8 +21,8 @@ pub struct PopulationCounts {
     pub silent: u64,
     /// Voltages that were clipped.
     pub clipped: u64,
-    /// Those of them that were clipped at the negative end.
-    pub clipped_low: u64,
+    /// Of these, those at the upper end that no reset to zero follows.
+    pub cut: u64,
     /// Accumulators and currents that wrapped.
     pub wrapped: u64,
 }
@@ -74,7 +74,7 @@ impl ByPopulation {
                         row.spikes += spikes;
                         row.silent += u64::from(spikes == 0);
                         row.clipped += left.clipped;
-                        row.clipped_low += left.clipped_low;
+                        row.cut += left.cut;
                         row.wrapped += left.wrapped;
                     }
                     sum.populations.push(row);
@@ -92,8 +92,8 @@ impl ByPopulation {
         // Each of the counted copies has the same part of every sum.
         let scale = |count: &mut u64| *count = *count / counted.max(1) * u64::from(copies);
         for row in &mut sum.populations {
-            let PopulationCounts { name: _, compartments, spikes, silent, clipped, clipped_low, wrapped } = row;
-            [compartments, spikes, silent, clipped, clipped_low, wrapped].into_iter().for_each(scale);
+            let PopulationCounts { name: _, compartments, spikes, silent, clipped, cut, wrapped } = row;
+            [compartments, spikes, silent, clipped, cut, wrapped].into_iter().for_each(scale);
         }
         sum.inputs.iter_mut().flat_map(|row| [&mut row.channels, &mut row.spikes]).for_each(scale);
         sum

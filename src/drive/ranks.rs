@@ -107,8 +107,7 @@ pub(super) fn to_words(
     let fired = found.counts.compartments.enumerate().filter(|(_, count)| **count > 0);
     list(&mut words, &fired.flat_map(|(id, &count)| [u64::from(id.0), count]).collect::<Vec<_>>());
     let left = found.counts.left_fields.enumerate().filter(|(_, left)| **left != LeftField::default());
-    let left: Vec<u64> =
-        left.flat_map(|(id, left)| [u64::from(id.0), left.wrapped, left.clipped, left.clipped_low]).collect();
+    let left: Vec<u64> = left.flat_map(|(id, left)| [u64::from(id.0), left.wrapped, left.clipped, left.cut]).collect();
     list(&mut words, &left);
     for outcome in found.outcomes {
         let Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates } = outcome.totals;
@@ -178,7 +177,7 @@ fn add_counts(counts: &mut SourceCounts, words: &mut Words<'_>) {
         counts.compartments[CompartmentId::new(fired[0] as usize)] += fired[1];
     }
     for left in words.list().chunks_exact(4) {
-        let more = LeftField { wrapped: left[1], clipped: left[2], clipped_low: left[3] };
+        let more = LeftField { wrapped: left[1], clipped: left[2], cut: left[3] };
         counts.add_left_field(CompartmentId::new(left[0] as usize), more);
     }
 }

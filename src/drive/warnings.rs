@@ -7,7 +7,7 @@
 use std::collections::HashSet;
 
 use crate::base::diagnostic::Result;
-use crate::base::fixed::ThresholdMantissa;
+use crate::base::fixed::{ThresholdMantissa, VmaxExponent};
 use crate::base::id::{CompartmentId, PopulationId};
 use crate::desc::network::{ReadOut, ThresholdTest};
 use crate::drive::populations::{ByPopulation, PopulationCounts};
@@ -113,12 +113,11 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         } else if is_output && let Some(message) = silent_classes(run) {
             add("silent-output", message);
         }
-        // At the negative end nothing fires either way.
-        if row.clipped > row.clipped_low {
-            let here = |(population, _): &&(PopulationId, String)| *population == id && row.clipped_low == 0;
-            let place = first.as_ref().filter(here).map_or("", |(_, place)| place);
-            let clipped = counted(row.clipped - row.clipped_low, "voltage");
-            add("clipped", format!("{clipped} clipped{place}: {}", widen(network, id)));
+        // A negative voltage that is clipped, or one that a spike sets to zero, loses nothing that is missed.
+        if row.cut > 0 {
+            let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
+            let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);
+            add("clipped", format!("{} clipped{place}: {}", counted(row.cut, "voltage"), widen(network, id)));
         }
         if row.wrapped > 0 {
             let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
@@ -328,13 +327,14 @@ fn silent_classes(run: Finished<'_>) -> Option<String> {
 /// What leaves room to values that wrap or clip, and no spike otherwise.
 const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vth_mant and bias_mant: the same spikes at half the values";
 
-/// What leaves room to voltages.
-fn widen(network: &Quantised, id: PopulationId) -> &'static str {
-    let narrow = |neuron: &Neuron| neuron.vmax < crate::base::fixed::VmaxExponent::MAX;
-    match &network.populations()[id].units {
-        Units::Compartments { neurons, .. } if neurons.any(narrow) => "raise vmax_exp",
-        _ => HALVE,
-    }
+/// What leaves room to voltages above.
+#[must_use]
+pub fn widen(network: &Quantised, id: PopulationId) -> String {
+    let narrow = match &network.populations()[id].units {
+        Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.vmax < VmaxExponent::MAX),
+        Units::Input(_) => false,
+    };
+    if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
 }
 
 /// Projections into a population all of whose weights were rounded.

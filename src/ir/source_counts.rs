@@ -12,8 +12,8 @@ pub struct LeftField {
     pub wrapped: u64,
     /// Voltages that were clipped.
     pub clipped: u64,
-    /// Those of them that were clipped at the negative end.
-    pub clipped_low: u64,
+    /// Of these, those at the upper end that no reset to zero follows: what they lose is missed.
+    pub cut: u64,
 }
 
 /// Spikes by source and overflow by compartment, of a run or a part of it.
@@ -49,7 +49,7 @@ impl SourceCounts {
         let sum = &mut self.left_fields.as_mut_slice()[compartment.index()];
         sum.wrapped += more.wrapped;
         sum.clipped += more.clipped;
-        sum.clipped_low += more.clipped_low;
+        sum.cut += more.cut;
     }
 
     /// Adds another part of the run.

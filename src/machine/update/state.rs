@@ -466,10 +466,9 @@ impl CompartmentState {
 
     /// Counts values that left their fields, which is rare.
     #[cold]
-    fn note_overflow(&mut self, effect: Effect, step: u32, lane: usize, shard: &Shard) {
+    fn note_overflow(&mut self, effect: Effect, v: i32, step: u32, lane: usize, shard: &Shard) {
         let (q_wrapped, u_wrapped) = (u64::from(effect.q_wrapped), u64::from(effect.u_wrapped));
         let clipped = u64::from(effect.v_clipped);
-        let low = u64::from(effect.v_clipped && self.registers(lane).v < 0);
         self.overflow.q_wrapped += q_wrapped;
         self.overflow.u_wrapped += u_wrapped;
         self.overflow.v_clipped += clipped;
@@ -480,7 +479,7 @@ impl CompartmentState {
         let left = &mut self.left_fields[lane];
         left.wrapped += q_wrapped + u_wrapped;
         left.clipped += clipped;
-        left.clipped_low += low;
+        left.cut += clipped * u64::from(v > 0);
     }
 
     /// Updates some lanes of a core block one by one.
@@ -514,7 +513,7 @@ impl CompartmentState {
             effects.busy |= new != Registers::default();
             effects.spiked |= u64::from(effect.spiked) << offset;
             if effect.q_wrapped | effect.u_wrapped | effect.v_clipped {
-                self.note_overflow(effect, input.step, lane, shard);
+                self.note_overflow(effect, new.v, input.step, lane, shard);
             }
         }
         effects

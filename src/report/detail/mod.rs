@@ -50,7 +50,7 @@ impl Detail {
         let columns = ["population", "compartments", "spikes", "each a step", "silent", "clipped", "wrapped"];
         let mut table = super::text::table(columns);
         for row in &self.sums.populations {
-            let PopulationCounts { name, compartments, spikes, silent, clipped, wrapped, clipped_low: _ } = row;
+            let PopulationCounts { name, compartments, spikes, silent, clipped, wrapped, .. } = row;
             let rate = *spikes as f64 / (compartments * timesteps).max(1) as f64;
             let quiet = if *compartments > 0 && *spikes == 0 { "all".to_string() } else { silent.to_string() };
             let cells = [compartments.to_string(), spikes.to_string(), format!("{rate:.4}"), quiet];
