@@ -458,8 +458,10 @@ fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum:
 /// A step of lava's fixed-point LIF process (lava-nc b6822fb, `proc/lif/models.py`).
 fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
     const HALF: i64 = 1 << 23;
-    // The process computes in arrays of 32 bits; rule (11).
-    let current = wrap(decay(state.u, neuron.du) + wrap(sum, 31), 31);
+    // Rule (11): a negative exponent shifts the sum of a step, not each weight.
+    let arrived = 64 * (sum / 64).div_euclid(1 << neuron.shift);
+    // The process computes in arrays of 32 bits.
+    let current = wrap(decay(state.u, neuron.du) + wrap(arrived, 31), 31);
     state.u = if current > HALF {
         current - 2 * HALF
     } else if current <= -HALF {

@@ -42,6 +42,9 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<M
             Units::Input(_) => PopulationBuilder::input(&population.name, shape),
             Units::Compartments { neurons, start_step, .. } => {
                 let each: Vec<Neuron> = (0..population.shape.len()).map(|index| neurons.get(index)).collect();
+                if each.iter().any(|neuron| neuron.shift > 0) {
+                    return Err(unsupported(&format!("'{}', whose sums lava shifts,", population.name)));
+                }
                 let kind = each.first().map_or(Neuron::PLAIN.kind, |neuron| neuron.kind);
                 let values = |name: &str| -> Vec<f64> {
                     let value = |neuron: &Neuron| match name {

@@ -7,7 +7,7 @@
 //! arithmetic narrows a value:
 //!
 //! - *Hardware*: q wraps at 22 bits, u and u + bias at 24, v is clipped to vmin and vmax.
-//! - *Lava*: lava's fixed-point LIF process. No wrap of q, u wraps once into (-2^23, 2^23], v is clipped to the whole field,
+//! - *Lava*: lava's fixed-point LIF process. A negative exponent shifts the sum q, which never wraps, u wraps once into (-2^23, 2^23], v is clipped to the whole field,
 //!   no refractory period.
 //! - *Slayer*: SLAYER's Loihi kernel. The magnitude of a product keeps its low 32 bits, sums have 32 bits, there is no bias
 //!   and no clip, step 0 is skipped, and a refractory period of 0 silences the compartment after its first spike.
@@ -71,6 +71,7 @@ fn neuron(values: &[i64]) -> Result<Neuron, OutOfRange> {
         refractory: Refractory::new(refractory)?,
         vmin: VminExponent::new(vmin)?,
         vmax: VmaxExponent::new(vmax)?,
+        shift: 0,
     })
 }
 
@@ -125,7 +126,8 @@ fn hardware(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
 /// Source: lava-nc b6822fb, `proc/lif/models.py`.
 fn lava(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     let limit = 1i64 << UV_BITS;
-    let activation = (i64::from(arrived) << WEIGHT_SHIFT) as i32;
+    // Toward minus infinity, as NumPy shifts.
+    let activation = (i64::from(arrived >> f.neuron.shift) << WEIGHT_SHIFT) as i32;
     let sum = (decay(i64::from(r.u), f.neuron.du) + i64::from(activation)) as i32;
     let mut u = i64::from(sum);
     if u > limit {
@@ -215,6 +217,9 @@ fn greatest_voltage(neuron: &Neuron, semantics: Semantics, arrivals: Arrivals) -
         }
         Semantics::Lava => {
             let most = (1i64 << UV_BITS) - 1;
+            // A shift toward minus infinity is monotone, so that it keeps bounds.
+            let shifted = |sum: i64| (sum >> WEIGHT_SHIFT >> neuron.shift) << WEIGHT_SHIFT;
+            let arrivals = Arrivals { low: shifted(arrivals.low), high: shifted(arrivals.high) };
             let u = current(neuron, arrivals).filter(|u| -most <= u.low && u.high <= most)?;
             // |decay(v) + u + bias| < 2^25: the 32 bits that lava computes in are never left.
             Some(voltage(neuron, u.high + bias).map_or(most, |v| v.clamp(-most, most)))

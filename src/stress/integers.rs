@@ -84,6 +84,7 @@ impl Plan {
                 refractory: Refractory::new(p.refractory as i64)?,
                 vmin: VminExponent::new(p.vmin.into())?,
                 vmax: VmaxExponent::new(p.vmax.into())?,
+                shift: 0,
             })
         };
         let neurons = PerCompartment::Each(self.neurons.iter().map(neuron).collect::<Result<_, _>>()?);

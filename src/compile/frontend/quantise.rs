@@ -80,6 +80,9 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]));
     let mut projections: IdVec<ProjectionId, Projection> =
         gathered(problems.into_iter().chain(projections))?.into_iter().collect();
+    if graph.facts().semantics == Semantics::Lava {
+        stage.shift_sums(&mut populations, &mut projections)?;
+    }
     if detail >= Detail::Carried {
         carry::carry(graph, &populations, &scales, &mut projections);
     }
@@ -165,6 +168,49 @@ impl Stage<'_> {
                 .help("1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
         Ok(SynapseFormat { exponent, sign: projection.sign, bits: width })
+    }
+
+    /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each weight. Where a weight
+    /// would lose bits, what arrives at its targets is summed in finer units, and shifted once (rule 11).
+    fn shift_sums(
+        &mut self,
+        populations: &mut IdVec<PopulationId, Population>,
+        projections: &mut IdVec<ProjectionId, Projection>,
+    ) -> Result<()> {
+        let lossy: Vec<(PopulationId, i8)> = (projections.iter())
+            .filter(|p| p.format.exponent.get() < 0 && !p.connectivity.all_multiples_of(1 << -p.format.exponent.get()))
+            .map(|p| (p.target, p.format.exponent.get()))
+            .collect();
+        for &(target, exponent) in &lossy {
+            let population = &mut populations[target];
+            let several = lossy.iter().filter(|other| other.0 == target).count() > 1;
+            let into = || projections.iter().filter(|p| p.target == target);
+            let most = into().map(|p| p.format.exponent.get()).max().unwrap_or(exponent) - exponent;
+            if several || i64::from(most) > i64::from(WeightExponent::MAX.get()) {
+                let message = format!(
+                    "population '{}': under semantics Lava, of the projections into it one at most may have a negative \
+                     weight_exp by which weights lose bits, and the others at most {} more",
+                    population.name,
+                    WeightExponent::MAX
+                );
+                let span = self.graph.populations().nth(target.0 as usize).map_or(Span::default(), |(_, p)| p.span);
+                return Err(self.error("model.semantics", message, span).help(
+                    "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use semantics Hardware",
+                ));
+            }
+            if let Units::Compartments { neurons, .. } = &mut population.units {
+                let shifted = |_, neuron| Ok::<_, Diagnostic>(Neuron { shift: exponent.unsigned_abs(), ..neuron });
+                *neurons = neurons.try_map(shifted)?;
+            }
+            let name = population.name.clone();
+            self.note(&name, format!("what arrives is shifted by {} bits in all, as lava does", -exponent));
+            for projection in projections.iter_mut().filter(|projection| projection.target == target) {
+                let raised = i64::from(projection.format.exponent.get() - exponent);
+                projection.format.exponent = WeightExponent::new(raised)
+                    .map_err(|e| self.error("model.synapse-format", e.to_string(), Span::default()))?;
+            }
+        }
+        Ok(())
     }
 
     /// Register units for a real unit of a population with a real threshold.

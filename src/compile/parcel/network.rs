@@ -126,13 +126,14 @@ fn population(population: &Population, words: &mut Writer) {
 }
 
 fn neuron(neuron: &Neuron, words: &mut Writer) {
-    let Neuron { kind, du, dv, vth, bias_mant, bias_exp, refractory, vmin, vmax } = neuron;
+    let Neuron { kind, du, dv, vth, bias_mant, bias_exp, refractory, vmin, vmax, shift } = neuron;
     words.put(NeuronKind::ALL.iter().position(|one| one == kind).unwrap_or(NeuronKind::ALL.len()) as u32);
     words.put(u32::from(du.get()) | u32::from(dv.get()) << 16);
     words.put(vth.get());
     words.signed(bias_mant.get().into());
     let small = [bias_exp.get(), refractory.get(), vmin.get(), vmax.get()];
     words.put(u32::from_le_bytes(small));
+    words.put(u32::from(*shift));
 }
 
 fn projection(network: &Quantised, projection: &Projection, wanted: Wanted<'_>, words: &mut Writer) {
@@ -317,6 +318,7 @@ fn read_neuron(words: &mut Reader<'_>) -> Result<Neuron, Damaged> {
         refractory: Refractory::new(refractory)?,
         vmin: VminExponent::new(vmin)?,
         vmax: VmaxExponent::new(vmax)?,
+        shift: words.take()? as u8,
     })
 }
 

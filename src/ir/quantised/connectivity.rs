@@ -85,6 +85,18 @@ pub enum Connectivity {
 }
 
 impl Connectivity {
+    /// Whether every weight is a multiple of this.
+    #[must_use]
+    pub fn all_multiples_of(&self, unit: i16) -> bool {
+        let all = |weights: &[i16]| weights.iter().all(|weight| weight % unit == 0);
+        match self {
+            Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => all(weights),
+            Connectivity::Conv2d { kernel, .. } => all(kernel),
+            Connectivity::SumPool2d { weight, .. } => all(&[*weight]),
+            Connectivity::Random { low, high, step, .. } => all(&[*low, if low < high { *step } else { 0 }]),
+        }
+    }
+
     /// Calls `f(target, weight)` for every synapse of a source, in ascending order of targets except for `Random`.
     /// Indices are within the populations.
     #[inline]

@@ -39,6 +39,8 @@ pub struct Neuron {
     pub vmin: VminExponent,
     /// Exponent of the upper clip.
     pub vmax: VmaxExponent,
+    /// Bits by which lava shifts what arrives in a step; 0 but under its semantics.
+    pub shift: u8,
 }
 
 impl Neuron {
@@ -54,6 +56,7 @@ impl Neuron {
         refractory: Refractory::ONE,
         vmin: VminExponent::MAX,
         vmax: VmaxExponent::MAX,
+        shift: 0,
     };
 }
 

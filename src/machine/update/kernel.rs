@@ -339,6 +339,7 @@ mod tests {
             refractory: Refractory::new([1, of(10, 0, 63)][of(11, 0, 1) as usize]).unwrap(),
             vmin: VminExponent::new([23, of(12, 0, 23)][of(13, 0, 1) as usize]).unwrap(),
             vmax: VmaxExponent::new([7, of(14, 0, 7)][of(15, 0, 1) as usize]).unwrap(),
+            shift: 0,
         };
         let test = [ThresholdTest::Strict, ThresholdTest::Inclusive][of(16, 0, 1) as usize];
         neuron::fields(&neuron, 0, Semantics::Hardware, test)
