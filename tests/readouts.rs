@@ -102,9 +102,13 @@ fn write_input(folder: &Path, name: &str, empty: usize) {
     let spikes: Vec<u8> = (0..(SAMPLES * CHANNELS * STEPS) as u64).map(spike).collect();
     let bytes: Vec<u8> = spikes.chunks(STEPS).flat_map(|row| [row, &vec![0; empty]].concat()).collect();
     let steps = STEPS + empty;
-    let shape = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({SAMPLES}, {CHANNELS}, {steps}), }}");
+    write_array(folder, name, [SAMPLES, CHANNELS, steps], &bytes);
+}
+
+fn write_array(folder: &Path, name: &str, [samples, channels, steps]: [usize; 3], bytes: &[u8]) {
+    let shape = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({samples}, {channels}, {steps}), }}");
     let head = format!("{shape:<117}\n");
-    let file = [b"\x93NUMPY\x01\x00", &(head.len() as u16).to_le_bytes()[..], head.as_bytes(), &bytes].concat();
+    let file = [b"\x93NUMPY\x01\x00", &(head.len() as u16).to_le_bytes()[..], head.as_bytes(), bytes].concat();
     std::fs::write(folder.join(name), file).unwrap();
 }
 
@@ -375,6 +379,83 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
         let causes: Vec<&str> =
             agree["attribution"].as_array().unwrap().iter().map(|c| c["cause"].as_str().unwrap()).collect();
         assert!(causes.contains(&"quantised-decays"), "{causes:?}");
+    }
+}
+
+/// What `agree` says of the first cause, and the words of the command that it prints.
+fn first_cause(agree: &Value) -> (String, Vec<String>) {
+    let cause = agree["attribution"][0]["cause"].as_str().unwrap().to_string();
+    let command = agree["next"]["command"].as_str().unwrap_or_default();
+    (
+        cause,
+        command.split(' ').skip(1).filter(|word| !["--format", "json"].contains(word)).map(str::to_string).collect(),
+    )
+}
+
+#[test]
+fn layers_that_answer_late_are_told_from_rounded_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // Samples of a few steps end before the third layer has answered.
+    let spikes = (0..24 * CHANNELS as u64 * 9).map(|i| u8::from(rng::below(3, 8, i, 0) == 0));
+    write_array(folder, "in.npy", [24, CHANNELS, 9], &spikes.collect::<Vec<u8>>());
+    let chain = [(0, 1), (1, 2), (2, 3)];
+    for more in [&[][..], &[(2, 2)], &[(0, 3), (1, 3)]] {
+        let ways = [&chain[..], more].concat();
+        write_layered(folder, &ways);
+        object(folder, "import net.nir -o m.ron --force", 0);
+        // As it is written for the chip: every layer from the first step on, no step at the end.
+        let text = std::fs::read_to_string(folder.join("m.ron")).unwrap();
+        let plain = text.lines().filter(|line| !line.trim_start().starts_with("provenance"));
+        let plain: String = plain.map(|line| format!("{line}\n")).collect();
+        let plain =
+            ["start_step: 1", "start_step: 2"].iter().fold(plain, |text, step| text.replace(step, "start_step: 0"));
+        let plain =
+            plain.replace("drain: 2", "drain: 0").replace("delay: 1", "delay: 0").replace("delay: 2", "delay: 0");
+        std::fs::write(folder.join("chip.ron"), plain).unwrap();
+        let steps = "agree chip.ron --input in.npy";
+        let agree = object(folder, steps, 0);
+        let (cause, words) = first_cause(&agree);
+        assert_eq!(cause, "pipeline-delay", "{ways:?}: {agree:#}");
+        assert_eq!(agree["next"]["cause"], "pipeline-delay", "{ways:?}: {agree:#}");
+        let (_, text, _) = nsim(folder, steps);
+        assert!(text.contains("Classes agree in") && text.contains("without pipeline delay"), "{text}");
+        // The command gives the network what import gives it.
+        let line = words.join(" ");
+        assert!(line.starts_with("agree chip.ron --input") && line.contains("--set drain=2"), "{line}");
+        let mended = object(folder, &line.replace('\'', ""), 0);
+        let causes = mended["attribution"].as_array().unwrap().iter().map(|row| row["cause"].as_str().unwrap());
+        assert!(!causes.clone().any(|cause| cause == "pipeline-delay"), "{mended:#}");
+        let classes =
+            |agree: &Value| agree["attribution"].as_array().unwrap().last().unwrap()["class_agreement"].as_f64();
+        assert!(classes(&mended) > classes(&agree), "{ways:?}: {agree:#} {mended:#}");
+        let imported = object(folder, "run m.ron --input in.npy --engine reference", 0);
+        let sets = line.split(" --set ").skip(1).map(|set| format!(" --set {set}")).collect::<String>();
+        let chip = object(folder, &format!("run chip.ron --input in.npy --engine reference{sets}"), 0);
+        assert_eq!(chip["output_counts"], imported["output_counts"], "{ways:?}");
+        // Nothing is lost to it where import did what is needed.
+        assert_ne!(first_cause(&object(folder, "agree m.ron --input in.npy", 0)).0, "pipeline-delay");
+    }
+}
+
+#[test]
+fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    write_nir(folder, Some(LEAKY));
+    object(folder, "import net.nir --dt 1 -o m.ron", 0);
+    let (code, _, stderr) = nsim(folder, "bench early m.ron --input in.npy");
+    assert!(code == 2 && stderr.contains("potentials decide this model"), "{code}: {stderr}");
+    let (code, _, stderr) = nsim(folder, "convert m.ron --input in.npy --fine-tune 1");
+    assert!(code == 3 && stderr.contains("its potentials decide"), "{code}: {stderr}");
+    // An imported network is refused before it is converted, and nothing advises to fine-tune it.
+    write_layered(folder, &[(0, 1), (1, 2), (2, 3)]);
+    let (code, _, stderr) = nsim(folder, "convert net.nir --input in.npy --fine-tune 1");
+    assert!(code == 3 && stderr.contains("not spike response neurons"), "{code}: {stderr}");
+    for command in ["convert", "agree"] {
+        let (_, text, stderr) = nsim(folder, &format!("{command} net.nir --input in.npy"));
+        assert!(!text.contains("fine-tun") && !stderr.contains("fine-tun"), "{text}{stderr}");
     }
 }
 

@@ -5,11 +5,14 @@ use crate::base::names::named_variants;
 /// Something in which the machine differs from the trained network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
+    /// Layers that answer a step later each, in samples that end with their input, instead of
+    /// layers that all answer to every step.
+    Pipeline,
     /// The response and refractory kernels without end instead of cut.
     Untruncated,
     /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step longer at the end.
     Kernel,
-    /// A hard reset and a refractory period instead of the refractory kernel.
+    /// A hard reset and a refractory period instead of the refractory kernel, or of a subtraction.
     HardReset,
     /// Decays in 4096ths.
     Decays,
@@ -22,6 +25,7 @@ pub enum Cause {
 }
 
 named_variants!(Cause {
+    Pipeline = "pipeline-delay",
     Untruncated = "exact-kernel",
     Kernel = "cuba-kernel",
     HardReset = "hard-reset",
@@ -31,15 +35,34 @@ named_variants!(Cause {
     State = "integer-state",
 });
 
+impl Cause {
+    /// What a layer loses to it.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Cause::Pipeline => {
+                "pipeline delay: layers that answer a step later each, and a sample that ends before they do"
+            }
+            Cause::Untruncated => "kernels that were cut in training",
+            Cause::Kernel => "decays in place of its kernel",
+            Cause::HardReset => "the reset to zero",
+            Cause::Decays => "decays in 4096ths",
+            Cause::Calibration => "thresholds and synapses onto itself that the search chose",
+            Cause::Weights => "rounded weights, thresholds and biases",
+            Cause::State => "integer currents and voltages",
+        }
+    }
+}
+
 /// Which causes are switched on.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Rung([bool; 7]);
+pub struct Rung([bool; 8]);
 
 impl Rung {
     /// The trained network.
-    pub const TRAINED: Rung = Rung([false; 7]);
+    pub const TRAINED: Rung = Rung([false; 8]);
     /// The machine.
-    pub const MACHINE: Rung = Rung([true; 7]);
+    pub const MACHINE: Rung = Rung([true; 8]);
 
     /// Whether a cause is on.
     #[must_use]

@@ -3,7 +3,7 @@
 //! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output: [`Trace`]s of the network with
 //! any set of the [`Cause`]s switched on. One simulation (`state`, `links`) serves all rungs: potentials and thresholds are in register units
 //! throughout, so that two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as `reference`
-//! with truncated kernels does, with all causes it equals the machine bit for bit.
+//! does (spike response kernels cut), with all causes it equals the machine bit for bit.
 //!
 //! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every product one of 24 by 13 bits,
 //! so that the doubles hold exactly what the chip's registers hold.
@@ -17,15 +17,17 @@ use crate::base::id::Id;
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::exponents::Detail;
 use crate::compile::frontend::quantise::{quantise_with, scales};
-use crate::desc::network::{ReadOut, ThresholdTest};
+use crate::desc::network::{ReadOut, Semantics, ThresholdTest};
+use crate::desc::neurons::NeuronKind;
 use crate::ir::graph::{self, Graph, NeuronParameters, PopulationKind, SrmParameters};
 use crate::ir::quantised::{self, Quantised, Reset, Units};
 use crate::ir::spikes::Sample;
-use crate::neuron::RealForm;
+use crate::neuron::{self, RealForm};
 use crate::reference::synapses::Synapses;
 
 use super::causes::{Cause, Rung};
 use super::links::{Link, integer_synapses};
+use super::pipeline::Pipeline;
 use super::state::{Neuron, State};
 use super::trace::{Layer, Trace};
 
@@ -33,7 +35,11 @@ use super::trace::{Layer, Trace};
 #[derive(Debug, Clone)]
 enum Origin {
     Srm(SrmParameters, Fit),
-    Loihi(NeuronParameters),
+    /// Whether its spikes subtract the threshold where the deployed ones clear the voltage.
+    Loihi {
+        parameters: NeuronParameters,
+        subtracts: bool,
+    },
 }
 
 #[derive(Debug)]
@@ -60,6 +66,8 @@ pub struct Ladder {
     links: [OnceLock<Vec<Link>>; 8],
     compartments: u32,
     slots: usize,
+    /// What the layers lack to answer to every step of the input.
+    pipeline: Option<Pipeline>,
     test: ThresholdTest,
     reset: Option<Reset>,
     timestep_ms: f64,
@@ -102,7 +110,9 @@ impl Ladder {
             let count = population.shape.len();
             let origin = match (&population.kind, fit) {
                 (PopulationKind::Srm(srm), Some(fit)) => Some(Origin::Srm(*srm, fit.clone())),
-                (PopulationKind::Neurons(parameters), _) => Some(Origin::Loihi(parameters.clone())),
+                (PopulationKind::Neurons(parameters), _) => {
+                    Some(Origin::Loihi { parameters: parameters.clone(), subtracts: false })
+                }
                 (PopulationKind::Srm(srm), None) => Some(Origin::Srm(*srm, analytic::start(srm, timestep_ms))),
                 (PopulationKind::Input, _) => None,
             };
@@ -115,7 +125,9 @@ impl Ladder {
         let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
         let latest = fits.iter().flatten().flat_map(|fit| &fit.copies).map(|&(delay, _)| delay).max().unwrap_or(0);
         let delays = chosen.projections().map(|(_, _, _, projection)| u32::from(projection.delay.get()));
-        let slots = (delays.max().unwrap_or(0) + latest + 2) as usize;
+        let pipeline = Pipeline::missing(graph);
+        let waits = pipeline.as_ref().map_or(0, Pipeline::longest_wait);
+        let slots = (delays.max().unwrap_or(0) + latest + waits + 2) as usize;
         let mut ladder = Ladder {
             populations,
             graph: graph.clone(),
@@ -126,6 +138,7 @@ impl Ladder {
             links: Default::default(),
             compartments,
             slots,
+            pipeline,
             test: facts.threshold,
             reset,
             timestep_ms,
@@ -135,6 +148,20 @@ impl Ladder {
         };
         ladder.causes = ladder.present();
         Ok(ladder)
+    }
+
+    /// The ladder that begins at another network, whose resets by subtraction became those to zero.
+    #[must_use]
+    pub fn from_subtraction(mut self, given: &Graph) -> Ladder {
+        for (population, (_, before)) in self.populations.iter_mut().zip(given.populations()) {
+            if let (Some(Origin::Loihi { parameters, subtracts }), PopulationKind::Neurons(given)) =
+                (&mut population.origin, &before.kind)
+            {
+                *subtracts = given.kind == NeuronKind::SoftReset && parameters.kind != given.kind;
+            }
+        }
+        self.causes = self.present();
+        self
     }
 
     /// Whether what comes in is copied: an alpha kernel needs no copies, only current and voltage with decays of their own do.
@@ -190,9 +217,11 @@ impl Ladder {
     fn integer_links(&self, network: &Quantised, own: &[Option<f64>]) -> Vec<Link> {
         let link = |projection: &quantised::Projection| {
             let (source, target) = (projection.source.0 as usize, projection.target.0 as usize);
+            // Sums that are shifted are in finer units.
+            let finer = f64::from(1 << shift_of(&network.populations()[projection.target]));
             let rescale = match (self.units[target], own[target]) {
-                (Some(here), Some(there)) => here / there,
-                _ => 1.0,
+                (Some(here), Some(there)) => here / there / finer,
+                _ => 1.0 / finer,
             };
             let payload = f64::from(network.populations()[projection.source].spike_factor());
             Link {
@@ -222,22 +251,29 @@ impl Ladder {
 
     /// The causes that tell this network from its trained form.
     fn present(&self) -> Vec<Cause> {
-        let (graph, srm) = (&self.graph, self.graph.has_srm());
-        let real = self.populations.iter().any(|population| match &population.origin {
-            Some(Origin::Loihi(p)) => p.get("vth").is_some(),
-            Some(Origin::Srm(..)) => true,
-            None => false,
-        }) || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some());
-        let timed = self.populations.iter().any(|population| match &population.origin {
-            Some(Origin::Loihi(p)) => p.get("tau_u_ms").or(p.get("tau_v_ms")).is_some(),
-            Some(Origin::Srm(..)) => true,
-            None => false,
-        });
+        let srm = self.graph.has_srm();
+        let given = |names: &[&str]| {
+            self.populations.iter().any(|population| match &population.origin {
+                Some(Origin::Loihi { parameters, .. }) => names.iter().any(|name| parameters.get(name).is_some()),
+                Some(Origin::Srm(..)) => true,
+                None => false,
+            })
+        };
+        let subtracts =
+            |population: &Population| matches!(population.origin, Some(Origin::Loihi { subtracts: true, .. }));
+        // A note is of weights between two steps of their format; a negative exponent drops bits.
+        let rounds = || {
+            let noted = self.calibrated.parts().notes.iter().any(|note| note.rounded.is_some_and(|r| r.changed > 0));
+            let drops = self.calibrated.projections().iter().any(|projection| projection.format.exponent.get() < 0);
+            noted || drops || self.calibrated.populations().iter().any(|population| shift_of(population) > 0)
+        };
         let holds = |cause: &Cause| match cause {
-            Cause::Untruncated | Cause::Kernel | Cause::HardReset => srm,
-            Cause::Decays => timed,
+            Cause::Pipeline => self.pipeline.is_some(),
+            Cause::Untruncated | Cause::Kernel => srm,
+            Cause::HardReset => srm || self.populations.iter().any(subtracts),
+            Cause::Decays => given(&["tau_u_ms", "tau_v_ms"]),
             Cause::Calibration => self.fits != self.plain,
-            Cause::Weights => real,
+            Cause::Weights => given(&["vth", "bias"]) || rounds(),
             Cause::State => true,
         };
         Cause::ALL.into_iter().filter(holds).collect()
@@ -259,6 +295,12 @@ impl Ladder {
     #[must_use]
     pub fn shift(&self, rung: Rung) -> i32 {
         -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
+    }
+
+    /// What the layers lack to answer to every step of the input.
+    #[must_use]
+    pub fn pipeline(&self) -> Option<&Pipeline> {
+        self.pipeline.as_ref()
     }
 
     /// The network that the last rung is.
@@ -320,30 +362,34 @@ impl Ladder {
                     refractory: u32::from(fit.refractory.get()).max(1),
                     subtracts: false,
                     clip,
+                    floors: false,
                 }
             }
-            Some(Origin::Loihi(p)) => {
-                let decay = |time_constant: &str, integer: f64| match p.get(time_constant) {
-                    Some(tau) if !rung.has(Cause::Decays) => libm::exp(-self.timestep_ms / tau.each.get(index)),
-                    _ => integer,
-                };
-                let in_registers = |real: &str, integer: f64| match p.get(real) {
-                    Some(values) if !rung.has(Cause::Weights) => values.each.get(index) * of.scale,
-                    _ => integer,
-                };
+            Some(Origin::Loihi { parameters, subtracts }) => {
+                // As the reference engine has it; a real threshold has no registers to clip in.
+                let real = neuron::model(parameters, index, self.timestep_ms);
+                let pick = |cause: Cause, integer: f64, real: f64| if rung.has(cause) { integer } else { real };
                 Neuron {
-                    keep_u: decay("tau_u_ms", integers.keep_u),
-                    keep_v: decay("tau_v_ms", integers.keep_v),
-                    threshold: in_registers("vth", integers.threshold),
-                    bias: in_registers("bias", integers.bias),
+                    keep_u: pick(Cause::Decays, integers.keep_u, real.keep_u),
+                    keep_v: pick(Cause::Decays, integers.keep_v, real.keep_v),
+                    threshold: pick(Cause::Weights, integers.threshold, real.threshold * of.scale),
+                    bias: pick(Cause::Weights, integers.bias, real.bias * of.scale),
                     refractory: integers.refractory,
-                    subtracts: integers.subtracts,
-                    clip,
+                    subtracts: integers.subtracts || *subtracts && !rung.has(Cause::HardReset),
+                    clip: if rung.has(Cause::State) { integers.clip } else { real.clip },
+                    floors: rung.has(Cause::Weights) && shift_of(&network.populations().as_slice()[population]) > 0,
                 }
             }
-            None => {
-                Neuron { keep_u: 0.0, keep_v: 0.0, threshold: 1.0, bias: 0.0, refractory: 1, subtracts: false, clip }
-            }
+            None => Neuron {
+                keep_u: 0.0,
+                keep_v: 0.0,
+                threshold: 1.0,
+                bias: 0.0,
+                refractory: 1,
+                subtracts: false,
+                clip,
+                floors: false,
+            },
         }
     }
 
@@ -353,15 +399,39 @@ impl Ladder {
         let neurons = || (0..of.count).map(|index| self.neuron(population, index, rung)).collect();
         let (response, start_step) = match of.origin.as_ref()? {
             Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0),
-            Origin::Loihi(p) => (None, p.start_step),
+            Origin::Loihi { parameters, .. } => {
+                // SLAYER's loop starts at step 1.
+                let first = u32::from(self.graph.facts().semantics == Semantics::Slayer);
+                let depth = self.in_step(rung).map_or(0, |pipeline| pipeline.start_step(population));
+                (None, parameters.start_step.max(first).max(depth))
+            }
         };
         Some(State::new(neurons(), response, start_step, self.test, rung))
+    }
+
+    /// What the layers of a rung are given that they lack.
+    fn in_step(&self, rung: Rung) -> Option<&Pipeline> {
+        self.pipeline.as_ref().filter(|_| !rung.has(Cause::Pipeline))
     }
 
     /// What the network of a rung does in a sample.
     #[must_use]
     pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
+        let Some(pipeline) = self.in_step(rung) else { return self.run_as_it_is(rung, sample, potentials) };
+        let mut trace = self.run_as_it_is(rung, &sample.clone().followed_by(pipeline.more_steps()), potentials);
+        // A layer before the last has steps more than the tool's.
+        for (index, population) in self.populations.iter().enumerate().filter(|(_, p)| p.origin.is_some()) {
+            let end = pipeline.window(index, sample.steps());
+            let trains = &mut trace.trains[population.first as usize..][..population.count as usize];
+            trains.iter_mut().for_each(|train| train.retain(|&step| step < end));
+        }
+        trace
+    }
+
+    fn run_as_it_is(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
         let steps = sample.steps();
+        let pipeline = self.in_step(rung);
+        let wait = |link: &Link| pipeline.map_or(0, |pipeline| pipeline.wait(link.source, link.target));
         let mut states: Vec<Option<State>> = (0..self.populations.len()).map(|index| self.state(index, rung)).collect();
         let mut arrivals: Vec<Vec<Vec<f64>>> = self
             .populations
@@ -384,7 +454,8 @@ impl Ladder {
                 // Spike response kernels are 0 at their start.
                 let late = states[link.target].as_ref().is_some_and(|state| state.late);
                 let mine = sample.at(now).iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
-                mine.for_each(|c| link.deliver(c, now + u32::from(late), &mut arrivals[link.target]));
+                let at = now + u32::from(late) + wait(link);
+                mine.for_each(|c| link.deliver(c, at, &mut arrivals[link.target]));
             }
             spikes.clear();
             let slot = now as usize % self.slots;
@@ -414,7 +485,7 @@ impl Ladder {
             }
             for link in links.iter().filter(|link| !link.restores || rung.has(Cause::HardReset)) {
                 for &(_, neuron) in spikes.iter().filter(|(population, _)| *population == link.source) {
-                    link.deliver(neuron, now + 1, &mut arrivals[link.target]);
+                    link.deliver(neuron, now + 1 + wait(link), &mut arrivals[link.target]);
                 }
             }
         }
@@ -429,6 +500,14 @@ pub fn layers(network: &Quantised) -> Vec<Layer> {
         Some(Layer { name: p.name.clone(), first: p.first_compartment()?.0, count: p.shape.len() })
     };
     network.populations().iter().filter_map(layer).collect()
+}
+
+/// Bits by which lava shifts what arrives at a population.
+fn shift_of(population: &quantised::Population) -> u8 {
+    match &population.units {
+        Units::Compartments { neurons, .. } => neurons.get(0).shift,
+        Units::Input(_) => 0,
+    }
 }
 
 /// A fit without what only a search would choose: the peaks matched, no synapse onto itself.

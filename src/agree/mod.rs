@@ -13,5 +13,6 @@ pub mod compare;
 pub mod ladder;
 mod links;
 pub mod metrics;
+pub mod pipeline;
 mod state;
 pub mod trace;

@@ -25,6 +25,8 @@ pub(super) struct Neuron {
     pub subtracts: bool,
     /// The least and the greatest voltage.
     pub clip: (f64, f64),
+    /// Whether what arrives in a step is rounded down to multiples of 64, as lava shifts sums.
+    pub floors: bool,
 }
 
 fn wrapped(x: f64, bits: i32) -> f64 {
@@ -162,7 +164,7 @@ impl State {
         }
         for (i, &arrived) in arrivals.iter().enumerate() {
             let n = self.neurons[i];
-            let x = narrow(arrived);
+            let x = if n.floors { 64.0 * (arrived / 64.0).floor() } else { narrow(arrived) };
             let q = if self.integers { wrapped(x, 21) } else { x };
             let free = if truncated {
                 self.past[self.newest][i] = q;

@@ -76,6 +76,19 @@ impl Trace {
         self
     }
 
+    /// A longer trace, in which nothing happens any more and no potential is known.
+    #[must_use]
+    pub fn silent_until(mut self, steps: u32) -> Trace {
+        if steps > self.steps {
+            let (all, more) = (self.steps.max(1) as usize, (steps - self.steps) as usize);
+            let longer =
+                |row: &[f32]| row.iter().copied().chain(std::iter::repeat_n(f32::NAN, more)).collect::<Vec<_>>();
+            self.potentials = self.potentials.chunks(all).flat_map(longer).collect();
+            self.steps = steps;
+        }
+        self
+    }
+
     /// The class by what decides: by spikes the output of this layer with most, the lowest index on
     /// a tie, none when silent.
     #[must_use]
@@ -91,7 +104,8 @@ impl Trace {
     }
 
     fn potential(&self, compartment: u32, step: u32) -> Option<f64> {
-        self.potentials.get(compartment as usize * self.steps as usize + step as usize).map(|&p| f64::from(p))
+        let potential = self.potentials.get(compartment as usize * self.steps as usize + step as usize);
+        potential.filter(|potential| !potential.is_nan()).map(|&potential| f64::from(potential))
     }
 }
 

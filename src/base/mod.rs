@@ -3,6 +3,7 @@
 //! Nothing here knows of networks or cores. Every other module may use it; it uses none of them.
 
 pub mod csr;
+pub mod depths;
 pub mod diagnostic;
 pub mod fixed;
 pub mod folds;

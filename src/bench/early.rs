@@ -59,13 +59,13 @@ impl Trial {
         let mut trial = Trial { timestep_ms, chance, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
         let share = 1.0 / samples.len().max(1) as f64;
         for (index, (outcome, sample)) in outcomes.iter().zip(samples).enumerate() {
-            let Some(label) = sample.label() else {
-                return Err(Error::Usage(format!("sample {index} of those tested has no label")));
-            };
             if outcome.potentials.is_some() {
                 let message = "accuracy over time is that of the spikes so far, and potentials decide this model";
                 return Err(Error::Usage(message.to_string()));
             }
+            let Some(label) = sample.label() else {
+                return Err(Error::Usage(format!("sample {index} of those tested has no label")));
+            };
             let mut counts = vec![0.0f32; outcome.counts.len()];
             let mut spikes = outcome.spikes.iter().peekable();
             let mut right_since = None;

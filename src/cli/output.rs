@@ -16,6 +16,12 @@ use crate::io::write::checksum;
 use crate::report::charts::picture::{ENDINGS, PictureFormat};
 use crate::report::text::{self, replaced};
 
+/// The words behind `nsim` on the command line.
+#[must_use]
+pub fn typed() -> Vec<String> {
+    std::env::args().skip(1).collect()
+}
+
 /// Checks the files that a command is to write, before it works: that they may be written, that pictures are named for
 /// what they are, and that stdout carries one thing. Returns whether that is one of the files, and not the result.
 ///

@@ -173,6 +173,31 @@ fn unlike(graph: &Graph, message: &str) -> Diagnostic {
         .help("fine-tuning takes dense layers of spike response neurons and the training file that describes them")
 }
 
+/// Whether fine-tuning takes a network at all: dense layers of spike response neurons without loops
+/// or delays, read out by their spikes.
+///
+/// # Errors
+/// `convert.fine-tune` with what it does not take.
+pub fn trainable(graph: &Graph) -> Result<()> {
+    if graph.facts().decision != ReadOut::Spikes {
+        return Err(unlike(graph, "its potentials decide, and training is by the spikes of the output"));
+    }
+    for (_, population) in graph.populations() {
+        if matches!(population.kind, PopulationKind::Neurons(_)) {
+            let message = format!("'{}' has neurons that are not spike response neurons", population.name);
+            return Err(unlike(graph, &message));
+        }
+    }
+    for (_, source, target, projection) in graph.projections() {
+        let plain = matches!(projection.kind, ProjectionKind::Dense { .. }) && projection.delay.get() == 0;
+        if !plain || source >= target || graph.population(source).payload.is_some() {
+            let message = format!("projection {} is no dense layer without a delay", projection.name);
+            return Err(unlike(graph, &message));
+        }
+    }
+    Ok(())
+}
+
 impl Task {
     /// A network, what stands for its populations, and how it is trained; the plan is that of the training file.
     ///
@@ -184,9 +209,7 @@ impl Task {
         file: &TrainingFile,
         plan: Plan,
     ) -> Result<Task> {
-        if graph.facts().decision != ReadOut::Spikes {
-            return Err(unlike(graph, "its potentials decide, and training is by the spikes of the output"));
-        }
+        trainable(graph)?;
         let mut channels = graph.populations().filter(|(_, p)| matches!(p.kind, PopulationKind::Input));
         for (input, &size) in file.inputs.iter().zip(&plan.topology.inputs) {
             let same = |(_, p): &(NodeIndex, &crate::ir::graph::Population)| {
@@ -253,8 +276,7 @@ impl Task {
                 }
                 None
             });
-            let plain = matches!(projection.kind, ProjectionKind::Dense { .. }) && projection.delay.get() == 0;
-            match place.filter(|_| plain && graph.population(source).payload.is_none()) {
+            match place {
                 Some(place) => places.push(place),
                 None => {
                     let message = format!("projection {} is none of the training file's dense layers", projection.name);

@@ -109,6 +109,12 @@ impl Job {
         Ok(Job { graph, integers, hash: sha256(network.source().text().as_bytes()), soft_reset })
     }
 
+    /// Whether the target lacks resets that the network has.
+    #[must_use]
+    pub fn resets_are_replaced(&self) -> bool {
+        !self.soft_reset && resets::has_soft_reset(&self.graph)
+    }
+
     /// Searches for integers; `searching` is told each population in turn.
     ///
     /// # Errors

@@ -6,6 +6,7 @@ pub mod deployed;
 pub mod fine_tune;
 pub mod job;
 pub mod model_file;
+pub mod next;
 pub mod prepare;
 pub mod resets;
 pub mod search;

@@ -6,18 +6,20 @@
 //! cannot reset by subtraction, that becomes a reset to zero first, a stage of its own. What the rest costs is found by putting the real number in the place of each kind of
 //! integer, all others staying (`agree::ladder`).
 
-use crate::agree::attribution::{self, Distance};
+use crate::agree::attribution::{self, Attribution, Distance};
 use crate::agree::causes::{Cause, Rung};
 use crate::agree::compare::output_layer;
 use crate::agree::ladder::Ladder;
 use crate::base::diagnostic::Result;
+use crate::base::id::{CompartmentId, Id};
 use crate::compile::frontend::analytic::{self, Fit};
 use crate::compile::frontend::exponents::Detail;
 use crate::convert::resets;
 use crate::convert::search::{self, Conversion, SearchResult};
+use crate::drive::warnings::widen;
 use crate::golden::Golden;
 use crate::ir::graph::{Graph, PopulationKind};
-use crate::ir::quantised::Quantised;
+use crate::ir::quantised::{Population, Quantised};
 use crate::ir::spikes::{Engine, Sample};
 
 /// Samples on which overflows are counted, with the slow interpreter.
@@ -41,19 +43,19 @@ pub struct StageRow {
     pub left: Option<f64>,
 }
 
-/// What a layer lost.
+/// A layer of the integers.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LayerLoss {
+pub struct LayerRow {
     /// The population.
     pub name: String,
     /// Coincidence factor; none where neither network spikes, as there is nothing to compare.
     pub coincidence: Option<f64>,
     /// Exponent of each projection into it.
     pub weight_exp: Vec<i64>,
-    /// Voltages that were clipped, counted on a few samples.
+    /// Voltages that were clipped and are missed (`LeftField::cut`), counted on a few samples.
     pub clipped: u64,
-    /// What to change.
-    pub advice: Option<String>,
+    /// What keeps it from being compared, or is wrong with it.
+    pub problem: Option<String>,
 }
 
 /// A kind of integer, and how near the network would be with the real number in its place.
@@ -86,19 +88,19 @@ pub struct Converted {
     /// Every stage that was tried.
     pub stages: Vec<StageRow>,
     /// Layer by layer.
-    pub layers: Vec<LayerLoss>,
+    pub layers: Vec<LayerRow>,
     /// What each kind of integer still costs, on some of the calibration samples.
     pub left: Vec<Left>,
-    /// How near the integers are on the same samples.
-    pub left_from: Distance,
+    /// To what causes the layers lose their coincidence, on the same samples.
+    pub attribution: Attribution,
     /// On the calibration samples.
     pub calibration: Measured,
     /// The steps between the network and its integers.
     pub ladder: Ladder,
+    /// The network as its tool runs it.
+    pub trained: Rung,
     /// How finely their exponents and weights were chosen.
     pub detail: Detail,
-    /// The network as it was given, where the one that was converted is another: its resets by subtraction became resets to zero.
-    pub original: Option<Ladder>,
 }
 
 /// Whether a network has real numbers that are to become integers.
@@ -113,11 +115,6 @@ pub fn is_real(graph: &Graph) -> bool {
     };
     graph.populations().any(|(_, population)| real(&population.kind))
         || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some())
-}
-
-/// The network as it was trained, kernels not truncated.
-fn trained(ladder: &Ladder) -> Rung {
-    ladder.trained().with(Cause::Untruncated)
 }
 
 fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) -> Measured {
@@ -138,10 +135,10 @@ impl Converted {
     /// How far other integers of the same populations are from the trained network.
     #[must_use]
     pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
-        let (ladder, output) = (self.original.as_ref().unwrap_or(&self.ladder), output_layer(self.ladder.deployed()));
-        let on =
-            attribution::measured((ladder, trained(ladder)), &[(integers, Rung::MACHINE)], &output, samples).remove(0);
-        by_layer(ladder, on, samples.len())
+        let from = (&self.ladder, self.trained);
+        let output = output_layer(self.ladder.deployed());
+        let on = attribution::measured(from, &[(integers, Rung::MACHINE)], &output, samples).remove(0);
+        by_layer(&self.ladder, on, samples.len())
     }
 }
 
@@ -166,23 +163,23 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
         true => by_search(graph, samples, most, progress)?,
         false => by_exponents(graph)?,
     };
-    let as_given = || Ladder::with_exponents(given, &analytic::starts(given), Detail::Zero);
-    let original = replaced.as_ref().map(|_| as_given()).transpose()?;
+    let ladder = match &replaced {
+        Some(_) => ladder.from_subtraction(given),
+        None => ladder,
+    };
     if replaced.is_some() {
         if let Some(first) = stages.first_mut() {
             first.name = format!("reset to zero; {}", first.name);
         }
         let name = "reset by subtraction, which the target does not have".to_string();
-        stages.insert(0, StageIntegers { name, kept: false, ladder: Some(as_given()?), decides: &[] });
+        let as_given = Ladder::with_exponents(given, &analytic::starts(given), Detail::Zero)?;
+        stages.insert(0, StageIntegers { name, kept: false, ladder: Some(as_given), decides: &[] });
     }
     let output = output_layer(ladder.deployed());
-    let costly: Vec<Cause> =
-        ladder.causes().iter().copied().filter(|cause| !matches!(cause, Cause::Untruncated | Cause::Kernel)).collect();
-    let from = original.as_ref().unwrap_or(&ladder);
-    let from = (from, trained(from));
+    let trained = attribution::as_trained(&ladder, &output, samples);
     let mut rungs: Vec<(&Ladder, Rung)> = vec![(&ladder, Rung::MACHINE)];
     rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, Rung::MACHINE))));
-    let mut all = attribution::measured(from, &rungs, &output, samples).into_iter();
+    let mut all = attribution::measured((&ladder, trained), &rungs, &output, samples).into_iter();
     let none = attribution::Measured { distance: Distance::EQUAL, layers: Vec::new() };
     let calibration = by_layer(&ladder, all.next().unwrap_or(none), samples.len());
     let distances_of_stages: Vec<Distance> = stages
@@ -190,14 +187,10 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
         .map(|stage| stage.ladder.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
         .collect();
     let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(TOLD_APART).max(1)).copied().collect();
-    let mut rungs = vec![Rung::MACHINE];
-    rungs.extend(costly.iter().map(|&cause| Rung::MACHINE.without(cause)));
-    let to: Vec<(&Ladder, Rung)> = rungs.into_iter().map(|rung| (&ladder, rung)).collect();
-    let distances: Vec<Distance> =
-        attribution::measured(from, &to, &output, &some).into_iter().map(|measured| measured.distance).collect();
-    let left_from = distances.first().copied().unwrap_or(Distance::EQUAL);
-    let left: Vec<Left> =
-        costly.into_iter().zip(distances.into_iter().skip(1)).map(|(cause, without)| Left { cause, without }).collect();
+    let attribution = attribution::attribute_from(&ladder, trained, &output, &some);
+    let left_from = attribution.machine;
+    let costly = attribution.shares.iter().filter(|share| share.cause != Cause::Kernel);
+    let left: Vec<Left> = costly.map(|share| Left { cause: share.cause, without: share.without }).collect();
     let row = |(place, stage): (usize, StageIntegers)| {
         let distance = distances_of_stages[place];
         let before = place.checked_sub(1).map(|before| distances_of_stages[before]);
@@ -213,8 +206,8 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
     };
     let stages: Vec<StageRow> = stages.into_iter().enumerate().map(row).collect();
     let network = ladder.deployed().clone();
-    let layers = losses(&network, &calibration, (&left, left_from), samples);
-    Ok(Converted { network, fits, stages, layers, left, left_from, calibration, ladder, detail, original })
+    let layers = rows(&network, &calibration, samples);
+    Ok(Converted { network, fits, stages, layers, left, attribution, calibration, ladder, trained, detail })
 }
 
 /// A conversion before it is measured.
@@ -270,70 +263,41 @@ fn by_exponents(graph: &Graph) -> Result<Steps> {
     Ok(Steps { fits, detail: Detail::default(), stages, ladder })
 }
 
-/// What each layer lost, and what to do about it.
-fn losses(
-    network: &Quantised,
-    measured: &Measured,
-    (left, from): (&[Left], Distance),
-    samples: &[&Sample],
-) -> Vec<LayerLoss> {
+/// Each layer of the integers, and what is wrong with it.
+fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<LayerRow> {
     let clipped = clipped(network, samples);
-    let most = left.iter().max_by(|a, b| a.without.coincidence.total_cmp(&b.without.coincidence));
     let rows = measured.layers.iter().map(|(name, coincidence, spikes)| {
         let target = network.population_named(name);
         let into = target.into_iter().flat_map(|target| network.incoming(target));
-        let clipped = clipped.iter().find(|(clips, _)| clips == name).map_or(0, |(_, count)| *count);
-        let advice = match (spikes, coincidence, clipped) {
+        let clipped = target.map_or(0, |target| clipped[target.index()]);
+        let problem = match (spikes, coincidence, clipped) {
             (0, None, _) => Some("it never fires: nothing to compare; show it input that drives it".to_string()),
             (0, Some(_), _) => {
                 Some("its integers never fire where the trained layer does: lower its threshold".to_string())
             }
-            (_, _, 1..) => {
-                Some("its voltages clip: raise vmin_exp, or divide its weights and threshold by 2".to_string())
-            }
-            (_, Some(coincidence), 0) if *coincidence < 0.95 => most.map(|left| advice(left.cause, from, left)),
+            (_, _, 1..) => target.map(|target| format!("its voltages clip: {}", widen(network, target))),
             _ => None,
         };
         let weight_exp = into.map(|(_, projection)| projection.format.exponent.get().into()).collect();
-        LayerLoss { name: name.clone(), coincidence: *coincidence, weight_exp, clipped, advice }
+        LayerRow { name: name.clone(), coincidence: *coincidence, weight_exp, clipped, problem }
     });
     rows.collect()
 }
 
-/// The one change that would recover most.
-fn advice(cause: Cause, from: Distance, left: &Left) -> String {
-    let (now, then) = (from.coincidence, left.without.coincidence);
-    let change = match cause {
-        Cause::HardReset => "the hard reset costs most: train with neurons that reset (nsim train, Loihi neurons)",
-        Cause::Weights => "weight rounding costs most: fine-tune, or spread large weights over two synapses",
-        Cause::Decays => "the steps of the decays cost most: choose a shorter timestep",
-        Cause::State => "rounding of the state costs most: scale weights and threshold up",
-        Cause::Calibration => "the calibration costs most: give it more samples (--calibration-samples)",
-        Cause::Untruncated | Cause::Kernel => "the kernel costs most",
-    };
-    format!("{change} (coincidence of all layers {now:.3}, {then:.3} without this cause)")
-}
-
-/// Voltages that are clipped in each population with any, on the first samples.
-fn clipped(network: &Quantised, samples: &[&Sample]) -> Vec<(String, u64)> {
+/// Voltages of each population that are clipped and missed, on the first samples.
+fn clipped(network: &Quantised, samples: &[&Sample]) -> Vec<u64> {
     let mut engine = Golden::new(network);
-    let mut counts: Vec<(String, u64)> = Vec::new();
     for sample in samples.iter().take(COUNTED) {
         engine.begin(sample.steps());
         for step in 0..sample.steps() {
             engine.step(sample.at(step));
         }
-        let overflow = engine.overflow();
-        let Some((_, first)) = overflow.first.filter(|_| overflow.v_clipped > 0) else { continue };
-        let name = network.populations().iter().find(|population| {
-            population.first_compartment().is_some_and(|at| (at.0..at.0 + population.shape.len()).contains(&first.0))
-        });
-        if let Some(population) = name {
-            match counts.iter_mut().find(|(name, _)| *name == population.name) {
-                Some((_, count)) => *count += overflow.v_clipped,
-                None => counts.push((population.name.clone(), overflow.v_clipped)),
-            }
-        }
     }
-    counts
+    let left = engine.left_fields();
+    let of = |population: &Population| {
+        let first = population.first_compartment().map_or(0, |first| first.0);
+        let count = population.first_compartment().map_or(0, |_| population.shape.len());
+        (first..first + count).map(|compartment| left[CompartmentId(compartment)].cut).sum()
+    };
+    network.populations().iter().map(of).collect()
 }

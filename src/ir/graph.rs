@@ -415,6 +415,19 @@ impl Graph {
         })
     }
 
+    /// The place of each projection's declaration in the file, in the order of the projections: one for each `from` is
+    /// made of a declaration.
+    #[must_use]
+    pub fn declared_places(&self) -> Vec<usize> {
+        let spans: Vec<Span> = self.projections().map(|(.., projection)| projection.span).collect();
+        let mut place = 0;
+        let each = spans.iter().enumerate().map(|(index, span)| {
+            place += usize::from(index > 0 && spans[index - 1] != *span);
+            place
+        });
+        each.collect()
+    }
+
     /// A population.
     #[must_use]
     pub fn population(&self, node: NodeIndex) -> &Population {

@@ -8,6 +8,7 @@ use crate::agree::causes::Cause;
 use crate::agree::classes::ClassTally;
 use crate::agree::compare::{Agreement, LayerRow};
 use crate::compile::frontend::analytic::Fit;
+use crate::convert::next::Next;
 use crate::convert::search::{ConversionScore, SearchResult};
 use crate::ir::graph::Graph;
 use crate::report::charts::plot::{self, Axis, Series};
@@ -40,6 +41,8 @@ pub struct AgreeReport<'a> {
     pub attribution: Option<&'a Attribution>,
     /// Samples that it is of.
     pub attribution_samples: usize,
+    /// What to type next.
+    pub next: Option<&'a Next>,
 }
 
 impl<'a> AgreeReport<'a> {
@@ -63,6 +66,7 @@ impl<'a> AgreeReport<'a> {
             fits: &[],
             attribution: None,
             attribution_samples: 0,
+            next: None,
         }
     }
 }
@@ -150,10 +154,10 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
 /// The last is left out where there is little room.
 const SHARE_COLUMNS: [Column<Share>; 8] = [
     ("cause", |share| share.cause.name().to_string()),
-    ("share", |share| format!("{:.1} %", 100.0 * share.share)),
+    ("share", |share| or_empty(share.share.map(|share| format!("{:.1} %", 100.0 * share)))),
     ("forward", |share| four(share.forward)),
     ("reversed", |share| four(share.reversed)),
-    ("interaction", |share| four(share.interaction())),
+    ("without", |share| four(share.without.coincidence)),
     ("classes agree", |share| or_empty(share.rung.class_agreement.map(four))),
     ("coincidence", |share| four(share.rung.coincidence)),
     ("potential rmse", |share| or_empty(share.rung.potential_rmse.map(four))),
@@ -172,10 +176,14 @@ impl AgreeReport<'_> {
             "class_agreement": share.rung.class_agreement.map(rounded),
             "coincidence": rounded(share.rung.coincidence),
             "potential_rmse": share.rung.potential_rmse.map(rounded),
-            "share": rounded(share.share),
+            "share": share.share.map(rounded),
             "forward": rounded(share.forward),
             "reversed": rounded(share.reversed),
             "interaction": rounded(share.interaction()),
+            "without": {
+                "class_agreement": share.without.class_agreement.map(rounded),
+                "coincidence": rounded(share.without.coincidence),
+            },
         })
     }
 
@@ -220,6 +228,7 @@ impl AgreeReport<'_> {
             "lost": self.attribution.map_or(&[][..], |a| &a.layers).iter().map(lost_json).collect::<Vec<_>>(),
             "attribution_samples": self.attribution.map(|_| self.attribution_samples),
             "attribution": self.attribution.map_or(&[][..], |a| &a.shares).iter().map(Self::share_json).collect::<Vec<_>>(),
+            "next": self.next.map(next_json),
         })
     }
 
@@ -281,12 +290,15 @@ impl AgreeReport<'_> {
         let table = table_of(&attribution.shares, &SHARE_COLUMNS, 1);
         let intro = format!(
             "why: disagreement {:.4} (1 - coincidence over all layers) over {}, from the trained network to the machine; each \
-             row is the ladder once its cause is switched on, its share the mean of climbing forward and reversed",
+             row is the network once its cause is switched on{}; without: the coincidence of the machine without this cause",
             attribution.disagreement,
-            count(self.attribution_samples as u64, "sample")
+            count(self.attribution_samples as u64, "sample"),
+            match attribution.shares.iter().all(|share| share.share.is_some()) {
+                true => ", its share the mean of climbing forward and reversed",
+                false => ". Causes give back what others take, so that none has a share",
+            }
         );
-        let sentences: String = attribution.layers.iter().map(|layer| wrapped(&sentence(layer))).collect();
-        format!("\n{}{table}\n\n{sentences}", wrapped(&intro))
+        format!("\n{}{table}\n\n{}", wrapped(&intro), blame(attribution, self.next))
     }
 
     /// A section of a document, with a chart under `picture`.
@@ -385,61 +397,50 @@ impl AgreeReport<'_> {
     }
 }
 
-/// What a layer lost a cause to, and the change that would recover most of that.
-fn words(cause: Cause) -> (&'static str, &'static str) {
-    match cause {
-        Cause::Untruncated => ("kernels that were cut in training", "train with kernels that end where they are zero"),
-        Cause::Kernel => ("decays in place of its kernel", "train with Loihi neurons, whose decays are the hardware's"),
-        Cause::HardReset => (
-            "the hard reset and the refractory period",
-            "train with Loihi neurons, which reset as the hardware does, or lengthen `refractory`",
-        ),
-        Cause::Decays => ("decays in 4096ths", "take shorter time constants, or a longer timestep"),
-        Cause::Calibration => {
-            ("thresholds, gains and biases that the search chose", "search on more samples (--calibration-samples)")
-        }
-        Cause::Weights => (
-            "rounded weights, thresholds and biases",
-            "make their steps finer: a projection of its own for the largest weights",
-        ),
-        Cause::State => (
-            "integer currents and voltages",
-            "double weights and threshold (weight_exp and vth_mant), so that what rounds away weighs half as much",
-        ),
-    }
-}
-
-/// A loss of coincidence below this is not worth a change.
-const LITTLE: f64 = 0.005;
-
-fn advice(layer: &LayerLoss) -> Option<&'static str> {
-    layer.worst().filter(|_| layer.disagreement >= LITTLE).map(|(cause, _)| words(cause).1)
-}
-
-/// What a layer loses, to what most, and what would recover most of it.
+/// What a layer loses, and to which cause.
 fn sentence(layer: &LayerLoss) -> String {
     let LayerLoss { name, spikes, disagreement, .. } = layer;
     if spikes.0 + spikes.1 == 0 {
         return format!("'{name}' is silent in both: nothing to compare.");
     }
-    let Some((cause, added)) = layer.worst().filter(|_| *disagreement >= LITTLE) else {
+    if !layer.is_lossy() {
         return format!("'{name}' loses next to nothing ({disagreement:.4} of its coincidence).");
+    }
+    let most = match layer.worst() {
+        Some((cause, back)) => format!("most to {}; without, it loses {back:.3} less", cause.words()),
+        None => "to causes together, none of which alone brings it back".to_string(),
     };
-    let (what, change) = words(cause);
-    let most = match added > *disagreement {
-        true => format!("most to {what}, of whose {added:.3} other causes give some back"),
-        false => format!("{:.0} % of that to {what}", 100.0 * added / disagreement),
-    };
-    format!("'{name}' loses {disagreement:.3} of its coincidence, {most}: {change}.")
+    format!("'{name}' loses {disagreement:.3} of its coincidence, {most}.")
 }
 
-fn lost_json(layer: &LayerLoss) -> Value {
-    let causes = layer.causes.iter().map(|(cause, added)| (cause.name().to_string(), json!(rounded(*added))));
+/// What each layer and the classes lose, to which cause, and what to type next.
+pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
+    let mut out: String = attribution.layers.iter().map(|layer| wrapped(&sentence(layer))).collect();
+    if let (Some((cause, back)), Some(now)) = (attribution.worst_of_classes(), attribution.machine.class_agreement) {
+        let words = cause.words();
+        out += &wrapped(&format!("Classes agree in {now:.3}, in {:.3} without {words}.", now + back));
+    }
+    if let Some(Next { what, command, .. }) = next {
+        out += &format!("{}  {command}\n", wrapped(&format!("next: a command that {what}")));
+    }
+    out
+}
+
+pub(super) fn next_json(next: &Next) -> Value {
+    json!({ "cause": next.cause.map(|cause| cause.name()), "what": next.what, "command": next.command })
+}
+
+pub(super) fn lost_json(layer: &LayerLoss) -> Value {
+    let by_name = |each: &[(Cause, f64)]| {
+        let pairs = each.iter().map(|(cause, loss)| (cause.name().to_string(), json!(rounded(*loss))));
+        pairs.collect::<serde_json::Map<_, _>>()
+    };
     json!({
         "name": layer.name,
         "disagreement": rounded(layer.disagreement),
-        "causes": causes.collect::<serde_json::Map<_, _>>(),
-        "advice": advice(layer),
+        "causes": by_name(&layer.causes),
+        "back": by_name(&layer.alone),
+        "cause": layer.worst().map(|(cause, _)| cause.name()),
     })
 }
 

@@ -2,11 +2,13 @@
 
 use serde_json::{Value, json};
 
+use super::agree::{blame, lost_json, next_json};
 use super::text::{Column, count, csv_of, four, markdown_of, or_empty, table_of};
 use crate::agree::attribution::Distance;
 use crate::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
 use crate::convert::job::{Done, Job, sentence};
-use crate::convert::staged::{LayerLoss, Left, Measured, StageRow};
+use crate::convert::next::Next;
+use crate::convert::staged::{LayerRow, Left, Measured, StageRow};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -21,6 +23,8 @@ pub struct ConvertReport<'a> {
     pub tuned: Option<&'a Tuned>,
     /// The files that were written.
     pub files: &'a [String],
+    /// What to type next.
+    pub next: Option<&'a Next>,
 }
 
 fn rounded(x: f64) -> f64 {
@@ -45,7 +49,7 @@ const LEFT: [Column<Left>; 4] = [
     ("potential rmse", |left| or_empty(left.without.potential_rmse.map(four))),
 ];
 
-const LAYERS: [Column<LayerLoss>; 4] = [
+const LAYERS: [Column<LayerRow>; 4] = [
     ("layer", |layer| layer.name.clone()),
     ("coincidence", |layer| layer.coincidence.map_or("nothing to compare".to_string(), four)),
     ("clipped", |layer| layer.clipped.to_string()),
@@ -58,7 +62,7 @@ const EPOCHS: [Column<FineTuneRow>; 3] = [
     ("loss", |row| four(row.score.loss)),
 ];
 
-fn exponents(layer: &LayerLoss) -> String {
+fn exponents(layer: &LayerRow) -> String {
     layer.weight_exp.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
 }
 
@@ -137,10 +141,10 @@ impl ConvertReport<'_> {
             object["left"] = row.left.map(rounded).into();
             object
         };
-        let layer = |layer: &LayerLoss| {
+        let layer = |layer: &LayerRow| {
             json!({
                 "name": layer.name, "coincidence": layer.coincidence.map(rounded), "weight_exp": layer.weight_exp,
-                "clipped": layer.clipped, "advice": layer.advice,
+                "clipped": layer.clipped, "problem": layer.problem,
             })
         };
         let left = |left: &Left| {
@@ -156,7 +160,9 @@ impl ConvertReport<'_> {
             "samples": self.done.converted.calibration.samples,
             "stages": self.done.converted.stages.iter().map(stage).collect::<Vec<_>>(),
             "layers": self.done.converted.layers.iter().map(layer).collect::<Vec<_>>(),
+            "lost": self.done.converted.attribution.layers.iter().map(lost_json).collect::<Vec<_>>(),
             "left": self.done.converted.left.iter().map(left).collect::<Vec<_>>(),
+            "next": self.next.map(next_json),
             "class_agreement": self.done.converted.calibration.distance.class_agreement.map(rounded),
             "calibration": measured(&self.done.converted.calibration),
             "held_out": self.done.held_out.as_ref().map(measured),
@@ -187,7 +193,7 @@ impl ConvertReport<'_> {
         out += &format!(
             "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on the same samples, \
              {}):\n\n",
-            four(self.done.converted.left_from.coincidence)
+            four(self.done.converted.attribution.machine.coincidence)
         );
         out += &markdown_of(&self.done.converted.left, &LEFT);
         if let Some(held) = self.done.held_out.as_ref() {
@@ -208,10 +214,11 @@ impl ConvertReport<'_> {
         out += &format!("{}\n\n", table_of(&self.done.converted.stages, &STAGES, 2));
         out += &format!("{}\n\n", table_of(&self.done.converted.layers, &LAYERS, 1));
         for layer in &self.done.converted.layers {
-            if let Some(advice) = &layer.advice {
-                out += &format!("'{}': {advice}\n", layer.name);
+            if let Some(problem) = &layer.problem {
+                out += &format!("'{}': {problem}\n", layer.name);
             }
         }
+        out += &blame(&self.done.converted.attribution, self.next);
         out += &format!("\nwhat is left to gain\n{}\n\n", table_of(&self.done.converted.left, &LEFT, 1));
         if let Some(held) = self.done.held_out.as_ref() {
             out += &format!("on {}: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));

@@ -21,6 +21,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::compile::frontend::real_and_integers;
 use crate::compile::{CompileError, Form, Options, compile};
+use crate::convert::next::{Typed, next};
 use crate::desc::stimulus::{InputArg, InputSource};
 use crate::drive::inputs;
 use crate::error::Error;
@@ -88,6 +89,19 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         }
         false => None,
     };
+    let words = output::typed();
+    let drawn = ["--plot".to_string(), "first.svg".to_string()];
+    let closer = args.plot.is_none().then(|| words.iter().cloned().chain(drawn).collect());
+    let typed = Typed {
+        words,
+        model: &args.model,
+        conversion: (args.conversion.conversion, args.conversion.copies.most()),
+        closer,
+    };
+    let next = attribution.as_ref().and_then(|attribution| {
+        let some = &samples[..samples.len().min(args.attribution_samples as usize)];
+        next(&typed, (&graph, &ladder), attribution, some)
+    });
     if let (Some(path), Some(attribution)) = (&args.plot_causes, &attribution) {
         let svg = crate::report::agree::bars(&graph.facts().name, attribution);
         output::write_picture(path, &svg, context)?;
@@ -99,6 +113,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         fits: &named_fits(&graph, &integers.fits),
         attribution: attribution.as_ref(),
         attribution_samples: samples.len().min(args.attribution_samples as usize),
+        next: next.as_ref(),
         ..AgreeReport::of_two((&graph.facts().name, against.name()), shown, &agreement)
     };
     if let (Some(path), Some(attribution)) = (&args.update, &attribution) {

@@ -46,6 +46,14 @@ impl InputArgs {
         Ok(sources)
     }
 
+    /// The options that give these samples again.
+    #[must_use]
+    pub fn words(&self) -> Vec<String> {
+        let sources = self.sources().unwrap_or_default().into_iter().map(|source| ("--input", source));
+        let options = sources.chain(self.seed.map(|seed| ("--seed", seed.to_string())));
+        options.flat_map(|(name, value)| [name.to_string(), value]).collect()
+    }
+
     /// All samples of these sources, once each.
     #[must_use]
     pub fn from_sources(sources: &[String]) -> Self {

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::cli::process::signals;
-use crate::convert::fine_tune::{BestEpoch, Task, Tuned};
+use crate::convert::fine_tune::{BestEpoch, Task, Tuned, trainable};
 use crate::convert::job::{Done, FineTuning, Job};
 use crate::convert::model_file;
 use crate::error::Error;
@@ -32,6 +32,17 @@ pub struct FineTuneArgs {
 }
 
 impl FineTuneArgs {
+    /// Whether the network can be trained further, where that is asked for: before it is converted.
+    ///
+    /// # Errors
+    /// `convert.fine-tune`.
+    pub fn check(&self, job: &Job) -> Result<(), Error> {
+        if self.fine_tune.is_some() {
+            trainable(&job.graph)?;
+        }
+        Ok(())
+    }
+
     /// Trains further, where that is asked for; `output` is the file to write and what it says of its origin.
     ///
     /// # Errors

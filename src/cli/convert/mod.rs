@@ -14,7 +14,9 @@ use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::convert::calibration::{self, RunInput};
+use crate::convert::deployed::Conversion;
 use crate::convert::job::{Job, Split};
+use crate::convert::next::{Typed, next};
 use crate::drive::inputs;
 use crate::error::Error;
 use crate::io;
@@ -69,6 +71,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let job = Job::new(&network, &io::target::load_target(&args.target)?)?;
+    args.tuning.check(&job)?;
     let stimulus = inputs::stimulus(&job.integers, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let shown = select(&stimulus.samples, &args.input)?;
     let wanted = args.calibration_samples as usize;
@@ -84,12 +87,30 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         None => Vec::new(),
     };
     for layer in &done.converted.layers {
-        if let Some(advice) = layer.advice.as_ref().filter(|_| layer.clipped > 0 || layer.coincidence.is_none()) {
-            tracing::warn!("'{}': {advice}", layer.name);
+        if let Some(problem) = &layer.problem {
+            tracing::warn!("'{}': {problem}", layer.name);
         }
     }
-    let report =
-        ConvertReport { job: &job, done: &done, input: &stimulus.origin, tuned: tuned.as_ref(), files: &files };
+    let words = output::typed();
+    let sets = words.windows(2).filter(|pair| pair[0] == "--set").flatten().cloned();
+    let closer = ["agree", &args.model].map(str::to_string).into_iter().chain(args.input.words()).chain(sets);
+    let closer: Vec<String> = closer.chain(["--plot".to_string(), "first.svg".to_string()]).collect();
+    let typed = Typed {
+        model: &args.model,
+        conversion: (Conversion::Search, args.copies.most()),
+        // Its target has no reset by subtraction either.
+        closer: (!job.resets_are_replaced()).then_some(closer),
+        words,
+    };
+    let next = next(&typed, (&job.graph, &done.converted.ladder), &done.converted.attribution, &split.calibration);
+    let report = ConvertReport {
+        job: &job,
+        done: &done,
+        input: &stimulus.origin,
+        tuned: tuned.as_ref(),
+        files: &files,
+        next: next.as_ref(),
+    };
     if let Some(path) = &args.update {
         output::update_text(path, &format!("convert {}", job.graph.facts().name), &report.markdown(), context)?;
     }

@@ -12,10 +12,8 @@
 
 use std::collections::BTreeMap;
 
-use petgraph::algo::tarjan_scc;
-use petgraph::graph::DiGraph;
-
 use super::reader::Reader;
+use crate::base::depths::depths;
 use crate::base::diagnostic::Result;
 
 impl Reader<'_> {
@@ -23,38 +21,15 @@ impl Reader<'_> {
     pub(super) fn find_depths(&mut self, order: &[String]) -> Result<()> {
         let place: BTreeMap<&str, usize> =
             order.iter().enumerate().map(|(place, name)| (name.as_str(), place)).collect();
-        let mut graph = DiGraph::<(), ()>::new();
-        let nodes: Vec<_> = order.iter().map(|_| graph.add_node(())).collect();
         let mut sources: Vec<Vec<usize>> = vec![Vec::new(); order.len()];
-        for (to, name) in order.iter().enumerate().filter(|(_, name)| self.flat.nodes[*name].kind != "Input") {
+        let is_input = |node: usize| self.flat.nodes[&order[node]].kind == "Input";
+        for (to, name) in order.iter().enumerate().filter(|(to, _)| !is_input(*to)) {
             for path in self.paths(name)? {
-                let from = place[path[0].as_str()];
-                graph.add_edge(nodes[from], nodes[to], ());
-                sources[to].push(from);
+                sources[to].push(place[path[0].as_str()]);
             }
         }
-        // Components come with what they lead to before them.
-        let components = tarjan_scc(&graph);
-        let mut component = vec![0; order.len()];
-        for (index, members) in components.iter().enumerate() {
-            members.iter().for_each(|node| component[node.index()] = index);
-        }
-        let mut depths: Vec<u32> = vec![0; order.len()];
-        for members in components.iter().rev() {
-            let mut members: Vec<usize> = members.iter().map(|node| node.index()).collect();
-            members.sort_unstable();
-            for to in members {
-                let forward = |from: &&usize| component[**from] != component[to] || **from < to;
-                let behind = |from: &usize| match self.flat.nodes[&order[*from]].kind.as_str() {
-                    "Input" => 0,
-                    _ => depths[*from] + 1,
-                };
-                depths[to] = sources[to].iter().filter(forward).map(behind).max().unwrap_or(0);
-                for &from in sources[to].iter().filter(|from| !forward(from)) {
-                    self.loops.insert((order[from].clone(), order[to].clone()));
-                }
-            }
-        }
+        let (depths, loops) = depths(&sources, is_input);
+        self.loops.extend(loops.into_iter().map(|(from, to)| (order[from].clone(), order[to].clone())));
         self.depths = order.iter().cloned().zip(depths).collect();
         Ok(())
     }

@@ -1,0 +1,37 @@
+//! The layer of each node of a network: how many nodes its input has passed.
+//!
+//! Input: what leads to each node, nodes numbered in the order in which spikes reach them. Output:
+//! depths, 0 for inputs and for what they alone reach, else one more than the deepest node before
+//! it; and the ways that close a loop, which count for no depth.
+
+use std::collections::BTreeSet;
+
+use petgraph::algo::tarjan_scc;
+use petgraph::graph::{DiGraph, NodeIndex};
+
+/// Depths, and the ways `(from, to)` that close a loop.
+#[must_use]
+pub fn depths(sources: &[Vec<usize>], is_input: impl Fn(usize) -> bool) -> (Vec<u32>, BTreeSet<(usize, usize)>) {
+    let ways = sources.iter().enumerate().flat_map(|(to, from)| from.iter().map(move |&from| (from, to)));
+    let mut graph = DiGraph::<(), ()>::new();
+    sources.iter().for_each(|_| _ = graph.add_node(()));
+    ways.for_each(|(from, to)| _ = graph.add_edge(NodeIndex::new(from), NodeIndex::new(to), ()));
+    // Components come with what they lead to before them.
+    let components = tarjan_scc(&graph);
+    let mut component = vec![0; sources.len()];
+    for (index, members) in components.iter().enumerate() {
+        members.iter().for_each(|node| component[node.index()] = index);
+    }
+    let (mut depths, mut loops) = (vec![0; sources.len()], BTreeSet::new());
+    for members in components.iter().rev() {
+        let mut members: Vec<usize> = members.iter().map(|node| node.index()).collect();
+        members.sort_unstable();
+        for to in members {
+            let forward = |from: &&usize| component[**from] != component[to] || **from < to;
+            let behind = |from: &usize| if is_input(*from) { 0 } else { depths[*from] + 1 };
+            depths[to] = sources[to].iter().filter(forward).map(behind).max().unwrap_or(0);
+            loops.extend(sources[to].iter().filter(|from| !forward(from)).map(|&from| (from, to)));
+        }
+    }
+    (depths, loops)
+}
