@@ -2,8 +2,8 @@
 //!
 //! The ladder begins at the network as its tool runs it ([`as_trained`]) and is climbed twice:
 //! *forward*, one cause after the other; and *reversed*, the last cause first. What a cause adds to
-//! the disagreement depends on what was switched on before it; its share is the mean of the two, and
-//! their difference the interaction. Where causes give back what others take, means are negative or
+//! the disagreement depends on what was switched on before it; its share is the mean of the two,
+//! and their difference the interaction. Where causes give back what others take, means are negative or
 //! beyond the whole, and there are no shares. *Alone* a cause brings back what the machine gains
 //! with real numbers in its place: by this one is blamed, since it is what one change can gain.
 //! Disagreement is 1 minus the coincidence factor of all spikes of all layers against the trained
@@ -45,8 +45,8 @@ pub struct Share {
     pub forward: f64,
     /// The disagreement that it adds reversed.
     pub reversed: f64,
-    /// Mean of the two, relative to the whole disagreement, 0 when there is none; `None` where causes
-    /// give back what others take.
+    /// Mean of the two, relative to the whole disagreement, 0 when there is none; `None` where
+    /// causes give back what others take.
     pub share: Option<f64>,
     /// The machine without this cause.
     pub without: Distance,
@@ -82,7 +82,8 @@ const BLAMED: f64 = 0.1;
 /// Means below zero by less than this share of the whole are noise.
 const NOISE: f64 = 0.02;
 
-/// The cause that brings back most of a loss; `None` where nothing is lost, or no one cause brings it back.
+/// The cause that brings back most of a loss; `None` where nothing is lost, or no one cause brings
+/// it back.
 fn worst(lost: f64, alone: impl Iterator<Item = (Cause, f64)>) -> Option<(Cause, f64)> {
     let enough = alone.filter(|&(_, back)| lost >= LITTLE && back >= (BLAMED * lost).max(LITTLE));
     enough.reduce(|most, next| if next.1 > most.1 { next } else { most })
@@ -133,7 +134,8 @@ pub struct Attribution {
 }
 
 impl Attribution {
-    /// The cause without which most classes would agree again, and how many more then do, as a share.
+    /// The cause without which most classes would agree again, and how many more then do, as a
+    /// share.
     #[must_use]
     pub fn worst_of_classes(&self) -> Option<(Cause, f64)> {
         let now = self.machine.class_agreement?;
@@ -210,8 +212,8 @@ pub fn measured(
     (0..to.len()).map(of_rung).collect()
 }
 
-/// The network as its tool runs it: kernels without end, as the reference engine has them, and layers
-/// that answer to every step of the input where another class follows from that.
+/// The network as its tool runs it: kernels without end, as the reference engine has them, and
+/// layers that answer to every step of the input where another class follows from that.
 #[must_use]
 pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung {
     let in_step = ladder.trained().with(Cause::Untruncated);

@@ -16,10 +16,20 @@ use crate::io::write::checksum;
 use crate::report::charts::picture::{ENDINGS, PictureFormat};
 use crate::report::text::{self, replaced};
 
-/// The words behind `nsim` on the command line.
+/// The words behind `nsim` on the command line, without the number of threads, on which no result
+/// depends.
 #[must_use]
 pub fn typed() -> Vec<String> {
-    std::env::args().skip(1).collect()
+    let mut words = std::env::args().skip(1);
+    let mut typed = Vec::new();
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--threads" => _ = words.next(),
+            _ if word.starts_with("--threads=") => {}
+            _ => typed.push(word),
+        }
+    }
+    typed
 }
 
 /// Checks the files that a command is to write, before it works: that they may be written, that pictures are named for

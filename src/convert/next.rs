@@ -4,10 +4,11 @@
 //! what can be changed about the cause that costs most, or that looks closer where nothing can. A
 //! change of the model is tried on the samples, and printed only where the integers come nearer.
 
-use crate::agree::attribution::{Attribution, Distance, as_trained, measured};
+use crate::agree::attribution::{Attribution, Distance, LayerLoss, as_trained, measured};
 use crate::agree::causes::{Cause, Rung};
 use crate::agree::compare::output_layer;
 use crate::agree::ladder::Ladder;
+use crate::base::fixed::ThresholdMantissa;
 use crate::compile::frontend::analytic;
 use crate::compile::frontend::lower::lower;
 use crate::convert::copies;
@@ -106,7 +107,12 @@ fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
         Some(PerCompartment::Same(value)) => Some(*value as i64),
         Some(PerCompartment::Each(_)) => None,
     };
-    let in_integers = |kind: &PopulationKind| matches!(kind, PopulationKind::Neurons(p) if p.get("vth_mant").is_some());
+    // A population with the greatest threshold is read out by its potential.
+    let never = f64::from(ThresholdMantissa::MAX.get());
+    let in_integers = |kind: &PopulationKind| match kind {
+        PopulationKind::Neurons(p) => p.get("vth_mant").is_some() && p.value("vth_mant", 0) < never,
+        _ => false,
+    };
     let mut changes = Vec::new();
     for (_, population) in graph.populations() {
         let PopulationKind::Neurons(p) = &population.kind else { continue };
@@ -114,9 +120,7 @@ fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
             continue;
         }
         let threshold = same(p, "vth_mant")? << times;
-        if threshold > 131_071 {
-            return None;
-        }
+        ThresholdMantissa::new(threshold).ok()?;
         changes.push(format!("populations.{}.vth_mant={threshold}", population.name));
         if p.get("bias_mant").is_some() {
             let exponent = same(p, "bias_exp")? + times;
@@ -159,7 +163,7 @@ pub fn next(
     samples: &[&Sample],
 ) -> Option<Next> {
     let worst = attribution.worst();
-    let lossy = attribution.layers.iter().any(|layer| layer.is_lossy());
+    let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
     let found = worst.and_then(|cause| remedy(typed, (graph, ladder), cause, attribution, samples));
     let found = found.or_else(|| {
         let (what, command) = search(typed).filter(|_| lossy && graph.has_srm())?;

@@ -272,9 +272,7 @@ fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<La
         let clipped = target.map_or(0, |target| clipped[target.index()]);
         let problem = match (spikes, coincidence, clipped) {
             (0, None, _) => Some("it never fires: nothing to compare; show it input that drives it".to_string()),
-            (0, Some(_), _) => {
-                Some("its integers never fire where the trained layer does: lower its threshold".to_string())
-            }
+            (0, Some(_), _) => Some("its integers never fire where the trained layer does".to_string()),
             (_, _, 1..) => target.map(|target| format!("its voltages clip: {}", widen(network, target))),
             _ => None,
         };

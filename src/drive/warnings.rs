@@ -113,7 +113,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         } else if is_output && let Some(message) = silent_classes(run) {
             add("silent-output", message);
         }
-        // A negative voltage that is clipped, or one that a spike sets to zero, loses nothing that is missed.
+        // A negative voltage that is clipped, or one that a spike sets to zero, is not missed.
         if row.cut > 0 {
             let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
             let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);

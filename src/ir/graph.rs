@@ -415,8 +415,8 @@ impl Graph {
         })
     }
 
-    /// The place of each projection's declaration in the file, in the order of the projections: one for each `from` is
-    /// made of a declaration.
+    /// The place of each projection's declaration in the file, in the order of the projections: one
+    /// for each `from` is made of a declaration.
     #[must_use]
     pub fn declared_places(&self) -> Vec<usize> {
         let spans: Vec<Span> = self.projections().map(|(.., projection)| projection.span).collect();

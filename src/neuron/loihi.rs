@@ -7,8 +7,8 @@
 //! arithmetic narrows a value:
 //!
 //! - *Hardware*: q wraps at 22 bits, u and u + bias at 24, v is clipped to vmin and vmax.
-//! - *Lava*: lava's fixed-point LIF process. A negative exponent shifts the sum q, which never wraps, u wraps once into (-2^23, 2^23], v is clipped to the whole field,
-//!   no refractory period.
+//! - *Lava*: lava's fixed-point LIF process. A negative exponent shifts the sum q, which never
+//!   wraps; u wraps once into (-2^23, 2^23]; v is clipped to the whole field; no refractory period.
 //! - *Slayer*: SLAYER's Loihi kernel. The magnitude of a product keeps its low 32 bits, sums have 32 bits, there is no bias
 //!   and no clip, step 0 is skipped, and a refractory period of 0 silences the compartment after its first spike.
 //!

@@ -427,7 +427,7 @@ pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
 }
 
 pub(super) fn next_json(next: &Next) -> Value {
-    json!({ "cause": next.cause.map(|cause| cause.name()), "what": next.what, "command": next.command })
+    json!({ "cause": next.cause.map(Cause::name), "what": next.what, "command": next.command })
 }
 
 pub(super) fn lost_json(layer: &LayerLoss) -> Value {

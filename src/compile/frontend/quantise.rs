@@ -170,8 +170,9 @@ impl Stage<'_> {
         Ok(SynapseFormat { exponent, sign: projection.sign, bits: width })
     }
 
-    /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each weight. Where a weight
-    /// would lose bits, what arrives at its targets is summed in finer units, and shifted once (rule 11).
+    /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
+    /// weight. Where a weight would lose bits, what arrives at its targets is summed in finer
+    /// units, and shifted once (rule 11).
     fn shift_sums(
         &mut self,
         populations: &mut IdVec<PopulationId, Population>,
