@@ -355,7 +355,7 @@ fn a_mapping_that_could_not_be_run_is_no_deployment() {
         (hand.replace(held, "population: \"o\", first: 0, count: 1"), "mapping.missing"),
         (hand.replace(held, "population: \"o\", first: 0, count: 3"), "mapping.run"),
         (hand.replace(held, "population: \"o\", at: \"0 1 1\""), "mapping.twice"),
-        (hand.replace("cores: [", "cores: [(chip: 0, x: 0, y: 0, core: 3, holds: []),"), "mapping.empty"),
+        (hand.replace("cores: [", "cores: [(chip: 0, x: 1, y: 0, core: 0, holds: []),"), "mapping.empty"),
         (good.replace("core: 0", "core: 1"), "mapping.checksum"),
         (good.replace("seed: 0", "seed: 1"), "mapping.checksum"),
     ];

@@ -17,6 +17,7 @@ use crate::drive::samples::Progress;
 use crate::energy::evaluate::Evaluated;
 use crate::energy::workload::Workload;
 use crate::error::Error;
+use crate::io::write::checksum;
 use crate::ir::firing_rates::Rates;
 use crate::ir::graph::Graph;
 use crate::ir::quantised::{Quantised, Units};
@@ -45,7 +46,7 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Trans
     let samples = workload.samples();
     let rates = Rates::of_copy(&run.counts, network, run.activity.steps());
     let mut sections = Sections {
-        results: vec![energy.json()],
+        results: vec![checksum::printed(energy.json())],
         network: network::json(network),
         fit: fit::json(compiled, target, &compiled.links_at(&rates)),
         confusion: sample::confusion(network, &samples, &run.outcomes),

@@ -17,7 +17,7 @@ const TIMES: [&str; 3] = ["wall_s", "us_per_timestep", "seconds"];
 
 /// The checksum of an object's other fields.
 #[must_use]
-pub fn of(object: &Value) -> String {
+pub fn checksum_of(object: &Value) -> String {
     let mut object = object.clone();
     if let Some(fields) = object.as_object_mut() {
         fields.retain(|name, _| name != FIELD && !TIMES.contains(&name.as_str()));
@@ -29,7 +29,7 @@ pub fn of(object: &Value) -> String {
 /// An object with its checksum.
 #[must_use]
 pub fn with(mut object: Value) -> Value {
-    object[FIELD] = of(&object).into();
+    object[FIELD] = checksum_of(&object).into();
     object
 }
 
@@ -46,7 +46,7 @@ pub fn printed(result: Value) -> Value {
 /// Whether an object has the checksum of its other fields; `None` when it has none.
 #[must_use]
 pub fn holds(object: &Value) -> Option<bool> {
-    Some(*object.get(FIELD)? == of(object))
+    Some(*object.get(FIELD)? == checksum_of(object))
 }
 
 #[cfg(test)]
