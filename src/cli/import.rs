@@ -29,6 +29,9 @@ static DECISIONS: [(&str, ReadOut); 4] = [
     (ReadOut::LastV.name(), ReadOut::LastV),
 ];
 
+/// The rules by which states decay, by their names.
+static DECAYS: [(&str, DecayRule); 2] = [("euler", DecayRule::Euler), ("exponential", DecayRule::Exponential)];
+
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
@@ -53,7 +56,7 @@ pub struct Args {
     /// What a step leaves of a state, where the file has time constants (NIR): 1 - dt / tau, as
     /// snnTorch and Norse (euler), or exp(-dt / tau), as sinabs and Rockpool (exponential)
     /// [default: euler]
-    #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("euler", DecayRule::Euler), ("exponential", DecayRule::Exponential)]))]
+    #[arg(long, value_name = "HOW", value_parser = one_of_named(&DECAYS))]
     decay: Option<DecayRule>,
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)]))]
