@@ -200,7 +200,11 @@ fn head(args: &Args, sweep: &Sweep) -> String {
         let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
         format!("{:?} {time:?}", found.as_ref().map(std::fs::Metadata::len))
     };
-    format!("nsim sweep {} {}", env!("CARGO_PKG_VERSION"), digest(&format!("{:?}", (args.shard, args.timestep.dt_ms)), sweep, of_file))
+    format!(
+        "nsim sweep {} {}",
+        env!("CARGO_PKG_VERSION"),
+        digest(&format!("{:?}", (args.shard, args.timestep.dt_ms)), sweep, of_file)
+    )
 }
 
 /// What identifies the work of all parts, on every machine: the program's version, the sweep, and
