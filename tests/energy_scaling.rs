@@ -53,7 +53,7 @@ fn sample(spikes: u32) -> Sample {
     Sample::new(STEPS, &events, None).unwrap()
 }
 
-/// The time of each step of so many copies of a network, and where they are.
+/// The time of each step of `options.copies` copies of a network, and where they are.
 fn times(target: &Target, options: &Options, spikes: u32, work: HostWork) -> (Vec<StepTime>, Deployment, CostTable) {
     let copies = options.copies;
     let compiled = compile(network(), target, options).unwrap();

@@ -423,7 +423,7 @@ fn a_bias_reaches_a_current_from_the_first_step_on_and_layers_wait_for_it() {
     let affine = typed("Affine").with("weight", Numbers::f64(&[3, 4], &w)).with("bias", reals(&b));
     let second = typed("Linear").with("weight", weights(&[2, 3], 52));
     let more = typed("Linear").with("weight", weights(&[2, 4], 53));
-    // The second layer hears the input, too.
+    // The second layer receives the input, too.
     let nodes =
         [("i", source(&[4])), ("w", affine), ("n", cuba(&[3])), ("x", second), ("m", lif(&[2])), ("o", output())];
     let mut root = file(&nodes, &[("i", "s"), ("s", "m")]);

@@ -95,7 +95,7 @@ const STEPS: usize = 40;
 const SAMPLES: usize = 6;
 const CHANNELS: usize = 4;
 
-/// Random spikes `[samples, channels, steps]` with so many steps without any at the end; the last
+/// Random spikes `[samples, channels, steps]` with `empty` steps without any at the end; the last
 /// sample has none.
 fn write_input(folder: &Path, name: &str, empty: usize) {
     let spike = |i: u64| u8::from((i as usize) < (SAMPLES - 1) * CHANNELS * STEPS && rng::below(5, 3, i, 0) == 0);

@@ -121,7 +121,7 @@ fn snntorch_gives_what_its_rules_give_with_both_resets_and_biases() {
         let hidden = layer(6, 0.875, 1.0).run(&currents(&first, &bias, &given(5)));
         assert!(total(&hidden) > 20, "{}", total(&hidden));
         assert_eq!(spikes(&imported.model, "lif1", 5), hidden, "subtracts: {subtracts}");
-        // The next layer hears it a step later.
+        // The next layer receives it a step later.
         let later: Vec<Vec<bool>> = std::iter::once(vec![false; 6]).chain(hidden).take(STEPS).collect();
         let out = layer(3, 0.5, 0.75).run(&currents(&second, &[], &later));
         assert!(total(&out) > 10);

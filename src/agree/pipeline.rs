@@ -86,7 +86,7 @@ impl Pipeline {
         self.drain - self.drained
     }
 
-    /// The steps of a sample of so many in which the tool's population runs too.
+    /// The steps of a sample of `steps` in which the tool's population runs too.
     #[must_use]
     pub fn window(&self, population: usize, steps: u32) -> u32 {
         steps - self.drained.min(steps) + self.depths[population]

@@ -162,7 +162,7 @@ impl ProbeArgs {
         folder.join(format!("{}.{extension}", named.name))
     }
 
-    /// Writes what was recorded in steps of so many milliseconds, without the last steps, which
+    /// Writes the recordings, in steps of `dt_ms`, without the last steps, which
     /// drain, under temporary names; returns the files.
     ///
     /// # Errors

@@ -87,7 +87,7 @@ impl Plan {
         self.asked.copies()
     }
 
-    /// Copies of the deployment, of which so many are mapped.
+    /// Copies of the deployment, of which `mapped` are mapped.
     fn copies(&self, mapped: u32) -> u32 {
         match &self.source {
             DeploymentSource::Scenario(_, scenario) => self.copies.unwrap_or(scenario.copies.value),

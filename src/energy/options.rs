@@ -219,11 +219,11 @@ impl DeploymentSource {
         Ok(DeploymentSource::Mapping(path.clone(), Box::new(mapping)))
     }
 
-    /// The numbers of cores of so many copies of a mapped network.
+    /// The numbers of cores of `copies` copies of a mapped network.
     ///
     /// # Errors
     /// [`Error::Usage`] when a scenario is of another model; [`Error::Input`] when a saved mapping
-    /// is not one of so many copies of this network on this target.
+    /// is not one of `copies` copies of this network on this target.
     pub fn deployment(&self, compiled: &Compiled, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
         let model = &compiled.one.parts().name;
         match self {

@@ -175,7 +175,7 @@ fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
     } else {
         let mut constants: Constants = parse(source, "constants.syntax")?;
         if !is_shipped {
-            // Whoever writes constants down has not measured how far predictions by them are off.
+            // Constants that a user wrote down come without measured errors of prediction.
             constants.errors.clear();
         }
         constants

@@ -129,7 +129,7 @@ impl Sample {
         }
     }
 
-    /// The same spikes with so many steps more, all without spikes.
+    /// The same spikes followed by `steps` steps without any.
     #[must_use]
     pub fn followed_by(mut self, steps: u32) -> Self {
         let end = self.first.last().copied().unwrap_or(0);

@@ -548,8 +548,8 @@ impl Declared<'_> {
         Ok((pair.value.0 as u32, pair.value.1 as u32))
     }
 
-    /// Checks that the target is exactly what the window makes of the source, which has so many
-    /// silent rows and columns behind it.
+    /// Checks that the target is exactly what the window makes of the source, with `after` silent
+    /// rows and columns appended to it.
     fn check_window(&self, window: &Window, after: Option<&Spanned<(u64, u64)>>) -> Result<(), Diagnostic> {
         let after = self.pair(after, "padding_after", window.padding, 0)?;
         let size = |source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32| {

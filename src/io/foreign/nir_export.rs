@@ -47,7 +47,7 @@ pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
         let heard = model.projections.iter().any(|projection| projection.to == population.name);
         if population.loihi.is_some() && !heard {
             graph.notes.push(format!(
-                "'{}' hears nothing: nir.read of Python gives it an input of its own, which a file that it writes keeps",
+                "'{}' has no input: nir.read of Python gives it an input of its own, which a file that it writes keeps",
                 population.name
             ));
         }

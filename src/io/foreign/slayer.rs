@@ -470,7 +470,7 @@ pub(super) fn build(
     Ok(Imported { kind, model, notes, layers }.read_out())
 }
 
-/// The shape of an input of so many channels: `--input-shape`, or a line.
+/// The shape of an input of `units` channels: `--input-shape`, or a line.
 pub(super) fn input_shape(options: &Options, units: usize) -> Result<Vec<u64>> {
     let Some(given) = &options.input_shape else { return Ok(vec![units as u64]) };
     let product = given.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
@@ -478,8 +478,8 @@ pub(super) fn input_shape(options: &Options, units: usize) -> Result<Vec<u64>> {
         return Ok(given.clone());
     }
     let message =
-        format!("--input-shape {given:?} has {} channels, the first layer hears {units}", product.unwrap_or(0));
-    Err(Diagnostic::new("import.option", message).help("write CHANNELS,HEIGHT,WIDTH of what the first layer hears"))
+        format!("--input-shape {given:?} has {} channels, the first layer has {units} inputs", product.unwrap_or(0));
+    Err(Diagnostic::new("import.option", message).help("write CHANNELS,HEIGHT,WIDTH of the first layer's input"))
 }
 
 #[cfg(test)]

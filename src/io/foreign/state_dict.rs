@@ -274,7 +274,7 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
         };
         let sources = array.numbers.len() / targets;
         // A kernel is a dense layer where it covers all of its input: the layer behind it then
-        // hears one unit a kernel.
+        // receives one unit a kernel.
         let kernel = axes.get(1..).unwrap_or_default();
         let before = (place > 0).then(|| layers[place - 1].1[0]);
         let covers = match (before, layers.get(place + 1)) {

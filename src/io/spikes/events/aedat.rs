@@ -1,7 +1,7 @@
 //! AEDAT4, the files of iniVation's DV.
 //!
 //! A line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then packets: a
-//! stream's number and a size, and so many bytes that hold, plain or compressed by LZ4 or
+//! stream's number and a size in bytes, and a body that holds, plain or compressed by LZ4 or
 //! Zstandard, a flatbuffer with a vector of events of 16 bytes: microseconds, x, y, polarity
 //! (iniVation, AEDAT file format 4.0; `dv/data/event.fbs`). Packets whose identifier is not `EVTS`
 //! are skipped. The description names the streams; events of two streams are never read as one. A

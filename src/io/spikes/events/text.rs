@@ -3,7 +3,7 @@
 //! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and
 //! a time: `t`, `ts`, `time` or `timestamp`, with the unit behind it (`t_s`, `t_ms`, `t_us`,
 //! `t_ns`). They stand in any order, separated by commas; others are left alone, and so are lines
-//! that begin with `#`. A time without a unit is in microseconds, which the sink is told: a
+//! that begin with `#`. A time without a unit is in microseconds, which the sink records: a
 //! fraction of one, or a time beyond all clocks, is asked about.
 
 use std::io::BufRead;
