@@ -299,7 +299,7 @@ mod tests {
     #[test]
     fn shares_are_of_the_whole_or_there_are_none() {
         assert_eq!(shares(&[0.0, 0.0]), Some(vec![0.0, 0.0]));
-        assert_eq!(shares(&[0.3, 0.1]), Some(vec![0.75, 0.25]));
+        assert_eq!(shares(&[0.375, 0.125]), Some(vec![0.75, 0.25]));
         assert_eq!(shares(&[0.2, -0.001]), Some(vec![1.0, 0.0]));
         assert_eq!(shares(&[0.5, -0.3]), None, "250 % and -150 %");
         assert_eq!(shares(&[0.3, -0.3]), None);

@@ -114,7 +114,7 @@ impl Job {
     /// # Errors
     /// `sweep.path`, `sweep.value`.
     fn assign(&mut self, path: &str, value: &str) -> Result<()> {
-        let (first, rest) = path.split_once('.').unwrap_or((path, ""));
+        let (first, rest) = path.split_once('.').filter(|(_, rest)| !rest.is_empty()).unwrap_or((path, ""));
         let text = |place: &mut String| {
             *place = value.to_string();
             Ok(())
