@@ -31,7 +31,7 @@ trap 'rm -rf "$folder"' EXIT
 # Whole instructions of a timestep of a network.
 count() {
     valgrind --tool=callgrind --callgrind-out-file="$folder/out" --toggle-collect='nsim::bench::measure::steps*' \
-        target/release/nsim bench step --network "$1" --steps "$steps" --threads 1 --format csv \
+        "${CARGO_TARGET_DIR:-target}/release/nsim" bench step --network "$1" --steps "$steps" --threads 1 --format csv \
         > "$folder/result" 2> "$folder/log" || { cat "$folder/log" >&2; return 1; }
     local sum
     sum=$(sed -n 's/^\(summary\|totals\): *//p' "$folder/out" | head -n 1)
