@@ -6,12 +6,13 @@ Each network is mapped by nsim onto a chip with small cores, run, and exported; 
 is biased, so that both programs agree on which are updated (nsim also updates one whose current alone is not zero),
 currents have no memory, so that voltages agree bit for bit, and inputs have delay 1, so that both programs send them in the
 same step. Prints a line a network and ends with status 1 when spikes or
-dynamic energy differ, or the time of the run by more than 5 %.
+dynamic energy differ, or the time of the run by more than 3 %. nsim has no host here, as SANA-FE has none.
 
 SANA-FE's `detailed` schedule orders messages by the addresses of their objects on the heap where times are equal, so that a
 second run in the same process may give another time. So each run has a process of its own, and two are held to be equal.
 
-SANA-FE has no chips: over several of them, a link between chips passes messages as fast here as any other.
+SANA-FE has no chips: over several of them, a link between chips passes messages as fast here as any other, and barriers take no
+longer.
 """
 
 import contextlib
@@ -27,7 +28,7 @@ import sanafe
 
 CHIP = """Chip(
     name: "small-cores", notes: "cores of few compartments, so that small networks take many",
-    width: 8, height: 4, cores_per_tile: 4, cores: 128, x86_cores: 3, x86_cores_in_use: 1, power_unit: Tile,
+    width: 8, height: 4, cores_per_tile: 4, cores: 128, x86_cores: 3, x86_cores_in_use: 1,
     limits: (compartments: %d, axons_in: 4096, axons_out: 4096, axon_out_slots: 1, axon_out_slots_off_chip: 2,
         axons_out_per_compartment: 511, synapse_words: 16384, synapse_words_per_axon: 256, synapses_per_entry: 64,
         synapse_formats: 15, compartment_profiles: 32, threshold_profiles: 16, accumulators: 8192, packing: Nengo),
@@ -87,14 +88,14 @@ def preset(folder, even, several):
     SANA-FE knows one kind of synapse a compartment; nsim picks the kind of each list, so some compartments have both, and
     then dense and sparse lists cost the same. SANA-FE knows no chips, so messages cross to another as fast as any link.
     """
-    given = os.path.join(os.path.dirname(__file__), "..", "mapping", "constants", "sanafe-calibrated.ron")
-    with open(given) as file:
-        text = file.read()
+    changes = {}
     if even:
-        text = text.replace("(value: 33.6,", "(value: 35.5,").replace("(value: 4.7,", "(value: 3.8,")
+        changes.update(synapse_sparse_energy=(35.5, "pJ"), synapse_sparse_time=(3.8, "ns"))
     if several:
-        text, count = re.subn(r"link_chip_time: \(value: [0-9.]+", "link_chip_time: (value: 0.291", text)
-        assert count == 1
+        changes.update(link_chip_time=(0.291, "ns"), chip_hop_time=(0, "us"))
+    constant = '%s: (value: %g, unit: %s, source: "as SANA-FE has it", status: assumed)'
+    fields = "".join(", " + constant % (name, *value) for name, value in changes.items())
+    text = 'Constants(base: "sanafe-calibrated", name: "peer", notes: "for both programs"%s)' % fields
     path = os.path.join(folder, "preset.ron")
     with open(path, "w") as file:
         file.write(text)
@@ -105,7 +106,7 @@ def nsim(program, folder, transport, constants):
     """nsim's report, and the files for SANA-FE."""
     at = lambda name: os.path.join(folder, name)
     command = [program, "energy", at("model.ron"), "--target", at("target.ron"), "--input", at("in.npy"), "--copies", "1",
-               "--constants", constants, "--transport", transport, "--baseline", "--format", "json", "--force",
+               "--constants", constants, "--transport", transport, "--host", "none", "--baseline", "--format", "json", "--force",
                "--export-sanafe", folder]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -185,10 +186,10 @@ def main():
         every = sorted(abs(off[name]) for off in found)
         summary.append(f"{name} {100 * every[len(every) // 2]:.2g} % in the median, {100 * every[-1]:.2g} % at most")
     print(f"{networks} networks on one chip, {several} over several: " + "; ".join(summary))
-    sys.exit(any(abs(off["energy"]) > 1e-9 or abs(off[DEFAULT]) > 0.05 for off in found))
+    sys.exit(any(abs(off["energy"]) > 1e-9 or abs(off[DEFAULT]) > 0.03 for off in found))
 
 
-# The model of the mesh that is held to 5 %: nsim's default.
+# The model of the mesh that is held to 3 %: nsim's default.
 DEFAULT = "queued"
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ use std::process::Command;
 
 /// `NSIM_SANAFE` names a Python with `sanafe` 2.2 and numpy; without one the comparison is skipped.
 #[test]
-fn energy_is_equal_and_queued_time_within_five_percent() {
+fn energy_is_equal_and_queued_time_within_three_percent() {
     let Some(python) = std::env::var_os("NSIM_SANAFE") else {
         common::say("skipped: NSIM_SANAFE names no Python with sanafe (pip install sanafe numpy)");
         return;

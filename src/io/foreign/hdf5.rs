@@ -4,7 +4,7 @@
 //! file. Numbers keep the bytes of their own type, in little-endian order.
 //!
 //! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded (`Budget`),
-//! links that name a path are refused ([`super::hdf5_links`]), and what the crate refuses becomes a
+//! links that name a path are refused (`hdf5_links`), and what the crate refuses becomes a
 //! diagnostic. Attributes are read for NIR's data files only.
 //! Compound types, references and numbers of unusual layouts become [`Item::Other`].
 

@@ -83,7 +83,7 @@ pub fn text(path: &Path, force: bool, text: &str) -> Result<()> {
     file(path, force, |out| out.write_all(text.as_bytes()))
 }
 
-/// Prints a [`printable`] text to stdout. A reader that has gone away (`nsim .. | head`) is not an
+/// Prints a `printable` text to stdout. A reader that has gone away (`nsim .. | head`) is not an
 /// error.
 ///
 /// # Errors
