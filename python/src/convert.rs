@@ -77,7 +77,9 @@ impl Conversion {
                 }
             };
             let model = job.model(&done, tuned.as_ref(), &job.provenance(name, &split, &done))?;
-            let report = ConvertReport { job: &job, done: &done, input: origin, tuned: tuned.as_ref(), files: &[] };
+            // A command for a shell says nothing to a program.
+            let report =
+                ConvertReport { job: &job, done: &done, input: origin, tuned: tuned.as_ref(), files: &[], next: None };
             Ok((report.json(), report.text(), model))
         })?;
         let network = Network::built(py, &model)?;
